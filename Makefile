@@ -42,12 +42,13 @@ ifneq ($(shell find hnn_vi_ros config launch resource package.xml setup.py setup
 .PHONY: $(BUILT)
 endif
 
-.PHONY: help build run test bench clean distclean
+.PHONY: help build run test bench accuracy clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
 	@echo 'make test [ARGS=...]                           run every test (ARGS go to pytest)'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
+	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure what accuracy costs; hours'
 	@echo 'make build                                     set up .venv and build the package'
 	@echo 'make clean                                     remove what was built'
 	@echo 'make distclean                                 remove .venv as well'
@@ -93,12 +94,20 @@ $(PEERS): requirements/bench.txt $(INSTALLED)
 		echo 'error: the packages could not be installed; see .venv/peers.log' >&2; exit 1; }
 	@touch $@
 
-# Every library to one thread; -P: the package that is measured is the one that was built.
+# Every library to one thread.
+ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
+	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
+
+# -P: the package that is measured is the one that was built.
 bench: $(BUILT) $(PEERS)
-	@$(ENVIRONMENT); export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 \
-		JAX_PLATFORMS=cpu PYTHONPATH="$(CURDIR)/test$${PYTHONPATH:+:$$PYTHONPATH}" \
-		XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'; \
+	@$(ENVIRONMENT); $(ONE_THREAD); \
+	export PYTHONPATH="$(CURDIR)/test$${PYTHONPATH:+:$$PYTHONPATH}"; \
 	exec .venv/bin/python -P -m benchmarks.bench --out '$(OUT)' $(ARGS)
+
+# What is measured already is kept in work_precision/, so that it can be interrupted.
+accuracy: $(BUILT) $(PEERS)
+	@$(ENVIRONMENT); $(ONE_THREAD); \
+	exec $(RUNNABLE)/work_precision --all --peers --out work_precision --docs '$(OUT)' $(ARGS)
 
 clean:
 	rm -rf build install log .pytest_cache .hypothesis

@@ -43,6 +43,21 @@ def paper_figures() -> NoReturn:
     _run('hnn_vi_ros.studies.paper_figures')
 
 
+def work_precision() -> NoReturn:
+    """Measure what accuracy costs."""
+    _run('hnn_vi_ros.studies.work_precision')
+
+
+def hard_cases() -> NoReturn:
+    """Run the fourteen hard cases."""
+    _run('hnn_vi_ros.studies.hard_cases')
+
+
+def scene() -> NoReturn:
+    """Check, list or explain scenes."""
+    _run('hnn_vi_ros.scene_tool')
+
+
 def _choose_cache() -> None:
     """Let numba keep compiled code in a temporary folder where it could keep it nowhere else."""
     home = Path(os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache')

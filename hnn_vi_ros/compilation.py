@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from types import FunctionType
 
 from hnn_vi_ros.hamiltonians.base import Kernel
 import numba
@@ -14,6 +15,8 @@ from numba.extending import register_jitable
 # Plain Python when called from Python; compiled and inlined when called from a compiled function.
 # A call that is not inlined passes every field of every array and counts its references.
 inlined = register_jitable(forceinline=True)
+# The same, for what is called so seldom that a call costs less than a larger function to compile.
+called = register_jitable
 
 _PACKAGE = __name__.partition('.')[0]
 
@@ -63,27 +66,56 @@ def compiled_options(options: tuple) -> tuple:
     return type(options)(*parts) if hasattr(options, '_fields') else tuple(parts)
 
 
-def make_cacheable(kernel: Kernel) -> bool:
-    """
-    Let loops that are compiled over this Hamiltonian be found again by later processes.
+def is_own(module: str) -> bool:
+    """Tell whether a module belongs to this package, whose changes are noticed."""
+    return module.startswith(f'{_PACKAGE}.')
 
-    Returns
-    -------
-    bool
-        False for functions from outside this package, whose changes could not be noticed.
+
+def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True) -> Callable:
+    """
+    Return a loop over steps, to be compiled over one Hamiltonian and one method.
+
+    Parameters
+    ----------
+    loop : callable
+        One of the module loops.
+    kernel : Kernel
+        Of the Hamiltonian. Where all its functions are this package's, what is compiled is found
+        again by later processes; changes of functions from elsewhere could not be noticed.
+    method : str
+        Name of the method's step.
+    own : bool, optional
+        Whether the step is all of this package.
 
     """
     functions = (kernel.energy, kernel.gradient, kernel.hessian_vector)
-    if not all(function.py_func.__module__.startswith(f'{_PACKAGE}.') for function in functions):
-        return False
-    for function in functions:
-        _identify(function)
-    return True
+    if not (own and all(is_own(function.py_func.__module__) for function in functions)):
+        return _uncached(loop)
+    return _cached(loop, *(identify(function) for function in functions), method)
 
 
 @cache
-def _identify(dispatcher: Callable) -> None:
-    _give_identity(dispatcher, f'{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}')
+def _uncached(loop: Callable) -> Callable:
+    return numba.njit(loop, nogil=True)
+
+
+@cache
+def _cached(loop: Callable, *names: str) -> Callable:
+    # Under a name of its own it has an index of its own on disk. In one index for all, reading
+    # any kernel would build the functions of every other one anew, those of older sources too.
+    copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
+    digest = sha256('/'.join([*names, _sources()]).encode()).hexdigest()
+    copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
+    return numba.njit(copy, nogil=True, cache=True)
+
+
+@cache
+def identify(dispatcher: Callable) -> str:
+    """Give a compiled function the name that it has in every process, and return it."""
+    function = dispatcher.py_func
+    name = f'{function.__module__}.{function.__qualname__}'
+    _give_identity(dispatcher, name)
+    return name
 
 
 def _give_identity(dispatcher: Callable, name: str) -> None:
@@ -98,7 +130,7 @@ def _sources() -> str:
     """Return a digest of every source of this package that is compiled."""
     root = Path(__file__).parent
     digest = sha256()
-    for path in sorted([*root.glob('*.py'), *(root / 'hamiltonians').glob('*.py'),
-                        *(root / 'integrators').glob('*.py')]):
+    folders = ('.', 'effects', 'hamiltonians', 'integrators')
+    for path in sorted(path for folder in folders for path in (root / folder).glob('*.py')):
         digest.update(path.read_bytes())
     return digest.hexdigest()

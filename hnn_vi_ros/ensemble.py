@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many trajectories of one scene at once: in lock-step blocks, and the blocks in threads."""
+"""Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.system import System
 import numpy as np
 
 if TYPE_CHECKING:
@@ -19,6 +20,50 @@ if TYPE_CHECKING:
 BLOCK = 32
 
 
+def simulate(scene: 'Scene', duration: float, *, step_size: float | None = None,
+             integrator: str | None = None, every: int = 1) -> Trajectory:
+    """
+    Simulate a scene without ROS.
+
+    Parameters
+    ----------
+    scene : Scene
+        From ``load_scene``.
+    duration : float
+        Simulated time [s]; rounded to a whole number of samples.
+    step_size : float, optional
+        h [s], in place of the scene's.
+    integrator : str, optional
+        A name from INTEGRATORS, in place of the scene's.
+    every : int, optional
+        Steps from one sample to the next.
+
+    Returns
+    -------
+    Trajectory
+        The first sample is the initial state.
+
+    Raises
+    ------
+    HnnViRosError
+        An unknown integrator, a model that cannot be loaded, or a StepFailure.
+    ValueError
+        A duration or step size that is not usable.
+
+    """
+    if not (np.isfinite(duration) and duration >= 0.0):
+        raise ValueError(f'duration = {duration} must be a number of seconds, at least 0')
+    if every < 1:
+        raise ValueError(f'every = {every} must be at least 1 step')
+    simulation = Simulation.from_scene(scene.with_overrides(step_size, integrator))
+    samples = round(duration / (simulation.step_size * every))
+    q0, p0 = simulation.q.copy(), simulation.p.copy()
+    q, p = simulation.record(samples, every)
+    q, p = np.vstack([q0, q]), np.vstack([p0, p])
+    t = np.arange(samples + 1) * every * simulation.step_size
+    return Trajectory(t, q, p, simulation.hamiltonian.energy(q, p))
+
+
 def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequence[float]],
                   duration: float, *, samples: int = 1, threads: int | None = None) -> Trajectory:
     """
@@ -26,7 +71,8 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
 
     Trajectories do not depend on each other: a block of them is one system, the sum of their
     Hamiltonians, so the formula of a step is the same code. The implicit equations of a block
-    are solved until each of its trajectories has converged.
+    are solved until each of its trajectories has converged. With a thermostat, an impact or a
+    constraint each trajectory steps alone, and meets its own noise.
 
     Parameters
     ----------
@@ -55,27 +101,30 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
         States, duration or samples that are not usable.
 
     """
+    scene = scene.resolved()
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
-    d = hamiltonian.dimension
+    effects = scene.create_effects()
+    system = System(hamiltonian, effects, integrator)
+    d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
     q0, p0 = (part.reshape(-1, d) for part in check_state(q, p, d))
     if not (np.isfinite(duration) and duration > 0.0 and samples >= 1):
         raise ValueError(f'duration = {duration} and samples = {samples} must be positive')
     every = max(1, round(duration / (samples * scene.step_size)))
 
-    workers = min(threads or os.cpu_count() or 1, -(-len(q0) // BLOCK))
+    workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))
     q_all, p_all = np.empty((2, samples + 1, len(q0), d))
     q_all[0], p_all[0] = q0, p0
 
     def run(worker: int) -> None:
         """Simulate each block of which this worker has the number."""
         simulation = None
-        for first in range(worker * BLOCK, len(q0), workers * BLOCK):
-            block = slice(first, first + BLOCK)
+        for first in range(worker * size, len(q0), workers * size):
+            block = slice(first, first + size)
             if simulation is None:
-                simulation = Simulation(
-                    hamiltonian.twin(), integrator, scene.step_size, q0[block], p0[block])
-            else:
-                simulation.restart(q0[block], p0[block])
+                simulation = Simulation(hamiltonian.twin(), integrator, scene.step_size,
+                                        q0[block], p0[block], effects)
+            # Each trajectory has noise of its own.
+            simulation.restart(q0[block], p0[block], stream=first)
             q_block, p_block = simulation.record(samples, every)
             q_all[1:, block] = q_block.reshape(samples, -1, d)
             p_all[1:, block] = p_block.reshape(samples, -1, d)
@@ -84,4 +133,4 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
         # Taken from the iterator, so that a failure of one worker is raised here.
         list(pool.map(run, range(workers)))
     t = np.arange(samples + 1) * every * scene.step_size
-    return Trajectory(t, q_all, p_all, hamiltonian.energy(q_all, p_all))
+    return Trajectory(t, q_all, p_all, system.hamiltonian.energy(q_all, p_all))

@@ -31,6 +31,10 @@ class UnsupportedSystem(HnnViRosError):
     """An integrator was asked for a system that it cannot integrate."""
 
 
+class CalibrationError(HnnViRosError):
+    """No method can hold the error that was asked for."""
+
+
 class StepFailure(HnnViRosError):
     """
     One step of the integrator failed; the state before it is the last good one.

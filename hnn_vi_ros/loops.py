@@ -4,10 +4,10 @@
 
 from collections.abc import Callable
 
+from hnn_vi_ros.compilation import compiled, compiled_loop, compiled_options
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point, is_finite
-from hnn_vi_ros.integrators.base import Memory, NOT_FINITE, OK, Point
-import numba
+from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
 import numpy as np
 
 
@@ -44,6 +44,12 @@ def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, p
     return True, gradients + 1
 
 
-# The second of each is found again on disk; see make_cacheable.
-LOOPS = {loop: (numba.njit(loop, nogil=True), numba.njit(loop, nogil=True, cache=True))
-         for loop in (advance, take_substeps)}
+def assemble(loop: Callable, kernel: Kernel, method: Integrator, link: int = 0
+             ) -> tuple[Callable, Callable, tuple]:
+    """Return a loop, the method's step and its options for a link, compiled where possible."""
+    options = method.options(link, kernel.dimension - kernel.channels)
+    if not (kernel.compiled and method.compiled):
+        return loop, method.step, options
+    name = method.kernel_name
+    return (compiled_loop(loop, kernel, name, method.own), compiled(method.step, name),
+            compiled_options(options))

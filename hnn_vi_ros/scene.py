@@ -2,15 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes: the schema of their YAML, and how one becomes a Hamiltonian and an integrator."""
 
-from collections.abc import Mapping
-from importlib import import_module
-from inspect import Parameter, signature
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 import os
 from pathlib import Path
-import sys
-from typing import Annotated, Any, Literal, Union
+from typing import Any, Literal
 
-from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
+from hnn_vi_ros.calibration import Choice, remembered
+from hnn_vi_ros.choices import (
+    AutoChoice, call_factory, choices, InitialState, LearnedChoice, PythonChoice)
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, EffectError
+from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
@@ -19,62 +22,38 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
-from hnn_vi_ros.yaml_file import load_yaml, StrictModel
-from pydantic import BaseModel, create_model, Field, PrivateAttr, ValidationError
-
-
-class LearnedChoice(StrictModel):
-    """A Hamiltonian neural network from a model file."""
-
-    kind: Literal['hnn']
-    model: str = Field(min_length=1, max_length=4096, description=(
-        'a shipped model, one trained into models/ of the working directory, or the path of a '
-        '.safetensors file'))
-
-
-class PythonChoice(StrictModel):
-    """A Hamiltonian that a Python function of the user's returns."""
-
-    kind: Literal['python']
-    factory: str = Field(pattern=r'^[\w.]+:\w+$', description=(
-        'package.module:function; called without arguments, returns a Hamiltonian'))
-
-
-def _choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
-    """Return a union of one schema for each class, made from the signature of its constructor."""
-    schemas = list(more)
-    for name, cls in classes.items():
-        fields: dict[str, Any] = {
-            parameter.name: (parameter.annotation,
-                             ... if parameter.default is Parameter.empty else parameter.default)
-            for parameter in signature(cls).parameters.values()
-            if parameter.kind is Parameter.POSITIONAL_OR_KEYWORD}
-        schemas.append(create_model(
-            cls.__name__, __base__=StrictModel, kind=(Literal[name], ...), **fields))
-    if len(schemas) == 1:
-        return schemas[0]
-    return Annotated[Union[tuple(schemas)], Field(discriminator='kind')]
-
-
-class InitialState(StrictModel):
-    """The state at t = 0."""
-
-    q: list[float] = Field(min_length=1, max_length=10_000, description='coordinates')
-    p: list[float] = Field(min_length=1, max_length=10_000, description='conjugate momenta')
+from hnn_vi_ros.trials import Budget, Problem
+from hnn_vi_ros.yaml_file import Places, read_yaml, StrictModel
+import numpy as np
+from pydantic import BaseModel, Field, model_validator, PrivateAttr, ValidationError
 
 
 class Scene(StrictModel):
-    """What is simulated: a Hamiltonian, an integrator, a step size and an initial state."""
+    """What is simulated: a Hamiltonian, effects, an integrator, a step size, an initial state."""
 
-    description: str = Field('', max_length=1000)
-    hamiltonian: _choices(HAMILTONIANS, LearnedChoice, PythonChoice)  # type: ignore[valid-type]
-    integrator: _choices(INTEGRATORS)  # type: ignore[valid-type]
-    step_size: float = Field(gt=0.0, le=1e6, description='h [s]')
-    initial_state: InitialState
+    description: str = Field('', max_length=1000, description='one line for lists and titles')
+    hamiltonian: choices(HAMILTONIANS, LearnedChoice, PythonChoice) = Field(  # type: ignore
+        description='H(q, p) [J]')
+    effects: list[choices(EFFECTS)] = Field([], max_length=100, description=(  # type: ignore
+        'what acts beside H(q, p); nothing else is simulated'))
+    integrator: choices(INTEGRATORS, AutoChoice) = Field(  # type: ignore[valid-type]
+        description='the one-step map of (q, p)')
+    step_size: float | None = Field(None, gt=0.0, le=1e6, description=(
+        'h [s]; with the integrator auto, which chooses it, a time that it must divide'))
+    initial_state: InitialState = Field(description='(q, p) at t = 0 s')
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='how the mechanism is drawn; without it only states are shown')
 
+    @model_validator(mode='after')
+    def _check_step_size(self) -> 'Scene':
+        if self.step_size is None and not isinstance(self.integrator, AutoChoice):
+            raise ValueError('step_size: Field required')
+        return self
+
     _source: Path = PrivateAttr(Path('scene'))
+    _places: Places | None = PrivateAttr(None)
+    _replaced: frozenset[str] = PrivateAttr(frozenset())
+    _chosen: tuple[Budget, Choice] | None = PrivateAttr(None)
 
     @property
     def source(self) -> Path:
@@ -85,6 +64,12 @@ class Scene(StrictModel):
     def name(self) -> str:
         """Return the name of the file without its suffix."""
         return self._source.stem
+
+    def place(self, *key: str | int) -> str:
+        """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
+        if self._places is not None and key[0] not in self._replaced:
+            return self._places.place(*key)
+        return f'{self.source}: {".".join(map(str, key))}'
 
     def with_overrides(self, step_size: float | None = None, integrator: str | None = None
                        ) -> 'Scene':
@@ -102,8 +87,8 @@ class Scene(StrictModel):
             changes['step_size'] = float(step_size)
         if integrator is not None:
             if integrator not in INTEGRATORS:
-                raise SceneError(f'unknown integrator {integrator!r}; valid: '
-                                 f'{", ".join(sorted(INTEGRATORS))}')
+                valid = ', '.join(sorted(INTEGRATORS))
+                raise SceneError(f'unknown integrator {integrator!r}; valid: {valid}')
             changes['integrator'] = {'kind': integrator}
         if not changes:
             return self
@@ -114,12 +99,61 @@ class Scene(StrictModel):
             where = '.'.join(str(part) for part in first['loc'])
             raise SceneError(f'{self.source} with other step_size or integrator: {where}: '
                              f'{first["msg"]}') from problem
-        scene._source = self._source
+        scene._source, scene._places = self._source, self._places
+        scene._replaced = self._replaced | changes.keys()
+        return scene
+
+    @property
+    def chosen(self) -> tuple[Budget, Choice] | None:
+        """Return what the integrator auto was asked for, and chose."""
+        return self._chosen
+
+    def resolved(self, largest_step: float | None = None) -> 'Scene':
+        """
+        Return this scene with a method and a step size in place of the integrator auto, if any.
+
+        Parameters
+        ----------
+        largest_step : float, optional
+            A time that the step must divide where the scene names none, such as that between two
+            samples [s].
+
+        Raises
+        ------
+        HnnViRosError
+            No method holds the budget, or the scene cannot be built.
+
+        """
+        if not isinstance(self.integrator, AutoChoice):
+            return self
+        problem = Problem(self.create_hamiltonian(), tuple(self.create_effects()),
+                          np.array(self.initial_state.q), np.array(self.initial_state.p))
+        budget = self.integrator.budget
+        with self.placed('integrator'):
+            choice = remembered(problem, budget, self.step_size or largest_step,
+                                self.model_dump_json())
+        scene = self.with_overrides(choice.step_size, choice.method)
+        scene._chosen = budget, choice
         return scene
 
     def create_integrator(self) -> Integrator:
-        """Build the integrator that the scene names."""
-        return _construct(INTEGRATORS, self.integrator, self.source)
+        """Build the integrator that the scene names; SceneError for a parameter out of range."""
+        return self._construct(INTEGRATORS, self.integrator, 'integrator')
+
+    def create_effects(self) -> list[Effect]:
+        """
+        Build the effects that the scene lists, in its order.
+
+        Raises
+        ------
+        ModelError
+            A model does not exist or is damaged.
+        SceneError
+            A parameter is out of its range.
+
+        """
+        return [self._construct(EFFECTS, choice, 'effects', i)
+                for i, choice in enumerate(self.effects)]
 
     def create_hamiltonian(self) -> Hamiltonian:
         """
@@ -135,18 +169,86 @@ class Scene(StrictModel):
         """
         choice = self.hamiltonian
         if isinstance(choice, LearnedChoice):
-            hamiltonian = NeuralHamiltonian(load_checkpoint(self._model_file(choice.model)))
+            file = self._model_file(choice.model, 'hamiltonian')
+            with self.placed('hamiltonian'):
+                hamiltonian = NeuralHamiltonian(load_checkpoint(file))
         elif isinstance(choice, PythonChoice):
-            hamiltonian = _call_factory(choice.factory, self.source)
+            # A module beside the scene is found like one that is installed.
+            hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),
+                                       str(self.source.resolve().parent))
         else:
-            hamiltonian = _construct(HAMILTONIANS, choice, self.source)
-        if self.mechanism and COORDINATES[self.mechanism] != hamiltonian.dimension:
-            raise SceneError(
-                f'{self.source}: mechanism: {self.mechanism} draws {COORDINATES[self.mechanism]} '
-                f'coordinates, but H has {hamiltonian.dimension}; leave it out or take another')
+            hamiltonian = self._construct(HAMILTONIANS, choice, 'hamiltonian')
+        self._check_dimension([coordinate.name for coordinate in hamiltonian.coordinates])
         return hamiltonian
 
-    def _model_file(self, model: str) -> Path:
+    def model_files(self) -> list[Path]:
+        """Return the model files that the scene needs; ModelError for one that is not there."""
+        placed = [(self.hamiltonian, 'hamiltonian'), *(
+            (choice, 'effects', i) for i, choice in enumerate(self.effects))]
+        return [self._model_file(choice.model, *key) for choice, *key in placed
+                if getattr(choice, 'model', None)]
+
+    def _check_dimension(self, names: list[str]) -> None:
+        for key, values in self.initial_state:
+            if len(values) != len(names):
+                raise SceneError(
+                    f'{self.place("initial_state", key)}: {len(values)} values, expected '
+                    f'{len(names)}, one for each coordinate: {", ".join(names)}')
+        if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
+            numbers = [str(number) for number in COORDINATES[self.mechanism]]
+            if len(numbers) > 3:
+                numbers[2:-1] = ['...']
+            raise SceneError(
+                f'{self.place("mechanism")}: {self.mechanism} draws '
+                f'{", ".join(numbers)} coordinates, but H has {len(names)}; leave it out or take '
+                'another')
+
+    def _construct(self, classes: Mapping[str, type], choice: BaseModel, *key: str | int) -> Any:
+        arguments = choice.model_dump()
+        kind = arguments.pop('kind')
+        if arguments.get('model'):
+            arguments['model'] = self._model_file(arguments['model'], *key)
+        with self.placed(*key):
+            return classes[kind](**arguments)
+
+    @contextmanager
+    def placed(self, *key: str | int) -> Iterator[None]:
+        """
+        Say of errors in what the scene asks for where in its file their cause stands.
+
+        Parameters
+        ----------
+        *key : str or int
+            Of what is made inside; ``'initial_state'`` for the simulation of the scene.
+
+        Raises
+        ------
+        CalibrationError, ModelError, SceneError, UnsupportedSystem
+            In place of what is raised inside.
+
+        """
+        try:
+            yield
+        except (ValueError, OverflowError) as problem:
+            if isinstance(problem, EffectError):
+                key = 'effects', problem.index
+            raise SceneError(self._blame(key, str(problem))) from problem
+        except (CalibrationError, ModelError) as problem:
+            raise type(problem)(self._blame(key, str(problem))) from problem
+        except UnsupportedSystem as problem:
+            raise UnsupportedSystem(f'{self.place("integrator")}: {problem}') from problem
+
+    def _blame(self, key: tuple[str | int, ...], message: str) -> str:
+        value: Any = self
+        for part in key:
+            value = value[part] if isinstance(part, int) else getattr(value, part)
+        # What is wrong is named first, if it is one key.
+        name = message.partition(' ')[0]
+        own = name in type(value).model_fields
+        kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
+        return f'{self.place(*key, *[name] * own)}: {kind}{message}'
+
+    def _model_file(self, model: str, *key: str | int) -> Path:
         if is_path('model', model):
             beside = self.source.parent / model
             return beside if os.path.exists(beside) else Path(model)
@@ -157,7 +259,7 @@ class Scene(StrictModel):
         train = (f'; train it with: ros2 run hnn_vi_ros train --config {model}'
                  if model in shipped_names('training') else '')
         raise ModelError(
-            f'{self.source}: no model {model!r}: not shipped '
+            f'{self.place(*key, "model")}: no model {model!r}: not shipped '
             f'({", ".join(shipped_names("model"))}) nor at models/{model}.safetensors{train}')
 
 
@@ -186,35 +288,6 @@ def load_scene(scene: str | Path) -> Scene:
     if not is_path('scene', text) and not os.path.isfile(path):
         raise SceneError(f'no scene {text!r}; shipped: {", ".join(shipped_names("scene"))}; '
                          'or give the path of a .yaml file')
-    loaded = load_yaml(path, Scene, SceneError)
-    loaded._source = path
+    loaded, places = read_yaml(path, Scene, SceneError)
+    loaded._source, loaded._places = path, places
     return loaded
-
-
-def _construct(classes: Mapping[str, type], choice: BaseModel, source: Path) -> Any:
-    arguments = choice.model_dump()
-    kind = arguments.pop('kind')
-    try:
-        return classes[kind](**arguments)
-    except (ValueError, OverflowError) as problem:
-        raise SceneError(f'{source}: {kind}: {problem}') from problem
-
-
-def _call_factory(factory: str, source: Path) -> Hamiltonian:
-    module, function = factory.split(':')
-    # A module beside the scene is found like one that is installed.
-    folder = str(source.resolve().parent)
-    if folder not in sys.path:
-        sys.path.append(folder)
-    try:
-        hamiltonian = getattr(import_module(module), function)()
-    except HnnViRosError:
-        raise
-    except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
-        raise SceneError(f'{source}: hamiltonian.factory {factory}: '
-                         f'{type(problem).__name__}: {" ".join(str(problem).split())}'
-                         ) from problem
-    if not isinstance(hamiltonian, Hamiltonian):
-        raise SceneError(f'{source}: hamiltonian.factory {factory} returned a '
-                         f'{type(hamiltonian).__name__}, expected a Hamiltonian')
-    return hamiltonian

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read a YAML file into a pydantic model; every error names file, line and key."""
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 import os
 from pathlib import Path
 import re
@@ -32,9 +34,46 @@ _Loader.add_implicit_resolver(
     re.compile(r'[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$'), list('-+.0123456789'))
 
 
-def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Model:
+@dataclass(frozen=True)
+class Places:
     """
-    Read and validate one YAML file.
+    Where the keys of a YAML file stand in it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    lines : dict of tuple of str to int
+        The line of each key; the items of a list count as keys '0', '1', ...
+
+    """
+
+    path: Path
+    lines: dict[tuple[str, ...], int]
+
+    def follow(self, key: Sequence[str | int]) -> tuple[str, ...]:
+        """Return the parts of a key or of a pydantic location that stand in the file."""
+        followed: tuple[str, ...] = ()
+        for part in key:
+            if (*followed, str(part)) in self.lines:
+                followed = (*followed, str(part))
+        return followed
+
+    def place(self, *key: str | int) -> str:
+        """Return ``file:line: key``; of a key that is left out, the line of what would hold it."""
+        line = self.lines[self.follow(key)]
+        return f'{self.path}:{line}: {".".join(map(str, key)) or "the file"}'
+
+
+def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Model:
+    """Read and validate one YAML file; see ``read_yaml``."""
+    return read_yaml(path, schema, error)[0]
+
+
+def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
+              ) -> tuple[Model, Places]:
+    """
+    Read and validate one YAML file, and keep where its keys stand.
 
     Parameters
     ----------
@@ -51,10 +90,11 @@ def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Mo
         data = _Loader('').construct_document(root)
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as problem:
         raise error(f'{path}: {_one_line(problem)}') from problem
+    places = Places(path, dict(_lines(root, (), root.start_mark.line + 1)))
     try:
-        return schema.model_validate(data)
+        return schema.model_validate(data), places
     except ValidationError as problem:
-        raise error(_describe(path, root, schema, problem)) from problem
+        raise error(_describe(places, schema, problem)) from problem
 
 
 def _compose(path: Path, error: type[HnnViRosError]) -> yaml.Node:
@@ -104,50 +144,58 @@ def _refuse_duplicate_keys(path: Path, node: yaml.Node, error: type[HnnViRosErro
             _refuse_duplicate_keys(path, value, error)
 
 
-def _describe(path: Path, root: yaml.Node, schema: type[BaseModel], problem: ValidationError
-              ) -> str:
+def _describe(places: Places, schema: type[BaseModel], problem: ValidationError) -> str:
     problems = problem.errors(include_url=False)
-    # A misspelt key is reported as unknown rather than as missing under its right name.
-    first = next((p for p in problems if p['type'] == 'extra_forbidden'), problems[0])
-    location, line = _locate(root, first['loc'])
-    key = '.'.join(str(part) for part in location) or 'the file'
-    message = first['msg'].removeprefix('Value error, ')
-    if first['type'] == 'extra_forbidden':
-        message = 'unknown key'
-    valid = _valid_keys(schema, first['loc']) if first['type'] == 'extra_forbidden' else []
-    choices = f'; valid keys: {", ".join(valid)}' if valid else ''
-    return f'{path}:{line}: {key}: {_one_line(message)}{choices}'
+    # A misspelt key is reported as unknown rather than as missing under its right name; of the
+    # types that a value may have, the one that it fits best is the one that was meant.
+    first = max(problems, key=lambda p: (p['type'] == 'extra_forbidden', len(p['loc'])))
+    loc, problem_type, key = first['loc'], first['type'], places.follow(first['loc'])
+    if problem_type == 'extra_forbidden':
+        valid = {name for owner in _schemas_at(schema, loc[:-1]) for name in owner.model_fields}
+        message = f'unknown key; valid keys: {", ".join(sorted(valid))}'
+    elif problem_type in ('union_tag_invalid', 'union_tag_not_found'):
+        key, tag = (*key, 'kind'), first['ctx'].get('tag')
+        message = 'required' if tag is None else f'unknown kind {tag!r}'
+        message += f'; valid kinds: {", ".join(sorted(map(_kind, _schemas_at(schema, loc))))}'
+    elif problem_type in ('model_type', 'model_attributes_type'):
+        message = 'expected keys and values, as in {key: value}'
+    elif problem_type == 'missing':
+        key, message = (*key, str(loc[-1])), first['msg']
+    else:
+        message = ' or '.join(dict.fromkeys(
+            p['msg'].removeprefix('Value error, ') for p in problems
+            if places.follow(p['loc']) == key))
+    # What the file as a whole lacks names its key itself.
+    place = places.place(*key) if key else f'{places.path}:1'
+    return f'{place}: {_one_line(message)}'
 
 
-def _locate(root: yaml.Node, loc: tuple) -> tuple[list, int]:
-    """Follow a pydantic location through the YAML nodes as far as it goes."""
-    node, line, followed = root, root.start_mark.line + 1, []
+def _lines(node: yaml.Node, key: tuple[str, ...], line: int
+           ) -> Iterator[tuple[tuple[str, ...], int]]:
+    """Yield each key below a node, its own among them, with its line."""
+    yield key, line
+    if isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            yield from _lines(value, (*key, name.value), name.start_mark.line + 1)
+    elif isinstance(node, yaml.SequenceNode):
+        for i, item in enumerate(node.value):
+            yield from _lines(item, (*key, str(i)), item.start_mark.line + 1)
+
+
+def _schemas_at(schema: type[BaseModel], loc: tuple) -> list[type[BaseModel]]:
+    """Return the schemas, more than one for a union, to which a pydantic location leads."""
+    owners = [schema]
     for part in loc:
-        if isinstance(node, yaml.MappingNode):
-            for key, value in node.value:
-                if key.value == str(part):
-                    node, line = value, key.start_mark.line + 1
-                    followed.append(part)
-                    break
-            else:
-                # Not in the file: a missing key, or the tag of a union, which has no line.
-                if part == loc[-1]:
-                    followed.append(part)
-        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) \
-                and part < len(node.value):
-            node = node.value[part]
-            line = node.start_mark.line + 1
-            followed.append(part)
-    return followed, line
+        nested = [model for owner in owners for model in _nested_models(owner, part)]
+        # Not a key: the number of an item, or the kind that tells the schemas of a union apart.
+        owners = nested or [owner for owner in owners if _kind(owner) == part] or owners
+    return owners
 
 
-def _valid_keys(schema: type[BaseModel], loc: tuple) -> list[str]:
-    """Return the field names of the schema in which an unknown key stands."""
-    candidates = [schema]
-    for part in loc[:-1]:
-        nested = [model for owner in candidates for model in _nested_models(owner, part)]
-        candidates = nested or candidates
-    return sorted({name for model in candidates for name in model.model_fields})
+def _kind(schema: type[BaseModel]) -> str:
+    """Return the value of ``kind`` that chooses a schema; empty for one without."""
+    field = schema.model_fields.get('kind')
+    return getattr(field.annotation, '__args__', ('',))[0] if field else ''
 
 
 def _nested_models(owner: type[BaseModel], part: object) -> list[type[BaseModel]]:

@@ -5,10 +5,11 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from math import comb
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import Box, Checkpoint, CoordinateCard, ModelCard
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
@@ -106,6 +107,27 @@ METHODS = [
 GENERIC = [method for method in METHODS if method.integrator.compiled]
 
 
+class Uncompiled(Hamiltonian):
+    """
+    The same function as plain Python, so that a test need not wait for the compiler.
+
+    Parameters
+    ----------
+    base : Hamiltonian
+        Compiled.
+
+    """
+
+    def __init__(self, base: Hamiltonian):
+        self._base = base
+        self.coordinates, self.separable = base.coordinates, base.separable
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions, uncompiled."""
+        return python_kernel(self._base)
+
+
 def python_gradient(hamiltonian: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the gradient uncompiled, in the arithmetic of z, of shape (2 d,)."""
     d = z.size // 2
@@ -115,9 +137,11 @@ def python_gradient(hamiltonian: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray
     return dH_dq, dH_dp
 
 
-def python_kernel(hamiltonian: Hamiltonian) -> tuple:
+def python_kernel(hamiltonian: Hamiltonian) -> Kernel:
     """Return the kernel of a Hamiltonian, uncompiled."""
     kernel = hamiltonian.kernel
+    if not kernel.compiled:
+        return kernel
     return kernel._replace(energy=kernel.energy.py_func, gradient=kernel.gradient.py_func,
                            hessian_vector=kernel.hessian_vector.py_func, compiled=False)
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-EXECUTABLES = ['simulator', 'listener', 'train', 'paper_figures']
+EXECUTABLES = ['simulator', 'listener', 'train', 'paper_figures', 'scene', 'work_precision']
 
 
 HIDE = """
@@ -34,13 +34,23 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
     ('simulator', 'rclpy', 'ros-jazzy-rclpy[fastrtps]'), ('simulator', 'numba', 'numba'),
     ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', 'ros-jazzy-common-interfaces'),
     ('train', 'torch', 'torch'), ('train', 'yaml', 'pyyaml'),
-    ('paper_figures', 'pydantic', 'pydantic'),
+    ('paper_figures', 'pydantic', 'pydantic'), ('work_precision', 'scipy', 'scipy'),
 ])
 def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, package):
     result = run(executable, hidden)
     assert result.returncode == 1
     assert result.stderr.count('\n') == 1
     assert f'-m pip install "{package}"' in result.stderr
+
+
+@pytest.mark.parametrize('hidden', ['torchdiffeq', 'torch'])
+def test_missing_peer_is_one_line_before_anything_is_measured(hidden, tmp_path):
+    result = run('work_precision', hidden, '--scene', 'pendulum', '--peers', '--out',
+                 str(tmp_path / 'out'))
+    assert result.returncode == 1
+    assert result.stderr.count('\n') == 1
+    assert f'-m pip install "{hidden}"' in result.stderr
+    assert not (tmp_path / 'out').exists()
 
 
 def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
@@ -53,7 +63,8 @@ def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
 
 @pytest.mark.parametrize('executable, arguments', [
     ('train', ['--config', 'nothing']), ('simulator', ['--ros-args', '-p', 'scene:=nothing']),
-    ('paper_figures', ['--out', '/dev/null/x']),
+    ('paper_figures', ['--out', '/dev/null/x']), ('scene', ['--check', 'nothing']),
+    ('scene', ['--explain', 'nothing']), ('work_precision', ['--scene', 'nothing']),
 ])
 def test_error_of_the_user_is_one_line_and_no_traceback(executable, arguments):
     result = run(executable, 'a_package_that_nobody_needs', *arguments)

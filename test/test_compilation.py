@@ -6,29 +6,29 @@ import os
 import subprocess
 import sys
 
-from hnn_vi_ros.compilation import make_cacheable
+from hnn_vi_ros.compilation import compiled_loop
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.loops import advance, LOOPS
+from hnn_vi_ros.loops import advance
 from hnn_vi_ros.simulation import Simulation
 import numba
 
 RUN = """
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.loops import advance, LOOPS
 from hnn_vi_ros.simulation import Simulation
 simulation = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['explicit_euler'](), 0.1, [1.0], [0.5])
 simulation.advance(10)
-stats = LOOPS[advance][True].stats
+stats = simulation._advance.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()), simulation.q[0].hex())
 """
 
 
-def run(cache) -> list[str]:
+def run(cache, system: str = 'tao') -> list[str]:
     """Run a simulation in a new process; return cache hits, misses and the result."""
     return subprocess.run(
-        [sys.executable, '-c', RUN], env=os.environ | {'NUMBA_CACHE_DIR': str(cache)},
+        [sys.executable, '-c', RUN.replace('tao', system)],
+        env=os.environ | {'NUMBA_CACHE_DIR': str(cache)},
         capture_output=True, text=True, timeout=120, check=True).stdout.split()
 
 
@@ -39,22 +39,28 @@ def test_kernel_compiled_by_one_process_is_found_by_the_next(tmp_path):
     assert first[2] == second[2]
 
 
+def test_each_kernel_has_an_index_of_its_own(tmp_path):
+    run(tmp_path)
+    run(tmp_path, 'pendulum')
+    assert len([*tmp_path.rglob('loops.advance_*.nbi')]) == 2
+
+
 def test_kernel_of_a_function_from_elsewhere_is_not_kept():
     @numba.njit
     def energy(parameters, q, p):
         return 0.0
 
     kernel = HAMILTONIANS['tao']().kernel
-    assert make_cacheable(kernel)
-    assert not make_cacheable(kernel._replace(energy=energy))
+    assert compiled_loop(advance, kernel, 'any').stats.cache_path
+    assert not compiled_loop(advance, kernel._replace(energy=energy), 'any').stats.cache_path
 
 
 def test_second_simulation_of_the_same_kind_compiles_nothing():
-    def simulate() -> None:
-        Simulation(HAMILTONIANS['tao'](), INTEGRATORS['explicit_euler'](), 0.1, [1.0], [0.5]
-                   ).advance(1)
+    def simulate() -> Simulation:
+        simulation = Simulation(
+            HAMILTONIANS['tao'](), INTEGRATORS['explicit_euler'](), 0.1, [1.0], [0.5])
+        simulation.advance(1)
+        return simulation
 
-    simulate()
-    before = len(LOOPS[advance][True].overloads)
-    simulate()
-    assert len(LOOPS[advance][True].overloads) == before
+    first = simulate()._advance
+    assert simulate()._advance is first and len(first.overloads) == 1

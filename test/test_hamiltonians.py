@@ -9,6 +9,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
+from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
@@ -22,6 +23,7 @@ UNEVEN = {
     'double_pendulum': {'mass1': 0.7, 'mass2': 1.9, 'length1': 1.3, 'length2': 0.6,
                         'gravity': 3.7},
     'fput_chain': {'pairs': 4, 'omega': 20.0},
+    'free_particle': {'mass': 0.7, 'names': ['x', 'y', 'z']},
     'harmonic_oscillator': {'mass': 0.7, 'stiffness': 2.3},
     'henon_heiles': {},
     'kepler': {'mu': 2.5},
@@ -101,7 +103,8 @@ def test_hamiltonian_names_each_coordinate_once(name: str):
 
 
 @pytest.mark.parametrize('name, parameter', [
-    (name, parameter) for name, parameters in UNEVEN.items() for parameter in parameters])
+    (name, parameter) for name, parameters in UNEVEN.items() for parameter in parameters
+    if parameter != 'names'])
 @pytest.mark.parametrize('value', [0.0, -1.0, float('nan'), float('inf')])
 def test_hamiltonian_refuses_parameter_out_of_range_in_one_line(
         name: str, parameter: str, value: float):
@@ -117,9 +120,28 @@ def test_shipped_scene_starts_inside_its_model_and_moves(name: str):
     hamiltonian = scene.create_hamiltonian()
     q, p = np.array(scene.initial_state.q), np.array(scene.initial_state.p)
     assert np.isfinite(hamiltonian.energy(q, p))
-    assert np.abs(np.concatenate(hamiltonian.gradient(q, p))).max() > 0.0
+    # Where H alone leaves the state at rest, an effect moves it.
+    assert scene.effects or np.abs(np.concatenate(hamiltonian.gradient(q, p))).max() > 0.0
     for values, bounds in zip((q, p), hamiltonian.box or (), strict=False):
         assert (bounds[:, 0] < values).all() and (values < bounds[:, 1]).all()
+
+
+def test_free_particle_has_kinetic_energy_alone_and_moves_straight_on():
+    hamiltonian = uneven('free_particle')
+    q, p = states(hamiltonian)
+    # A few roundings of sums of three positive terms.
+    np.testing.assert_allclose(
+        hamiltonian.energy(q, p), np.sum(p**2, axis=1) / (2.0 * 0.7), rtol=4.0 * EPS)
+    dH_dq, dH_dp = hamiltonian.gradient(q, p)
+    np.testing.assert_array_equal(dH_dq, 0.0)
+    np.testing.assert_array_equal(dH_dp, p / 0.7)
+
+
+@pytest.mark.parametrize('names', [[], ['x', 'x'], [''], ['1x'], ['a b'], ['a\n']])
+def test_free_particle_refuses_names_that_cannot_be_used(names: list[str]):
+    with pytest.raises(ValueError, match='^names') as caught:
+        FreeParticle(names=names)
+    assert '\n' not in str(caught.value)
 
 
 def test_pendulum_energy_is_its_kinetic_and_potential_energy():

@@ -9,6 +9,7 @@ import re
 import sys
 from xml.etree import ElementTree
 
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.version import __version__
 import pytest
 
@@ -22,7 +23,7 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 # The folders and files whose names stand for a layer; the first that fits counts.
 LAYERS = {
     'ros': 'ros', 'studies': 'studies', 'learning': 'learning', 'sinks': 'sinks', 'cli': 'cli',
-    'scene': 'scene', '__init__': 'cli',
+    'scene': 'scene', 'scene_tool': 'cli', '__init__': 'cli',
 }
 ARROWS = {
     'core': {'core'},
@@ -30,13 +31,16 @@ ARROWS = {
     'sinks': {'core', 'sinks'},
     'learning': {'core', 'learning', 'scene'},
     'studies': {'core', 'scene', 'sinks', 'studies'},
-    'ros': {'core', 'scene', 'sinks', 'ros'},
+    'ros': {'core', 'scene', 'sinks', 'studies', 'ros'},
     'cli': {'core', 'scene', 'sinks', 'learning', 'studies', 'ros', 'cli'},
 }
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
-    'torch': r'learning/\w+\.py|hamiltonians/torch_module\.py',
+    'torch': r'learning/\w+\.py|hamiltonians/torch_module\.py|studies/peers\.py',
+    'torchdiffeq': r'studies/peers\.py',
+    'jax': r'studies/peers\.py',
+    'diffrax': r'studies/peers\.py',
     'mcap': r'sinks/mcap_\w+\.py',
     'rerun': r'sinks/rerun_\w+\.py',
     'contourpy': r'sinks/phase_portrait\.py',
@@ -44,7 +48,8 @@ HOMES = {
     'tqdm': r'learning/\w+\.py|studies/\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
-       'diagnostic_msgs', 'visualization_msgs', 'ament_index_python', 'rosidl_runtime_py'}
+       'diagnostic_msgs', 'geometry_msgs', 'visualization_msgs', 'ament_index_python',
+       'rosidl_runtime_py'}
 
 
 def relative(path: Path) -> str:
@@ -132,3 +137,11 @@ def test_test_file_asserts_something(path):
              if isinstance(node, ast.FunctionDef) and node.name.startswith('test_')]
     assert tests
     assert any(isinstance(node, ast.Assert) for test in tests for node in ast.walk(test))
+
+
+@pytest.mark.parametrize('effect', EFFECTS.values(), ids=lambda effect: effect.__name__)
+def test_effect_is_a_file_of_its_own_of_at_most_100_lines(effect):
+    path = PACKAGE.parent / f'{effect.__module__.replace(".", "/")}.py'
+    classes = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef)]
+    assert [node.name for node in classes] == [effect.__name__]
+    assert len(path.read_text().splitlines()) <= 100

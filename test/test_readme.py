@@ -7,7 +7,14 @@ import re
 import subprocess
 import sys
 
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import coordinate_index, Force
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.parameters import markdown_table
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -29,6 +36,12 @@ def test_readme_scene_is_a_shipped_one():
     assert scene == (ROOT / 'config' / 'scenes' / 'harmonic_oscillator.yaml').read_text()
 
 
+def test_readme_effects_table_is_that_of_the_package():
+    rows = re.findall(r'^\| `(\w+)` \| .* \| (kept|changes) \| .* \|$', README, re.MULTILINE)
+    assert rows == [(kind, 'kept' if effect.conservative else 'changes')
+                    for kind, effect in EFFECTS.items()]
+
+
 def test_readme_python_example_runs(capsys):
     exec(compile(PYTHON[2], 'README.md', 'exec'), {})
     assert '1001' in capsys.readouterr().out
@@ -43,6 +56,20 @@ def test_readme_bag_example_reads_the_bag_of_a_run(tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     exec(compile(PYTHON[1], 'README.md', 'exec'), {})
     assert re.match(r'runs/harmonic_oscillator-.*/bag 1.0 s 0.[45]\d+ J', capsys.readouterr().out)
+
+
+def test_readme_effect_of_your_own_works():
+    source = next(text for text in PYTHON if 'class Wind' in text)
+    names = {'Force': Force, 'coordinate_index': coordinate_index, 'inlined': inlined,
+             '__name__': 'wind'}
+    exec(compile(source, 'README.md', 'exec'), names)
+    wind = names['Wind']('x', coefficient=0.5, speed=2.0)
+    simulation = Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['gauss8'](), 0.1, [0.0],
+                            [0.0], [wind])
+    simulation.advance(10)
+    # v = u (1 - exp(-b t / m)); the round-off of ten steps.
+    assert simulation.p[0] == pytest.approx(2.0 * (1.0 - np.exp(-0.5)), abs=1e-13)
+    assert simulation.works['Wind'] == pytest.approx(simulation.energy, abs=1e-13)
 
 
 @pytest.mark.parametrize('link', re.findall(r'\]\((?!http)([^)#]+)\)', README))

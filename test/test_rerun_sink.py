@@ -3,6 +3,7 @@
 """What is written for the rerun viewer is read back, and closes as it should."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 import socket
 import subprocess
@@ -12,6 +13,7 @@ import time
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.sinks.rerun_layout import series_labels
 from hnn_vi_ros.sinks.rerun_sink import RerunSink
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
@@ -107,6 +109,28 @@ def test_values_and_times_read_back_equal_those_written(tmp_path: Path):
         assert rows['ros_time'] == [EPOCH + s.stamp for s in samples]
 
 
+def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(tmp_path: Path):
+    path = tmp_path / 'recording.rrd'
+    sink = open_sink(path, interval=0, conservative=False)
+    for sample in oscillate(3):
+        sink.write(replace(sample, work=-0.1 * sample.step))
+    sink.close()
+    entities = read(path)
+    assert set(entities) == {*SERIES, *DRAWN[:2], '/energy/work'} - {'/energy/modified'}
+    assert entities['/energy/work']['Scalars:scalars'] == [[0.0], [-0.1], [-0.2]]
+
+
+@pytest.mark.parametrize('relative, conservative, expected', [
+    (True, True, '(H - H0) / |H0|'), (True, False, '(H - H0 - W) / |H0|'),
+    (False, True, 'H - H0 [J]'), (False, False, 'H - H0 - W [J]')])
+@pytest.mark.parametrize('modified', [True, False])
+def test_label_of_the_energy_error_says_what_it_is(relative, conservative, modified, expected):
+    labels = series_labels(HarmonicOscillator().coordinates, relative, conservative, modified)
+    assert labels['/energy/error'] == [expected]
+    assert ('/energy/work' in labels) is not conservative
+    assert ('/energy/modified' in labels) is (conservative and modified)
+
+
 def test_trail_joins_each_state_to_the_one_before(tmp_path: Path):
     path = tmp_path / 'recording.rrd'
     samples = record(path, 50, interval=0)
@@ -152,6 +176,23 @@ def test_events_stand_at_the_newest_sample(tmp_path: Path):
     assert rows['TextLog:text'] == [['start'], ['step failed']]
     assert rows['TextLog:level'] == [['INFO'], ['ERROR']]
     assert rows['step'] == [0, 11]
+
+
+def test_timing_stands_at_the_newest_sample_and_nothing_unknown_is_shown(tmp_path: Path):
+    path = tmp_path / 'recording.rrd'
+    sink = open_sink(path)
+    sink.timing((1.0, 2.0), 1.0)
+    for sample in oscillate(12):
+        sink.write(sample)
+        if sample.step in (0, 5, 11):
+            sink.timing((2.0 + sample.step, 20.0), float('nan') if sample.step == 0 else 0.5)
+    sink.close()
+    entities = read(path)
+    for entity, values in {'/timing/microseconds_per_step': [[7.0, 20.0], [13.0, 20.0]],
+                           '/timing/real_time_factor': [[0.5], [0.5]]}.items():
+        assert entities[entity]['Scalars:scalars'] == values
+        assert entities[entity]['step'] == [5, 11]
+        assert entity in still_entities(path)
 
 
 def test_existing_file_is_refused_and_left_alone(tmp_path: Path):

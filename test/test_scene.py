@@ -4,9 +4,9 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
+from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.resources import shipped_file, shipped_names
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hypothesis import given, HealthCheck, settings, strategies
 import pytest
@@ -18,6 +18,19 @@ step_size: 1e-2
 initial_state:
   q: [1.0]
   p: [0]
+"""
+
+
+ACTED_ON = """\
+hamiltonian: {kind: free_particle, mass: 2.0, names: [x, y]}
+effects:
+  - {kind: gravity, coordinate: y}
+  - kind: damping
+    rate: 0.1
+  - {kind: spring, point: [x], anchor: [0]}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0, 0], p: [0, 0]}
 """
 
 
@@ -55,8 +68,10 @@ def test_unknown_scene_names_the_shipped_ones():
     ('1e-2', '.nan', r'mine.yaml:3: step_size: .*finite'),
     ('1e-2', '.inf', r'mine.yaml:3: step_size'),
     ('1e-2', '"0.1"', r'mine.yaml:3: step_size: .*number'),
-    ('variational_euler', 'rk5', r"mine.yaml:2: integrator.*'variational_euler'"),
-    ('harmonic_oscillator', 'x', r"mine.yaml:1: hamiltonian.*'harmonic_oscillator'"),
+    ('variational_euler', 'rk5', r"mine.yaml:2: integrator.kind: unknown kind 'rk5'; .*rk4"),
+    ('harmonic_oscillator', 'x', 'mine.yaml:1: hamiltonian.kind: unknown kind .*, hnn, kepler'),
+    ('kind: harmonic_oscillator, ', '', 'mine.yaml:1: hamiltonian.kind: required; valid kinds'),
+    ('{kind: variational_euler}', 'rk4', 'mine.yaml:2: integrator: expected keys and values'),
     ('mass', 'maß', r'mine.yaml:1: hamiltonian.maß: unknown key; valid keys: .*mass'),
     ('q: [1.0]', 'q: [1.0, two]', r'mine.yaml:5: initial_state.q.1'),
     ('  p: [0]', '', r'mine.yaml:4: initial_state.p: .*required'),
@@ -70,6 +85,71 @@ def test_scene_mistake_is_answered_with_file_line_key_and_remedy(write, old, new
     with pytest.raises(SceneError, match=expected) as caught:
         load_scene(write(GOOD.replace(old, new, 1)))
     assert '\n' not in str(caught.value)
+
+
+def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write):
+    effects = load_scene(write(ACTED_ON)).create_effects()
+    assert [type(effect).__name__ for effect in effects] == ['Gravity', 'Damping', 'Spring']
+    assert load_scene(write(GOOD)).create_effects() == []
+
+
+@pytest.mark.parametrize('old, new, expected', [
+    ('kind: gravity, ', '', 'mine.yaml:3: effects.0.kind: required; valid kinds: .*gravity'),
+    ('gravity', 'gravy', "mine.yaml:3: effects.0.kind: unknown kind 'gravy'; .*, impact"),
+    ('coordinate', 'coordinat', 'mine.yaml:3: effects.0.coordinat: unknown key; valid keys: '
+     'acceleration, coordinate, kind, mass$'),
+    ('coordinate: y', 'coordinate: z',
+     "mine.yaml:3: effects.0: gravity: no coordinate 'z'; valid coordinates: x, y"),
+    ('{kind: gravity, coordinate: y}', 'gravity', 'mine.yaml:3: effects.0: expected keys'),
+    ('    rate: 0.1\n', '', 'mine.yaml:4: effects.1.rate: .*required'),
+    ('0.1', 'fast', 'mine.yaml:5: effects.1.rate: .*number .*list'),
+    ('0.1', '.nan', 'mine.yaml:5: effects.1.rate: .*finite'),
+    ('0.1', '[0.1, .inf]', 'mine.yaml:5: effects.1.rate.1: .*finite'),
+    ('0.1', '[0.1, "2"]', 'mine.yaml:5: effects.1.rate.1: .*number'),
+    ('0.1', '[1, 2, 3]', 'mine.yaml:5: effects.1.rate: damping: rate has 3 values, .* x, y'),
+    ('0.1', '-1', 'mine.yaml:5: effects.1.rate: damping: rate = -1.0 must be'),
+    ('[x]', '[x, z]', 'mine.yaml:6: effects.2.anchor: spring: anchor has 1 entries'),
+    ('{kind: spring, point: [x], anchor: [0]}', '{kind: learned_dissipation, model: nothing}',
+     "mine.yaml:6: effects.2.model: no model 'nothing': .*pendulum"),
+    ('{kind: spring, point: [x], anchor: [0]}', '{kind: learned_dissipation, model: pendulum}',
+     'mine.yaml:6: effects.2: learned_dissipation: the model has 1 coordinates'),
+    ('damping\n    rate: 0.1', 'thermostat\n    temperature: 1\n    rate: [1]',
+     'mine.yaml:6: effects.1.rate: thermostat: rate has 1 values, .* x, y'),
+    ('damping\n    rate: 0.1', 'impact\n    coordinate: x\n    position: 2',
+     'mine.yaml:10: initial_state'),
+    ('{kind: spring, point: [x], anchor: [0]}', '{kind: holonomic_constraint, point: [x, y], '
+     'anchor: [0, 0], length: 2}', 'mine.yaml:9: initial_state'),
+    ('{kind: generalized_leapfrog}', '{kind: generalized_leapfrog, solver: no_such}',
+     "mine.yaml:7: integrator.solver: generalized_leapfrog: solver = 'no_such'; valid: chain"),
+    ('kind: damping\n    rate: 0.1\n', 'kind: damping\n    rate: 0.1\n  - '
+     '{kind: thermostat, temperature: 1, rate: 1}\n  - {kind: thermostat, temperature: 1, rate: 1}'
+     '\n', 'mine.yaml:7: effects.3: thermostat: a scene takes one'),
+    ('[x, y]', '[x, x]', 'mine.yaml:1: hamiltonian.names: free_particle: names = .*each once'),
+    ('p: [0, 0]', 'p: [0]', 'mine.yaml:9: initial_state.p: 1 values, expected 2, .*: x, y'),
+])
+def test_scene_effect_mistake_is_answered_with_file_line_key_and_remedy(
+        write, old, new, expected):
+    with pytest.raises(HnnViRosError, match=expected) as caught:
+        Simulation.from_scene(load_scene(write(ACTED_ON.replace(old, new, 1))))
+    assert '\n' not in str(caught.value)
+
+
+def test_scene_method_that_cannot_take_an_effect_is_refused_where_it_stands(write):
+    scene = load_scene(write(ACTED_ON.replace('damping', 'thermostat\n    temperature: 1')))
+    with pytest.raises(UnsupportedSystem, match='thermostat.*: generalized_leapfrog') as caught:
+        Simulation.from_scene(load_scene(write(
+            ACTED_ON.replace('damping', 'thermostat\n    temperature: 1')
+            .replace('generalized_leapfrog', 'rk4'))))
+    assert 'mine.yaml:8: integrator: ' in str(caught.value)
+    with pytest.raises(UnsupportedSystem, match='mine.yaml: integrator: rk4 cannot'):
+        Simulation.from_scene(scene.with_overrides(integrator='rk4'))
+
+
+def test_scene_override_is_not_placed_in_the_file(write):
+    scene = load_scene(write(ACTED_ON)).with_overrides(step_size=0.1)
+    assert scene.place('step_size').endswith('mine.yaml: step_size')
+    assert scene.place('effects', 1, 'rate').endswith('mine.yaml:5: effects.1.rate')
+    assert Scene.model_validate(scene.model_dump()).place('step_size') == 'scene: step_size'
 
 
 @pytest.mark.parametrize('content', [
@@ -88,8 +168,10 @@ def test_scene_path_that_is_missing_or_a_folder_is_refused(tmp_path):
 @pytest.mark.parametrize('old, new, error, expected', [
     ('step_size', 'mechanism: double_pendulum\nstep_size', SceneError,
      'draws 2 coordinates, but H has 1'),
-    ('mass: 2.0', 'mass: -1.0', SceneError, 'mass = -1.0 must be a positive'),
-    ('q: [1.0]', 'q: [1.0, 2.0]', SceneError, r'q has shape \(2,\), expected \(1,\)'),
+    ('mass: 2.0', 'mass: -1.0', SceneError,
+     'mine.yaml:1: hamiltonian.mass: harmonic_oscillator: mass = -1.0 must be a positive'),
+    ('q: [1.0]', 'q: [1.0, 2.0]', SceneError,
+     'mine.yaml:5: initial_state.q: 2 values, expected 1, .*: x'),
     ('{kind: harmonic_oscillator, mass: 2.0}', '{kind: hnn, model: nothing}', ModelError,
      'not shipped .*harmonic_oscillator'),
     ('{kind: harmonic_oscillator, mass: 2.0}', '{kind: hnn, model: ./nothing.safetensors}',
@@ -128,7 +210,9 @@ FUZZ = settings(max_examples=150, deadline=2000,
 def load_and_build(path: Path) -> None:
     """Accept a scene that works and a typed error of one line; nothing else."""
     try:
-        load_scene(path).create_hamiltonian()
+        scene = load_scene(path)
+        scene.create_hamiltonian()
+        scene.create_effects()
     except HnnViRosError as problem:
         assert '\n' not in str(problem)
 
@@ -141,10 +225,12 @@ def test_scene_of_random_bytes_gives_a_typed_error(write, content):
 
 
 @FUZZ
-@given(position=strategies.integers(0, len(GOOD)), removed=strategies.integers(0, 20),
+@given(good=strategies.sampled_from([GOOD, ACTED_ON]),
+       position=strategies.integers(0, len(ACTED_ON)), removed=strategies.integers(0, 20),
        inserted=strategies.one_of(
            strategies.text(max_size=10), strategies.floats().map(str),
            strategies.sampled_from(['{', '[', '*a', '&a', '!!float', '? ', '- ', '1e999', '~'])))
-def test_scene_mutated_gives_a_typed_error_or_works(write, position, removed, inserted):
-    mutated = GOOD[:position] + inserted + GOOD[position + removed:]
+def test_scene_mutated_gives_a_typed_error_or_works(
+        write, good, position, removed, inserted):
+    mutated = good[:position] + inserted + good[position + removed:]
     load_and_build(write(mutated.encode('utf-8', 'surrogatepass')))

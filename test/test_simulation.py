@@ -3,12 +3,13 @@
 """Simulations in Python: counting of time, failures, repeatability, arguments."""
 
 from helpers import EPS, random_checkpoint
+from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import SceneError, StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import simulate, Simulation
+from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -4,6 +4,7 @@
 
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
+from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
@@ -13,6 +14,7 @@ from hnn_vi_ros.hamiltonians.tao import Tao
 HAMILTONIANS = {
     'double_pendulum': DoublePendulum,
     'fput_chain': FputChain,
+    'free_particle': FreeParticle,
     'harmonic_oscillator': HarmonicOscillator,
     'henon_heiles': HenonHeiles,
     'kepler': Kepler,

@@ -30,12 +30,15 @@ class Kernel(NamedTuple):
     parameters : tuple
         Numbers and arrays that all functions take first.
     dimension : int
-        The number d of degrees of freedom.
+        The number d of degrees of freedom, channels included.
     gradient_scale : tuple of float
         Rounding error of dH/dq and of dH/dp in units of the unit round-off, where it exceeds
         that of a number of their size; 0 where it does not.
     compiled : bool
         True if the functions are numba dispatchers, False if they are plain Python.
+    channels : int
+        How many of the last coordinates are times since the start of the step, and their momenta
+        integrals over it; implicit equations are not solved for the integrals' sake.
 
     """
 
@@ -46,6 +49,7 @@ class Kernel(NamedTuple):
     dimension: int
     gradient_scale: tuple[float, float]
     compiled: bool
+    channels: int = 0
 
 
 class Hamiltonian(ABC):

@@ -38,7 +38,7 @@ class FputChain(Hamiltonian):
     pairs : int
         m, from 1 to 1000.
     omega : float
-        Angular frequency of the stiff springs, omega > 0.
+        Angular frequency of the stiff springs, omega > 0 [1].
 
     Raises
     ------

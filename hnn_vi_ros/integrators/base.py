@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
+from hnn_vi_ros.compilation import is_own
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
@@ -100,6 +101,14 @@ class Integrator(ABC):
         What the map is; symplectic in the 2-form that the method's docstring names.
     keeps_gradient : bool
         True if a step leaves the gradient at the new state, for nothing more.
+    uses_hamiltonian : bool
+        False if the map is made of something else than the kernel's H.
+    takes_forces : bool
+        True if the map stays right where the kernel's gradient holds forces as well.
+    separable_only : bool
+        True if it needs H = T(p) + V(q), and forces that do not depend on p.
+    halves : tuple of callable or None
+        Two steps of h / 2 that make up the step, if it has a middle to put something in.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
@@ -116,6 +125,10 @@ class Integrator(ABC):
     symplectic: ClassVar[bool]
     keeps_gradient: ClassVar[bool] = False
     compiled: ClassVar[bool] = True
+    uses_hamiltonian: ClassVar[bool] = True
+    takes_forces: ClassVar[bool] = True
+    separable_only: bool = False
+    halves: 'tuple[Callable, Callable] | None' = None
     step: Callable
 
     def check(self, hamiltonian: Hamiltonian) -> None:  # noqa: B027
@@ -133,6 +146,11 @@ class Integrator(ABC):
     def kernel_name(self) -> str:
         """Return a name that tells the step from every other one."""
         return type(self).__name__
+
+    @property
+    def own(self) -> bool:
+        """Return whether all of the step is this package's, whose changes are noticed."""
+        return is_own(type(self).__module__)
 
     @property
     def links(self) -> int:

@@ -50,6 +50,7 @@ class Composition(Integrator):
             raise ValueError(f'base = {base!r}; valid: {", ".join(BASES)}')
         self.base = BASES[base]()
         self.step = _compose(self.base.step, self.fractions)
+        self.separable_only = self.base.separable_only
 
     @property
     def kernel_name(self) -> str:

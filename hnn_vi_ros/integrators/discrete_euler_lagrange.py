@@ -47,7 +47,7 @@ class DiscreteEulerLagrange(Integrator):
     """
 
     explicit, symmetric, symplectic = False, False, True
-    compiled = False
+    compiled, uses_hamiltonian, takes_forces = False, False, False
 
     def __init__(self, discrete_lagrangian: str, order: int = 1):
         module, _, name = discrete_lagrangian.partition(':')

@@ -47,6 +47,7 @@ class DiscreteGradient(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic = 2, True, False
+    takes_forces = False
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: the new q and p."""

@@ -25,7 +25,7 @@ class DOP853(Integrator):
     Parameters
     ----------
     relative_tolerance, absolute_tolerance : float
-        As scipy's rtol and atol.
+        As scipy's rtol [1] and atol [units of q and p].
 
     Raises
     ------

@@ -58,7 +58,7 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
     """
     for i in range(p.size):
         p1[i] = p[i] - h * guess[i]
-    set_scale(memory.scale, p, guess, h, kernel.gradient_scale[0], kernel.dimension)
+    set_scale(memory.scale, p, guess, h, kernel, 0)
     if options.extrapolate:
         extrapolate(memory, p, p1)
     problem = _Problem(kernel, -h, q, p, p_carry, p1_carry, dH_dq1, dH_dp1,
@@ -98,7 +98,7 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
     """
     for i in range(q.size):
         q1[i] = q[i] + h * guess[i]
-    set_scale(memory.scale, q, guess, h, kernel.gradient_scale[1], kernel.dimension)
+    set_scale(memory.scale, q, guess, h, kernel, 1)
     if options.extrapolate:
         extrapolate(memory, q, q1)
     problem = _Problem(kernel, h, p, q, q_carry, q1_carry, dH_dq1, dH_dp1,
@@ -112,15 +112,34 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
 
 
 @inlined
-def set_scale(scale: np.ndarray, base: np.ndarray, slope: np.ndarray, h: float,
-              gradient_scale: float, dimension: int) -> None:
-    """Set the scale of each unknown to that of its trajectory: state, change, and rounding."""
-    for start in range(0, base.size, dimension):
-        end = start + dimension
-        size = max(largest(base[start:end]), abs(h) * largest(slope[start:end]),
-                   abs(h) * gradient_scale)
-        for i in range(start, end):
+def set_scale(scale: np.ndarray, base: np.ndarray, slope: np.ndarray, h: float, kernel: Kernel,
+              which: int) -> None:
+    """
+    Set the scale of each unknown to that of its trajectory: state, change, and rounding.
+
+    Parameters
+    ----------
+    scale, base, slope : np.ndarray, shape (n,)
+        Filled; the old state and how it changes.
+    h : float
+        Step size, or a part of it [s].
+    kernel : Kernel
+        The Hamiltonian.
+    which : int
+        0 for momenta, 1 for coordinates.
+
+    """
+    for start in range(0, base.size, kernel.dimension):
+        end = start + kernel.dimension
+        middle = end - kernel.channels
+        size = max(largest(base[start:middle]), abs(h) * largest(slope[start:middle]),
+                   abs(h) * kernel.gradient_scale[which])
+        for i in range(start, middle):
             scale[i] = size
+        for i in range(middle, end):
+            # A channel's time is known; its integral does not act back, so its residual does
+            # not count.
+            scale[i] = abs(h) if which == 1 else np.inf
 
 
 @inlined

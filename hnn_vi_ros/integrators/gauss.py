@@ -96,6 +96,11 @@ class Gauss(ImplicitIntegrator):
     symmetric, symplectic = True, True
     stages: ClassVar[int]
 
+    @property
+    def kernel_name(self) -> str:
+        """Return one name for all: the number of stages is in the options."""
+        return 'Gauss'
+
     def options(self, link: int = 0, dimension: int = 1) -> Tableau:
         """Return the coefficients and the options of the solver."""
         return Tableau(*gauss_tableau(self.stages), super().options(link, dimension))
@@ -112,10 +117,8 @@ class Gauss(ImplicitIntegrator):
         store, n, s = memory[0], z.q.size, options.weights.size
         x, slopes = store.unknowns, store.increments[0]
         for j in range(s):
-            set_scale(store.scale[j * n:(j + 1) * n], z.q, z.dH_dp, h,
-                      kernel.gradient_scale[1], kernel.dimension)
-            set_scale(store.scale[(s + j) * n:(s + j + 1) * n], z.p, z.dH_dq, h,
-                      kernel.gradient_scale[0], kernel.dimension)
+            set_scale(store.scale[j * n:(j + 1) * n], z.q, z.dH_dp, h, kernel, 1)
+            set_scale(store.scale[(s + j) * n:(s + j + 1) * n], z.p, z.dH_dq, h, kernel, 0)
         _start(options, store, slopes, z, h, x)
         # The slopes H_q and H_p at the stages stay in the memory for the next start.
         problem = _Problem(kernel, h, options.matrix, z, x[:s * n], x[s * n:],

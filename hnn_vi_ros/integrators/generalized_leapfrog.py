@@ -9,6 +9,19 @@ from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import solve_coordinates, solve_momenta
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
+from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
+from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
+
+
+# Compiled code knows functions, not the classes that hold them.
+_adjoint_step = SymplecticEulerAdjoint.step
+
+
+@inlined
+def _second_half(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+                 memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+    """Take a step of the adjoint, with the memory of the second equation."""
+    return _adjoint_step(kernel, h, options, z, z1, memory[1:])
 
 
 class GeneralizedLeapfrog(ImplicitIntegrator):
@@ -28,6 +41,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 2, True, True, True
+    halves = (SymplecticEuler.step, _second_half)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the sizes of the equations for the momenta and for the coordinates."""

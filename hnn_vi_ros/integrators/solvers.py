@@ -145,7 +145,7 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
                 memory.matrix[i, j] = unit[i] - column[i]
             step[j] = value[j] - x[j]
         evaluations += n
-        if not _solve_linear(memory.matrix, step):
+        if not solve_linear(memory.matrix, step):
             break
         for i in range(n):
             x[i] += step[i]
@@ -263,7 +263,7 @@ def _combine(memory: Memory, k: int, value: np.ndarray, used: int, x: np.ndarray
 
 
 @inlined
-def _solve_linear(matrix: np.ndarray, right: np.ndarray) -> bool:
+def solve_linear(matrix: np.ndarray, right: np.ndarray) -> bool:
     """Solve in place by elimination with row pivots; False if the matrix is singular."""
     n = right.size
     for k in range(n):

@@ -9,6 +9,32 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 
 
+@inlined
+def _first_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+                memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+    """Take the kick and the drift of a step of 2 h."""
+    for i in range(z.q.size):
+        z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z.dH_dq[i])
+    kernel.gradient(kernel.parameters, z.q, z1.p, z1.dH_dq, z1.dH_dp)
+    for i in range(z.q.size):
+        z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
+        z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
+    return OK, 0.0, 1
+
+
+@inlined
+def _second_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+                 memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+    """Take the drift and the kick of a step of 2 h."""
+    kernel.gradient(kernel.parameters, z.q, z.p, z1.dH_dq, z1.dH_dp)
+    for i in range(z.q.size):
+        z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
+    kernel.gradient(kernel.parameters, z1.q, z.p, z1.dH_dq, z1.dH_dp)
+    for i in range(z.q.size):
+        z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
+    return OK, 0.0, 2
+
+
 class StormerVerlet(Integrator):
     """
     Störmer-Verlet (leapfrog) for H(q, p) = T(p) + V(q).
@@ -26,6 +52,7 @@ class StormerVerlet(Integrator):
     """
 
     order, explicit, symmetric, symplectic = 2, True, True, True
+    separable_only, halves = True, (_first_half, _second_half)
 
     def check(self, hamiltonian: Hamiltonian) -> None:
         """
@@ -57,6 +84,8 @@ class StormerVerlet(Integrator):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -0.5 * h * z.dH_dq[i])
         kernel.gradient(kernel.parameters, z.q, z1.p, z1.dH_dq, z1.dH_dp)
         for i in range(z.q.size):
+            # The same momenta; but the power of a force, in a channel, depends on p.
+            z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -0.5 * h * z1.dH_dq[i])
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
         kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
         for i in range(z.q.size):

@@ -53,7 +53,7 @@ class MessageEncoder:
 
     def __init__(self, names: Sequence[str]):
         zeros = [0.0] * len(names)
-        self._q, self._p = _state_message(names), _state_message(names)
+        self._q, self._p = array_message(names), array_message(names)
         self._energy = Float64()
         self._joints = JointState(
             name=list(names), position=array('d', zeros), velocity=array('d', zeros),
@@ -68,8 +68,8 @@ class MessageEncoder:
         """
         Return the serialised messages of a sample, in the order of `TICK_TOPICS`.
 
-        The joint states' position is q, their velocity dH/dp, their effort the generalised
-        force -dH/dq.
+        The joint states' position is q, their velocity q', their effort the generalised force
+        p', never p.
         """
         q, p, position, velocity, effort = self._fields
         q[:] = position[:] = sample.q
@@ -82,7 +82,8 @@ class MessageEncoder:
                 serialize_message(self._energy), serialize_message(self._joints))
 
 
-def _state_message(names: Sequence[str]) -> Float64MultiArray:
+def array_message(names: Sequence[str]) -> Float64MultiArray:
+    """Return an array of zeros whose one dimension is labelled with the names of its entries."""
     size = len(names)
     dimension = MultiArrayDimension(label=','.join(names), size=size, stride=size)
     return Float64MultiArray(

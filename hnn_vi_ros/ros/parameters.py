@@ -102,6 +102,10 @@ PARAMETERS = (
     Specification('rerun_path', '', 'file: the .rrd file, which must not exist; empty makes '
                   '`runs/<scene>-<UTC time>/recording.rrd`. connect: URL of the viewer; '
                   'empty takes the local one'),
+    Specification('publish_accuracy', False, 'publish and record `~/accuracy`'),
+    Specification('explain', False, 'measure what each effect adds before the first step; '
+                  'compiles one kernel for each effect'),
+    Specification('frame_id', 'world', 'frame that `~/markers` are drawn in'),
 )
 
 

@@ -12,11 +12,14 @@ import sys
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.run_folder import create_run_folder
+from hnn_vi_ros.ros.scene_report import resolved_scene
+from hnn_vi_ros.ros.timing import Figures
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hnn_vi_ros.sinks.sample import Sample
+import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 import yaml
 
@@ -45,6 +48,15 @@ class Recording:
         The node's parameters.
     topics : sequence of Topic
         What the bag holds.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p that the picture leaves room for.
+
+    Attributes
+    ----------
+    samples : int
+        Samples that were handed in.
+    problem : str
+        Why something is missing; empty as long as nothing is.
 
     Raises
     ------
@@ -54,15 +66,16 @@ class Recording:
     """
 
     def __init__(self, logger: RcutilsLogger, scene: Scene, simulation: Simulation,
-                 values: dict, topics: Sequence[Topic]):
+                 values: dict, topics: Sequence[Topic],
+                 box: tuple[np.ndarray, np.ndarray]):
         self._logger = logger
-        self._complete = True
+        self.samples, self.problem = 0, ''
         self._bag: Path | None = None
         self._picture: Path | None = None
         self._choose_files(scene.name, values)
         self._bag_sink = self._open_bag(scene, simulation, values, topics)
         try:
-            self._picture_sink = self._open_picture(scene, simulation, values)
+            self._picture_sink = self._open_picture(scene, simulation, values, box)
         except BaseException:
             self._picture_sink = None
             self.close()
@@ -70,6 +83,7 @@ class Recording:
 
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
         """Record and show one sample."""
+        self.samples += 1
         if self._bag_sink is not None:
             try:
                 self._bag_sink.write(sample.stamp, payloads)
@@ -88,6 +102,19 @@ class Recording:
         if self._picture_sink is not None:
             self._picture_sink.event(text, level)
 
+    def timing(self, figures: Figures) -> None:
+        """Show what steps cost lately, and the pace, at the newest sample."""
+        if self._picture_sink is not None:
+            self._picture_sink.timing(
+                (figures.microseconds_per_step_median, figures.microseconds_per_step_p99),
+                figures.real_time_factor)
+
+    @property
+    def targets(self) -> dict[str, str]:
+        """Return where bag and picture go, as far as there are any."""
+        targets = {'bag': self._bag, 'rerun': self._target}
+        return {name: str(target) for name, target in targets.items() if target is not None}
+
     def close(self) -> bool:
         """Close what is open; tell whether everything was recorded."""
         sinks = [self._bag_sink, self._picture_sink]
@@ -98,7 +125,7 @@ class Recording:
                     sink.close()
                 except RecordingError as problem:
                     self._give_up(problem)
-        return self._complete
+        return not self.problem
 
     def report(self) -> None:
         """Print where the files are, and the command that opens each."""
@@ -127,34 +154,37 @@ class Recording:
         if to_file:
             default = folder / 'recording.rrd'
             self._picture = Path(os.path.expanduser(picture)) if picture else default
+        self._target = {'file': self._picture, 'serve': _SERVER_PORT, 'none': None,
+                        'connect': picture or _VIEWER_URL}[values['rerun_sink']]
 
     def _open_bag(self, scene: Scene, simulation: Simulation, values: dict,
                   topics: Sequence[Topic]) -> McapSink | None:
         if self._bag is None:
             return None
-        resolved = scene.model_dump() | simulation.hamiltonian.provenance
-        attachments = {'scene.yaml': resolved, 'parameters.yaml': values}
+        attachments = {
+            'scene.yaml': resolved_scene(scene, simulation), 'parameters.yaml': values}
         return McapSink(self._bag, topics, {
             name: yaml.safe_dump(data, sort_keys=False).encode()
             for name, data in attachments.items()})
 
-    def _open_picture(self, scene: Scene, simulation: Simulation, values: dict):
-        if values['rerun_sink'] == 'none':
+    def _open_picture(self, scene: Scene, simulation: Simulation, values: dict,
+                      box: tuple[np.ndarray, np.ndarray]):
+        if self._target is None:
             return None
         # Imported here: a run without a picture starts without the viewer's libraries.
         from hnn_vi_ros.sinks.rerun_sink import RerunSink
-        target = {'file': self._picture, 'serve': _SERVER_PORT,
-                  'connect': values['rerun_path'] or _VIEWER_URL}[values['rerun_sink']]
         if values['rerun_sink'] == 'serve':
             self._logger.info(f'rerun viewers can connect to {_VIEWER_URL}')
         mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None
-        return RerunSink(scene.name, target, simulation.hamiltonian, simulation.q.copy(),
-                         simulation.p.copy(), box=simulation.hamiltonian.box,
-                         mechanism=mechanism,
+        return RerunSink(scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
+                         simulation.p.copy(), box=box, mechanism=mechanism,
+                         conservative=simulation.conservative,
+                         modified=simulation.modified_energy is not None,
+                         pace=values['real_time_factor'] or None,
                          interval=round((values['real_time_factor'] or 1.0) / _FRAME_RATE * 1e9))
 
     def _give_up(self, problem: RecordingError) -> None:
-        self._complete = False
+        self.problem = str(problem)
         self._logger.error(f'{problem}; the simulation goes on')
 
 

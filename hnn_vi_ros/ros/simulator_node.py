@@ -2,29 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node: parameters, scene, and on each tick steps, messages, log and picture."""
 
-from fractions import Fraction
-import math
 import signal
 import time
 import warnings
 
 from hnn_vi_ros.errors import ParameterError, StepFailure
-from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
+from hnn_vi_ros.ros.choosing import resolve
+from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from hnn_vi_ros.ros.look_ahead import look_ahead
+from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.pacing import Pacer
 from hnn_vi_ros.ros.parameters import declare_parameters
 from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.run_status import RunStatus
+from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.status_line import StatusLine
+from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.sample import Sample
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
@@ -32,9 +32,12 @@ from rclpy.utilities import remove_ros_args
 _LONGEST_CALL = 0.02
 # Subscribers whose number has not changed for so long are taken for all there are [s].
 _SETTLED = 0.5
-_MOST_STEPS = 1e9
+# Simulated time of which the picture leaves room, at the pace of the clock [s].
+_SEEN = 30.0
 # Wall time between two samples beyond which a pace is taken for a mistake [s].
 _LONGEST_WAIT = 1e6
+# Wall time between two messages on /diagnostics [s].
+_DIAGNOSTICS_PERIOD = 1.0
 
 
 class SimulatorNode(Node):
@@ -45,6 +48,8 @@ class SimulatorNode(Node):
     ----------
     exit_status : int or None
         None while the simulation goes on; then what the process is to return.
+    topics : Topics
+        What the node publishes and hears.
 
     Raises
     ------
@@ -58,31 +63,29 @@ class SimulatorNode(Node):
         self.exit_status: int | None = None
         values = declare_parameters(self)
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        # Publishers first: other nodes discover them while the kernel is being compiled.
-        self._publishers = [self._publisher(*topic) for topic in TICK_TOPICS]
+        self.topics = Topics(self, values['publish_accuracy'])
         self._start_by = time.monotonic() + values['discovery_time']
         self._subscribers = (0, time.monotonic())
+        factor = values['real_time_factor']
         scene = load_scene(values['scene']).with_overrides(
             values['step_size'] or None, values['integrator'] or None)
+        scene, events = resolve(scene, 1.0 / values['publish_rate'], factor, self.get_logger())
         self._simulation = self._compile(scene)
-        self._every, tick = self._steps_per_sample(values['publish_rate'])
-        self._remaining = self._samples(values['duration'], tick)
-        factor = values['real_time_factor']
-        if factor * _LONGEST_WAIT < tick and factor > 0.0:
+        self._sampler = Sampler(self._simulation, values['publish_rate'])
+        self._remaining = self._sampler.count(values['duration'])
+        if factor * _LONGEST_WAIT < self._sampler.tick and factor > 0.0:
             raise ParameterError(f'parameter real_time_factor = {factor:g}: more than '
                                  f'{_LONGEST_WAIT:.0e} s would pass between two samples')
-        self._nanoseconds = Fraction(repr(self._simulation.step_size)) * 10**9
-        self._energy0 = self._simulation.energy
-        self._encoder = MessageEncoder([c.name for c in self._simulation.hamiltonian.coordinates])
-        self._recording = Recording(
-            self.get_logger(), scene, self._simulation, values,
-            [describe_topic(publisher.topic_name, message_type, publisher.qos_profile)
-             for publisher, (_, message_type) in zip(self._publishers, TICK_TOPICS, strict=True)])
-        self._recording.event(
-            f'{scene.name}: {scene.integrator.kind}, h = {scene.step_size:g} s', 'INFO')
-        self._status = StatusLine(self.get_logger())
-        self._tick, self._real_time_factor = tick, values['real_time_factor']
+        self._configure(scene, values)
+        for event in events:
+            self._tell(*event)
+        if self._sampler.deviation:
+            self.get_logger().warning(self._sampler.deviation)
+        self._real_time_factor = factor
         self._steps_left, self._batch = 0, 1
+        # Made when the first step is due.
+        self._pacer: Pacer | None = None
+        self._status: StatusLine | None = None
         self._discovery = self.create_timer(
             0.02, self._start_when_discovered, clock=self._steady_clock)
 
@@ -90,32 +93,55 @@ class SimulatorNode(Node):
         """Step no more, and let the process end with this status."""
         if self.exit_status is None:
             self.exit_status = status
-            self._recording.event(reason, 'ERROR' if status else 'INFO')
-            log = self.get_logger().error if status else self.get_logger().info
-            log(reason)
-
-    def wait_for_delivery(self) -> None:
-        """Let matched subscribers receive what is still on its way, for at most a second."""
-        deadline = time.monotonic() + 1.0
-        for publisher in self._publishers:
-            publisher.wait_for_all_acked(
-                Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+            self._tell(reason, 'ERROR' if status else 'INFO')
+            if self._pacer is not None:
+                self._publish_diagnostics(reason if status else '')
 
     def finish(self) -> None:
         """Close the files and say where they are; makes no ROS call but to the log."""
-        self._status.close()
+        if self._status is not None:
+            self._status.close()
         if not self._recording.close():
             self.exit_status = 1
         self._recording.report()
 
-    def _publisher(self, topic: str, message_type: type) -> Publisher:
-        try:
-            return self.create_publisher(
-                message_type, topic, 10,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        except (RuntimeError, InvalidParameterTypeException) as problem:
-            raise ParameterError(f'qos_overrides of {topic}: {" ".join(str(problem).split())}'
-                                 ) from problem
+    def _tell(self, text: str, level: str, show: bool = True) -> None:
+        """Log a line, and show it beside the samples; level is INFO, WARN or ERROR."""
+        logger = self.get_logger()
+        # On lines of their own: rclpy ties the line of a call to one severity.
+        if level == 'INFO':
+            logger.info(text)
+        elif level == 'WARN':
+            logger.warning(text)
+        else:
+            logger.error(text)
+        if show:
+            self._recording.event(text, level)
+
+    def _configure(self, scene: Scene, values: dict[str, str | bool | float]) -> None:
+        """Open the scene's topics and the files, and tell what is simulated."""
+        simulation = self._simulation
+        seconds = _SEEN * (values['real_time_factor'] or 1.0)
+        box, cost = look_ahead(simulation, min(seconds, values['duration'] or seconds))
+        if simulation.hamiltonian.box is not None:
+            box = simulation.hamiltonian.box
+        if values['explain'] and scene.effects:
+            self.get_logger().info('measuring what each effect adds to a step')
+        report = scene_report(scene, simulation, cost, values['explain'])
+        self._monitor = Monitor(
+            simulation, self._sampler.every, self._sampler.tick,
+            scene.chosen and scene.chosen[0], lambda text, first: self._tell(text, 'WARN', first))
+        self.topics.open(simulation, self._monitor, scene.mechanism, box, values['frame_id'])
+        self._recording = Recording(
+            self.get_logger(), scene, simulation, values, self.topics.descriptions, box)
+        kinds = [effect.kind for effect in scene.effects]
+        self._recording.event(', '.join([
+            f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s', *kinds,
+            'conservative' if simulation.conservative else 'not conservative']), 'INFO')
+        self.topics.publish_scene(report)
+        self._diagnostics = DiagnosticsPublisher(self, self.topics.diagnostics, scene.name)
+        self._run_status = RunStatus(
+            scene, simulation, self._monitor, self._recording, values['real_time_factor'])
 
     def _compile(self, scene: Scene) -> Simulation:
         with warnings.catch_warnings(record=True) as caught:
@@ -127,40 +153,19 @@ class SimulatorNode(Node):
         self.get_logger().info(f'scene {scene.source}: kernel compiled in {seconds:.2f} s')
         return simulation
 
-    def _steps_per_sample(self, rate: float) -> tuple[int, float]:
-        """Return the whole number of steps from sample to sample, and their time [s]."""
-        exact = 1.0 / (rate * self._simulation.step_size)
-        if exact > _MOST_STEPS:
-            raise ParameterError(
-                f'parameter step_size: {exact:.3g} steps from sample to sample are too many, at '
-                f'most {_MOST_STEPS:.0e}; use a larger step_size or publish_rate')
-        every = max(1, round(exact))
-        if abs(exact - every) > 1e-9 * exact:
-            self.get_logger().warning(
-                f'publish_rate {rate:g} Hz is not a whole number of steps of '
-                f'{self._simulation.step_size:g} s: publishing every {every} steps, '
-                f'{1.0 / (every * self._simulation.step_size):g} Hz')
-        return every, every * self._simulation.step_size
-
-    def _samples(self, duration: float, tick: float) -> float:
-        """Return the number of samples that a duration [s] asks for."""
-        # A ROS time stamp holds 2^31 s.
-        samples = round(min(duration or math.inf, 2**31 - 1) / tick)
-        if samples == 0:
-            raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
-                                 f'time between two samples, {tick:g} s')
-        return samples
-
     def _start_when_discovered(self) -> None:
         """Start once discovery is over, or its time: DDS takes some 1.5 s to find a node."""
         now = time.monotonic()
         count, since = self._subscribers
-        found = sum(publisher.get_subscription_count() for publisher in self._publishers)
+        found = self.topics.subscribers
         if found != count:
             self._subscribers = (found, now)
         elif now >= self._start_by or (found and now - since > _SETTLED):
             self._discovery.cancel()
-            self._pacer = Pacer(self._tick, self._real_time_factor)
+            self._status = StatusLine(self.get_logger())
+            self._pacer = Pacer(self._sampler.tick, self._real_time_factor)
+            self.create_timer(
+                _DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=self._steady_clock)
             self.create_timer(self._pacer.timer_period, self._on_timer, clock=self._steady_clock)
 
     def _on_timer(self) -> None:
@@ -170,9 +175,9 @@ class SimulatorNode(Node):
             if self._steps_left == 0:
                 if not self._pacer.due():
                     return
-                self._steps_left = self._every
+                self._steps_left = self._sampler.every
             if self._step() and self._steps_left == 0:
-                self._hand_out(self._sample())
+                self._hand_out()
                 self._remaining -= 1
                 if self._remaining <= 0:
                     self.stop(0, 'the duration is over')
@@ -180,15 +185,15 @@ class SimulatorNode(Node):
     def _step(self) -> bool:
         """Take a batch of steps, of about a fifth of a call; False if one failed."""
         simulation, n = self._simulation, min(self._batch, self._steps_left)
-        begin, rescued = time.monotonic(), simulation.rescued
+        rescued = simulation.rescued
         try:
-            simulation.advance(n)
+            seconds = self._monitor.advance(n)
         except StepFailure as failure:
             self.stop(1, str(failure))
             return False
         self._steps_left -= n
         if n == self._batch:
-            short = time.monotonic() - begin < 0.2 * _LONGEST_CALL
+            short = seconds < 0.2 * _LONGEST_CALL
             self._batch = 2 * n if short else max(1, n // 2)
         if simulation.rescued > rescued:
             self.get_logger().warning(
@@ -196,24 +201,19 @@ class SimulatorNode(Node):
                 'step_size', throttle_duration_sec=1.0)
         return True
 
-    def _sample(self) -> Sample:
-        simulation = self._simulation
-        energy, modified = simulation.energy, simulation.modified_energy
-        error = energy - self._energy0
-        return Sample(
-            step=simulation.steps, stamp=round(simulation.steps * self._nanoseconds),
-            q=simulation.q.copy(), p=simulation.p.copy(),
-            dH_dq=simulation.dH_dq.copy(), dH_dp=simulation.dH_dp.copy(), energy=energy,
-            modified_energy=math.nan if modified is None else modified,
-            energy_error=error / self._energy0 if self._energy0 else error)
-
-    def _hand_out(self, sample: Sample) -> None:
-        """Publish, record and show one sample; the log gets the very bytes that are published."""
-        payloads = self._encoder.encode(sample)
-        for publisher, payload in zip(self._publishers, payloads, strict=True):
-            publisher.publish(payload)
-        self._recording.write(sample, payloads)
+    def _hand_out(self) -> None:
+        """Publish, record and show a sample; the log gets the very bytes that are published."""
+        begin = time.perf_counter()
+        sample = self._sampler.sample()
+        evaluated = self._monitor.add(sample)
+        self._recording.write(sample, self.topics.publish(sample))
+        if evaluated:
+            self._recording.timing(self._monitor.timing.figures)
         self._status.show(sample, self._pacer.overruns)
+        self._monitor.timing.add_sample(time.perf_counter() - begin)
+
+    def _publish_diagnostics(self, failure: str = '') -> None:
+        self._diagnostics.publish(self._run_status.statuses(self._pacer.overruns, failure))
 
 
 def main(argv: list[str]) -> int:
@@ -245,7 +245,7 @@ def main(argv: list[str]) -> int:
             executor.spin_once(timeout_sec=0.1)
             if received:
                 node.stop(0, f'stopped by {signal.Signals(received[0]).name}')
-        node.wait_for_delivery()
+        node.topics.wait_for_delivery()
     except KeyboardInterrupt:
         # Stopped while it was still starting.
         return 0

@@ -30,6 +30,17 @@ class Frame:
     p: tuple[float, float]
 
 
+def frames_of(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
+              box: tuple[np.ndarray, np.ndarray] | None, count: int) -> list[Frame]:
+    """Return what :func:`frame_of` chooses for each of the first coordinates."""
+    return [frame_of(axis, hamiltonian, q0, p0, box) for axis in range(count)]
+
+
+def reach_of(frames: list[Frame]) -> float:
+    """Return the largest coordinate in the frames, which mechanisms leave room for."""
+    return max(abs(end) for frame in frames for end in frame.q)
+
+
 def frame_of(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
              box: tuple[np.ndarray, np.ndarray] | None) -> Frame:
     """

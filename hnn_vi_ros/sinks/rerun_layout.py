@@ -1,22 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a rerun recording holds before its first sample: names, colours, frames, the layout."""
+"""What a rerun recording holds before its first sample: names, colours, frames, still parts."""
 
 from collections.abc import Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms import Line, Part
+from hnn_vi_ros.mechanisms.parts import Line, Part
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.sinks.phase_portrait import contours, Frame, ticks
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 PALETTE = ((88, 166, 255), (242, 165, 65), (86, 211, 100), (219, 109, 190), (121, 216, 217),
            (255, 123, 114), (210, 168, 255), (225, 210, 90))
 BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245, 247, 250)
+# What samples cost, with the unit, by entity.
+TIMING = {'/timing/microseconds_per_step': ['step time, median [us]', 'step time, p99 [us]'],
+          '/timing/real_time_factor': ['real-time factor']}
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
-TRAIL_SAMPLES = 300
 
 
 def momentum_name(coordinate: Coordinate) -> str:
@@ -35,7 +36,8 @@ def part_path(name: str) -> str:
     return f'/world/{rr.escape_entity_path_part(name)}'
 
 
-def series_labels(coordinates: Sequence[Coordinate], relative: bool) -> dict[str, list[str]]:
+def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservative: bool,
+                  modified: bool) -> dict[str, list[str]]:
     """
     Return what each series is called, with its unit, by entity.
 
@@ -44,21 +46,30 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool) -> dict[str
     coordinates : sequence of Coordinate
         One series each under ``/state/q`` and ``/state/p``.
     relative : bool
-        Whether the energy error is (H - H0) / H0 rather than H - H0.
+        Whether the energy error is relative to H0.
+    conservative : bool
+        Whether no effect does work; else the work W is shown.
+    modified : bool
+        Whether a modified energy is known, to be shown where no work is done.
 
     """
+    error = 'H - H0' if conservative else 'H - H0 - W'
+    second = {} if conservative else {'/energy/work': ['work W [J]']}
+    if conservative and modified:
+        second = {'/energy/modified': ['modified H [J]']}
     return {
         '/state/q': [f'{c.name} [{c.q_unit}]' for c in coordinates],
         '/state/p': [f'{momentum_name(c)} [{c.p_unit}]' for c in coordinates],
         '/energy/H': ['H [J]'],
-        '/energy/modified': ['modified H [J]'],
-        '/energy/error': ['(H - H0) / H0' if relative else 'H - H0 [J]'],
+        **second,
+        '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
     }
 
 
 def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[str]]) -> None:
     """Name and colour every series."""
-    first = {'/energy/modified': 2, '/energy/error': 5}
+    first = {'/energy/modified': 2, '/energy/work': 1, '/energy/error': 5,
+             '/timing/microseconds_per_step': 3, '/timing/real_time_factor': 6}
     for path, names in labels.items():
         start = first.get(path, 0)
         colors = [PALETTE[(start + i) % len(PALETTE)] for i in range(len(names))]
@@ -67,9 +78,11 @@ def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[
 
 
 def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, frame: Frame,
-                       q0: np.ndarray, p0: np.ndarray) -> None:
+                       q0: np.ndarray, p0: np.ndarray, side: float) -> None:
     """
     Draw the energy contours, the frame and its ticks, and set how trail and state look.
+
+    ``side`` is the width of the frame in points, for the places of the labels.
 
     Every point is logged as (q, p). The entity's transform turns the frame into the square from
     -1 to 1 with p upwards, since a 2D view has its y axis down and equal scales.
@@ -88,7 +101,7 @@ def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, fra
                                         0.5 * (p_low + p_high) / half_p, 0.0]),
         '/contours': rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(0.6)),
         '/frame': _frame_lines(frame),
-        '/labels': _frame_labels(frame, coordinate),
+        '/labels': _frame_labels(frame, coordinate, side),
         '/trail': rr.LineStrips2D.from_fields(colors=[PALETTE[1]], draw_order=30.0,
                                               radii=rr.Radius.ui_points(1.25)),
         '/state': rr.Points2D.from_fields(colors=[WHITE], radii=rr.Radius.ui_points(5.0),
@@ -107,14 +120,16 @@ def _frame_lines(frame: Frame) -> rr.LineStrips2D:
     return rr.LineStrips2D(strips, colors=[GREY], radii=rr.Radius.ui_points(0.6))
 
 
-def _frame_labels(frame: Frame, coordinate: Coordinate) -> rr.Points2D:
+def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Points2D:
     """Place the labels; the viewer writes each just below its point, so those of p are raised."""
     (left, right), (low, high) = frame.q, frame.p
-    width, height = right - left, high - low
-    texts = {(q, low - 0.005 * height): f'{q:g}' for q in ticks(frame.q)}
-    texts |= {(left - 0.055 * width, p + 0.035 * height): f'{p:g}' for p in ticks(frame.p)}
-    texts[0.5 * (left + right), low - 0.075 * height] = f'{coordinate.name} [{coordinate.q_unit}]'
-    texts[left, high + 0.085 * height] = f'{momentum_name(coordinate)} [{coordinate.p_unit}]'
+    # One point, in the units of each axis.
+    dq, dp = (right - left) / side, (high - low) / side
+    texts = {(q, low - 2.0 * dp): f'{q:g}' for q in ticks(frame.q)}
+    texts |= {(left - 24.0 * dq, p + 15.0 * dp): f'{p:g}' for p in ticks(frame.p)}
+    texts[0.5 * (left + right), low - 32.0 * dp] = f'{coordinate.name} [{coordinate.q_unit}]'
+    texts[left + 15.0 * dq, high + 42.0 * dp] = (
+        f'{momentum_name(coordinate)} [{coordinate.p_unit}]')
     return rr.Points2D(list(texts), labels=list(texts.values()), show_labels=True, colors=[INK],
                        radii=rr.Radius.ui_points(0.01))
 
@@ -133,79 +148,3 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
                 centers=None if part.moves else [part.center], half_sizes=[part.half_size],
                 colors=[part.color], fill_mode=rr.components.FillMode.Solid)
         stream.log(part_path(name), still, static=True, strict=True)
-
-
-def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Sequence[str]],
-                   bounds: np.ndarray | None, interval: int) -> rrb.Blueprint:
-    """
-    Lay the views out for a window of about 1400 x 900 points.
-
-    Parameters
-    ----------
-    coordinates : sequence of Coordinate
-        One phase portrait each.
-    labels : mapping of str to sequence of str
-        What :func:`series_labels` returns.
-    bounds : np.ndarray, shape (2, 3), or None
-        Lowest and highest corner of what the mechanism can reach [m]; None if there is none.
-    interval : int
-        Simulated time between two samples [ns]; the trail is TRAIL_SAMPLES of them long.
-
-    """
-    portraits = [_phase_view(coordinate, interval) for coordinate in coordinates]
-    left: rrb.Container = (rrb.Grid if len(portraits) <= 4 else rrb.Tabs)(*portraits)
-    if bounds is not None:
-        left = rrb.Vertical(_world_view(bounds), left, row_shares=[0.32, 0.68])
-    right = rrb.Vertical(
-        rrb.Horizontal(_series_view('Coordinate', ['/state/q'], labels),
-                       _series_view('Momentum', ['/state/p'], labels)),
-        _series_view('Energy', ['/energy/H', '/energy/modified'], labels),
-        _series_view('Energy error', ['/energy/error'], labels),
-        _events_view(), row_shares=[0.24, 0.24, 0.345, 0.175])
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[0.42, 0.58]),
-        rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
-        rrb.TimePanel(state='collapsed', timeline='sim_time', play_state='following'),
-        auto_views=False)
-
-
-def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]]
-                 ) -> rrb.TimeSeriesView:
-    """Plot some series; a single one is named in the title, where no legend hides data."""
-    names = [name for path in paths for name in labels[path]]
-    if len(names) == 1:
-        title = f'{title} {names[0]}'
-    legend = rrb.PlotLegend(corner='LeftTop', visible=len(names) > 1)
-    return rrb.TimeSeriesView(name=title, origin='/', contents=paths, plot_legend=legend)
-
-
-def _events_view() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(timeline_columns=['sim_time'],
-                                 text_log_columns=['LogLevel', 'Body'])
-    return rrb.TextLogView(name='Events', origin='/events', columns=columns)
-
-
-def _phase_view(coordinate: Coordinate, interval: int) -> rrb.Spatial2DView:
-    path = phase_path(coordinate)
-    seconds = TRAIL_SAMPLES * interval * 1e-9
-    recent = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
-    now, step_now = (rrb.TimeRangeBoundary.cursor_relative(),
-                     rrb.TimeRangeBoundary.cursor_relative(seq=0))
-    trail = rrb.VisibleTimeRanges([
-        rrb.VisibleTimeRange('sim_time', start=recent, end=now),
-        rrb.VisibleTimeRange('ros_time', start=recent, end=now),
-        rrb.VisibleTimeRange('step', start=rrb.TimeRangeBoundary.infinite(), end=step_now),
-    ])
-    return rrb.Spatial2DView(
-        name=f'Phase portrait of {coordinate.name}', origin='/phase', contents=f'{path}/**',
-        background=BACKGROUND, overrides={f'{path}/trail': trail},
-        visual_bounds=rrb.VisualBounds2D(x_range=[-1.25, 1.1], y_range=[-1.22, 1.32]))
-
-
-def _world_view(bounds: np.ndarray) -> rrb.Spatial3DView:
-    center, size = bounds.mean(axis=0), float(np.ptp(bounds, axis=0).max())
-    eye = center + size * np.array([0.05, -0.66, 0.22])
-    return rrb.Spatial3DView(
-        name='Mechanism', origin='/world', background=BACKGROUND,
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=center, eye_up=[0.0, 0.0, 1.0]))

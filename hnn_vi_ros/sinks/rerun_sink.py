@@ -11,9 +11,10 @@ from urllib.parse import urlsplit
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms import bounds_of, Line, Mechanism
+from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism
 from hnn_vi_ros.sinks import rerun_layout as layout
-from hnn_vi_ros.sinks.phase_portrait import frame_of
+from hnn_vi_ros.sinks.phase_portrait import frames_of, reach_of
+from hnn_vi_ros.sinks.rerun_blueprint import Arrangement, make_blueprint
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
 import rerun as rr
@@ -52,8 +53,14 @@ class RerunSink:
         Lowest and highest q and p of the training data.
     mechanism : callable, optional
         What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
+    conservative : bool
+        Whether no effect does work; else the work is shown.
+    modified : bool
+        Whether a modified energy is known, to be shown where no work is done.
     interval : int
         Simulated time between two samples that are shown [ns]; 0 shows every sample.
+    pace : float, optional
+        The real-time factor that is asked for.
     epoch : int
         ROS time at the start of the run [ns].
 
@@ -66,11 +73,14 @@ class RerunSink:
 
     def __init__(self, name: str, target: Target, hamiltonian: Hamiltonian, q0: np.ndarray,
                  p0: np.ndarray, *, box: tuple[np.ndarray, np.ndarray] | None = None,
-                 mechanism: Mechanism | None = None, interval: int = 33_333_333,
-                 epoch: int = 0):
+                 mechanism: Mechanism | None = None, conservative: bool = True,
+                 modified: bool = True, interval: int = 33_333_333,
+                 pace: float | None = None, epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
         self._interval, self._epoch, self._due = max(1, interval), epoch, 0
         self._pending: list[Sample] = []
+        # Stamp, step, microseconds per step (median and p99), real-time factor.
+        self._timings: list[tuple[int, int, tuple[float, float], float]] = []
         # The newest sample, the newest that is to be shown, the newest that was sent.
         self._newest: Sample | None = None
         self._kept: Sample | None = None
@@ -81,7 +91,10 @@ class RerunSink:
         self._closed = False
         self._stream = rr.RecordingStream(f'hnn_vi_ros_{name}')
         _open(self._stream, target)
-        self._draw_still(hamiltonian, q0, p0, box)
+        relative = float(hamiltonian.energy(q0, p0)) != 0.0
+        self._labels = layout.series_labels(
+            self._coordinates, relative, conservative, modified)
+        self._draw_still(hamiltonian, q0, p0, box, pace)
         self._sent_at = time.monotonic()
 
     def write(self, sample: Sample) -> None:
@@ -101,6 +114,13 @@ class RerunSink:
         stamp, step = (self._newest.stamp, self._newest.step) if self._newest else (0, 0)
         self._columns('/events', self._times([stamp], [step]),
                       rr.TextLog.columns(text=[text], level=[level]))
+
+    def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float
+               ) -> None:
+        """Show the wall time of a step [us], median and p99, and the pace, if there is one."""
+        if self._newest is not None and np.isfinite(real_time_factor):
+            self._timings.append((self._newest.stamp, self._newest.step,
+                                  microseconds_per_step, real_time_factor))
 
     def close(self) -> None:
         """
@@ -129,42 +149,53 @@ class RerunSink:
             _hang_up(self._stream, self._live)
 
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
-                    box: tuple[np.ndarray, np.ndarray] | None) -> None:
-        frames = [frame_of(axis, hamiltonian, q0, p0, box)
-                  for axis in range(min(hamiltonian.dimension, MOST_PORTRAITS))]
+                    box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
+        shown = hamiltonian.coordinates[:MOST_PORTRAITS]
+        framed = hamiltonian.dimension if self._mechanism is not None else len(shown)
+        frames = frames_of(hamiltonian, q0, p0, box, framed)
         parts, bounds = {}, None
         if self._mechanism is not None:
+            self._reach = reach_of(frames)
             ends = np.array([frame.q for frame in frames]).T
-            self._reach = float(np.abs(ends).max())
             parts = self._mechanism(ends, self._reach)
             bounds = bounds_of(parts)
-        relative = float(hamiltonian.energy(q0, p0)) != 0.0
-        labels = layout.series_labels(self._coordinates, relative)
+        arrangement = Arrangement(len(shown), bounds)
         self._stream.send_blueprint(
-            layout.make_blueprint(self._coordinates[:MOST_PORTRAITS], labels, bounds,
-                                  self._interval))
-        layout.log_series_styles(self._stream, labels)
-        for frame in frames:
-            layout.log_phase_portrait(self._stream, hamiltonian, frame, q0, p0)
+            make_blueprint(shown, self._labels, arrangement, self._interval, pace))
+        layout.log_series_styles(self._stream, self._labels | layout.TIMING)
+        for frame in frames[:len(shown)]:
+            layout.log_phase_portrait(
+                self._stream, hamiltonian, frame, q0, p0, arrangement.side)
         if parts:
             layout.log_mechanism_styles(self._stream, parts)
 
     def _send(self) -> None:
         samples, self._pending = self._pending, []
         self._sent_at = time.monotonic()
+        self._send_timings()
         if not samples:
             return
         times = self._times([s.stamp for s in samples], [s.step for s in samples])
         q, p = np.array([s.q for s in samples]), np.array([s.p for s in samples])
-        for path, values in (('/state/q', q), ('/state/p', p),
-                             ('/energy/H', [s.energy for s in samples]),
-                             ('/energy/modified', [s.modified_energy for s in samples]),
-                             ('/energy/error', [s.energy_error for s in samples])):
-            self._columns(path, times, _scalars(np.asarray(values)))
+        series = {'/state/q': q, '/state/p': p,
+                  '/energy/H': [s.energy for s in samples],
+                  '/energy/modified': [s.modified_energy for s in samples],
+                  '/energy/work': [s.work for s in samples],
+                  '/energy/error': [s.energy_error for s in samples]}
+        for path in self._labels:
+            self._columns(path, times, _scalars(np.asarray(series[path])))
         self._send_portraits(times, samples, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, q)
         self._sent = samples[-1]
+
+    def _send_timings(self) -> None:
+        timings, self._timings = self._timings, []
+        if timings:
+            stamps, steps, *series = zip(*timings, strict=True)
+            times = self._times(list(stamps), list(steps))
+            for path, values in zip(layout.TIMING, series, strict=True):
+                self._columns(path, times, _scalars(np.array(values)))
 
     def _send_portraits(self, times: list[rr.TimeColumn], samples: list[Sample], q: np.ndarray,
                         p: np.ndarray) -> None:

@@ -21,13 +21,16 @@ class Sample:
     q, p : np.ndarray, shape (d,)
         Generalised coordinates and conjugate momenta.
     dH_dq, dH_dp : np.ndarray, shape (d,)
-        Gradient of H at (q, p): minus the generalised force, and the velocity.
+        -p' and q' at (q, p): minus the generalised force, and the velocity. Without forces they
+        are the gradient of H.
     energy : float
         H(q, p) [J].
     modified_energy : float
         The energy that the integrator nearly conserves [J]; NaN if none is known.
     energy_error : float
-        (H - H0) / H0, or H - H0 [J] where H0 is zero.
+        (H - H0 - W) / |H0|, or H - H0 - W [J] where H0 is zero.
+    work : float
+        W that the scene's effects have done on the system since the start [J].
 
     """
 
@@ -40,3 +43,4 @@ class Sample:
     energy: float
     modified_energy: float
     energy_error: float
+    work: float = 0.0

@@ -5,10 +5,10 @@
 import argparse
 from pathlib import Path
 
+from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.phase_space import Trajectory
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import simulate
 import numpy as np
 
 # As in the paper, section 5.

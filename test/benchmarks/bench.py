@@ -19,6 +19,8 @@ GROUPS = {
     'euler_step': ('benchmarks.euler_step', 20.0),
     'path_error': ('benchmarks.path_error', 105.0),
     'many': ('benchmarks.many', 180.0),
+    'effects': ('benchmarks.effects', 180.0),
+    'auto': ('benchmarks.auto', 60.0),
     'cold_start': ('benchmarks.cold_start', 150.0),
 }
 # Read when a library is loaded: too late to set here.

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from datetime import datetime, UTC
 from importlib.metadata import PackageNotFoundError, version
 import json
-import os
-from pathlib import Path
 import platform
-import subprocess
 
 from benchmarks.measurement import Row
+from hnn_vi_ros.studies.results import commit, machine
 
 _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 'torch',
              'torchdiffeq')
@@ -59,8 +57,8 @@ def as_markdown(rows: Sequence[Row], seeds: dict[str, int]) -> str:
 
 def _circumstances(seeds: dict[str, int]) -> list[str]:
     return [
-        f'- Machine: {_processor()}, {os.cpu_count()} cores, {platform.system()}',
-        f'- Commit: {_commit()}',
+        f'- Machine: {machine()}',
+        f'- Commit: {commit()}',
         f'- Versions: Python {platform.python_version()}, {_versions()}',
         f'- Date: {datetime.now(UTC):%Y-%m-%d %H:%M} UTC',
         f'- Seeds: {", ".join(f"{name} {seed}" for name, seed in seeds.items())}',
@@ -75,25 +73,3 @@ def _versions() -> str:
         except PackageNotFoundError:
             versions.append(f'no {name}')
     return ', '.join(versions)
-
-
-def _processor() -> str:
-    information = Path('/proc/cpuinfo')
-    if information.is_file():
-        for line in information.read_text().splitlines():
-            if line.startswith('model name'):
-                return line.partition(':')[2].strip()
-    return platform.processor() or platform.machine()
-
-
-def _commit() -> str:
-    """Return the commit of this checkout, and whether files differ from it."""
-    def git(*arguments: str) -> str:
-        return subprocess.run(['git', *arguments], check=True, capture_output=True, text=True,
-                              cwd=Path(__file__).parent).stdout.strip()
-    try:
-        changed = ' with uncommitted changes' if git(
-            'status', '--porcelain', '--', ':/hnn_vi_ros', ':/resource', ':/config') else ''
-        return git('rev-parse', '--short', 'HEAD') + changed
-    except (OSError, subprocess.CalledProcessError):
-        return 'unknown: not a git checkout'

@@ -13,13 +13,15 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 import numpy as np
+from processes import finish, read_bag, start, wait_until
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rosbags.highlevel import AnyReader
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray
+from std_msgs.msg import Float64, Float64MultiArray, String
+import yaml
 
 OSCILLATOR = """\
 hamiltonian: {kind: harmonic_oscillator}
@@ -35,49 +37,22 @@ integrator: {kind: variational_euler, solver: fixed_point}
 step_size: 0.4
 initial_state: {q: [1.0], p: [-1.0]}
 """
+COMMANDED = """\
+hamiltonian: {kind: free_particle, mass: 2.0, names: [x]}
+effects: [{kind: external_force, coordinates: [x]}]
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [0.0], p: [0.0]}
+"""
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a working directory with two scenes in it."""
+    """Return a working directory with three scenes in it."""
+    (tmp_path / 'commanded.yaml').write_text(COMMANDED)
     (tmp_path / 'oscillator.yaml').write_text(OSCILLATOR)
     (tmp_path / 'failing.yaml').write_text(FAILING)
     return tmp_path
-
-
-def start(folder: Path, **parameters: object) -> subprocess.Popen:
-    """Start a simulator in a folder."""
-    values = {'scene': 'oscillator.yaml', 'discovery_time': 0} | parameters
-    arguments = [word for name, value in values.items()
-                 for word in ('-p', f'{name}:={value}')]
-    code = 'from hnn_vi_ros.cli import simulator; simulator()'
-    return subprocess.Popen([sys.executable, '-c', code, '--ros-args', *arguments], cwd=folder,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def finish(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, str]:
-    """Wait for the end; return status, standard output and standard error."""
-    out, error = process.communicate(timeout=timeout)
-    assert 'Traceback' not in error, error
-    return process.returncode, out, error
-
-
-def wait_until(condition, timeout: float = 30.0) -> None:
-    """Wait until the condition holds."""
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, 'timed out'
-        time.sleep(0.02)
-
-
-def read_bag(bag: Path) -> dict[str, list[tuple[int, object]]]:
-    """Return (log time, message) of each topic, by the independent reader."""
-    with AnyReader([bag]) as reader:
-        topics = {connection.topic: [] for connection in reader.connections}
-        for connection, stamp, raw in reader.messages():
-            topics[connection.topic].append(
-                (stamp, reader.deserialize(raw, connection.msgtype)))
-    return topics
 
 
 def test_simulator_run_leaves_a_bag_and_a_recording_that_readers_accept(folder):
@@ -145,7 +120,7 @@ def subscriber() -> Iterator[tuple[dict, SingleThreadedExecutor]]:
 
 def test_subscriber_in_a_second_process_receives_every_sample_of_the_bag(folder, subscriber):
     received, executor = subscriber
-    process = start(folder, duration=6, record_path='bag', rerun_sink='none', discovery_time=2)
+    process = start(folder, duration=6, record_path='bag', rerun_sink='none', discovery_time=10)
     while process.poll() is None:
         executor.spin_once(timeout_sec=0.05)
     for _ in range(200):
@@ -161,6 +136,40 @@ def test_subscriber_in_a_second_process_receives_every_sample_of_the_bag(folder,
         m.data for _, m in recorded['/hnn_simulator/energy']]
     assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in received['/joint_states']] == [
         (m.header.stamp.sec, m.header.stamp.nanosec) for _, m in recorded['/joint_states']]
+
+
+def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber):
+    received, executor = subscriber
+    node, = executor.get_nodes()
+    commands = node.create_publisher(Float64MultiArray, '/hnn_simulator/commands', 1)
+    scenes: list[String] = []
+    node.create_subscription(String, '/hnn_simulator/scene', scenes.append, QoSProfile(
+        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    process = start(folder, scene='commanded.yaml', duration=5, record_path='bag',
+                    publish_accuracy='true', discovery_time=2)
+    while process.poll() is None:
+        # One that is not valid comes between those that are, and does no harm.
+        for command in ([3.0], [3.0, 3.0]):
+            commands.publish(Float64MultiArray(data=command))
+            executor.spin_once(timeout_sec=0.05)
+    status, _, error = finish(process)
+    assert status == 0
+    assert '~/commands: message ignored' in error
+    scene = yaml.safe_load(scenes[0].data)
+    assert [effect['kind'] for effect in scene['live_effects']] == ['external_force']
+    assert scene['conservative'] is False and scene['microseconds_per_step'] > 0.0
+    topics = read_bag(folder / 'bag')
+    p = np.array([message.data[0] for _, message in topics['/hnn_simulator/p']])
+    force = np.diff(p) / 0.01
+    # Differences of momenta up to 15 kg m/s, over 0.01 s: 4e-13.
+    assert np.isclose(force, 3.0, atol=1e-12).any()
+    assert (np.isclose(force, 3.0, atol=1e-12) | (force == 0.0)).all()
+    accuracy = np.array([message.data for _, message in topics['/hnn_simulator/accuracy']])
+    energy, _, error, work, budget = accuracy.T[:5]
+    assert work[-1] > 0.0
+    # Exact for a constant force; 500 steps of rounding of energies up to 60 J, and H0 is zero.
+    assert np.abs(energy - work).max() < 1e-10
+    assert np.array_equal(error, budget)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)

@@ -1,0 +1,160 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The YAML of classes that a scene names by kind: the schema is the constructor's signature."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from inspect import cleandoc, Parameter, signature
+import sys
+from typing import Annotated, Any, Literal, Union
+
+from hnn_vi_ros.errors import HnnViRosError, SceneError
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.trials import Budget
+from hnn_vi_ros.yaml_file import StrictModel
+from pydantic import BaseModel, create_model, Field, model_validator
+
+
+class InitialState(StrictModel):
+    """The state at t = 0."""
+
+    q: list[float] = Field(min_length=1, max_length=10_000, description=(
+        "coordinates, in the Hamiltonian's order and units"))
+    p: list[float] = Field(min_length=1, max_length=10_000, description=(
+        "conjugate momenta, in the Hamiltonian's order and units"))
+
+
+class LearnedChoice(StrictModel):
+    """A Hamiltonian neural network from a model file."""
+
+    kind: Literal['hnn'] = Field(description='a Hamiltonian neural network from a model file')
+    model: str = Field(min_length=1, max_length=4096, description=(
+        'a shipped model, one trained into models/ of the working directory, or the path of a '
+        '.safetensors file'))
+
+
+class PythonChoice(StrictModel):
+    """A Hamiltonian that a Python function of the user's returns."""
+
+    kind: Literal['python'] = Field(description='what a Python function of yours returns')
+    factory: str = Field(pattern=r'^[\w.]+:\w+$', description=(
+        'package.module:function; called without arguments, returns a Hamiltonian'))
+
+
+class AutoChoice(StrictModel):
+    """The cheapest method and step size that hold a budget, found by trying them."""
+
+    kind: Literal['auto'] = Field(
+        description='the cheapest method and step size that hold a budget; give one error')
+    energy_error: float | None = Field(None, gt=0.0, description=(
+        'largest abs(H - H0 - W) over abs(H0); [J] where H0 is zero'))
+    path_error: float | None = Field(None, gt=0.0, description=(
+        'largest deviation of a coordinate or momentum from the exact path, in its own unit'))
+    horizon: float = Field(gt=0.0, le=1e9, description='until when the error must be held [s]')
+
+    @model_validator(mode='after')
+    def _check_errors(self) -> 'AutoChoice':
+        if (self.energy_error is None) == (self.path_error is None):
+            raise ValueError('give either energy_error or path_error')
+        return self
+
+    @property
+    def budget(self) -> Budget:
+        """Return the budget."""
+        if self.energy_error is not None:
+            return Budget('energy_error', self.energy_error, self.horizon)
+        return Budget('path_error', self.path_error, self.horizon)
+
+
+def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
+    """
+    Return a union of one schema for each class, told apart by ``kind``.
+
+    Parameters
+    ----------
+    classes : mapping of str to type
+        The kinds. A constructor's arguments are the keys, what the numpydoc of the class says of
+        each is its description.
+    *more : type of BaseModel
+        Schemas that have no such class.
+
+    """
+    schemas = [*more, *(_schema(kind, cls) for kind, cls in classes.items())]
+    if len(schemas) == 1:
+        return schemas[0]
+    return Annotated[Union[tuple(schemas)], Field(discriminator='kind')]
+
+
+def _schema(kind: str, cls: type) -> type[BaseModel]:
+    texts = parameter_texts(cls)
+    fields: dict[str, Any] = {'kind': (Literal[kind], Field(description=summary(cls)))}
+    for parameter in signature(cls).parameters.values():
+        if parameter.kind is Parameter.POSITIONAL_OR_KEYWORD:
+            default = ... if parameter.default is Parameter.empty else parameter.default
+            fields[parameter.name] = (parameter.annotation, Field(
+                default, description=texts.get(parameter.name)))
+    return create_model(cls.__name__, __base__=StrictModel, __doc__=summary(cls), **fields)
+
+
+def summary(cls: type) -> str:
+    """Return the first line of the docstring of a class."""
+    return cleandoc(cls.__doc__ or '').partition('\n')[0]
+
+
+def parameter_texts(cls: type) -> dict[str, str]:
+    """Return what the numpydoc of a class and of its bases says of each parameter, on one line."""
+    texts: dict[str, str] = {}
+    for owner in reversed(cls.__mro__):
+        texts |= _parameters(owner.__dict__.get('__doc__') or '')
+    return texts
+
+
+def _parameters(docstring: str) -> dict[str, str]:
+    section = cleandoc(docstring).partition('\nParameters\n----------\n')[2]
+    texts: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        if line.startswith(' '):
+            texts |= {name: f'{texts[name]} {line.strip()}'.strip() for name in names}
+        elif ' : ' in line:
+            names = line.partition(' : ')[0].split(', ')
+            texts |= dict.fromkeys(names, '')
+        elif line:
+            break  # the next section
+    return {name: text.replace('``', '') for name, text in texts.items()}
+
+
+def call_factory(factory: str, place: str, folder: str) -> Hamiltonian:
+    """
+    Return the Hamiltonian that a user's function makes.
+
+    Parameters
+    ----------
+    factory : str
+        ``package.module:function``.
+    place : str
+        Where the scene names it, for errors.
+    folder : str
+        Where a module is found that is not installed.
+
+    Raises
+    ------
+    HnnViRosError
+        It cannot be imported, fails, or returns something else.
+
+    """
+    module, function = factory.split(':')
+    place = f'{place}: {factory}'
+    if folder not in sys.path:
+        sys.path.append(folder)
+    try:
+        hamiltonian = getattr(import_module(module), function)()
+    except HnnViRosError:
+        raise
+    except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
+        raise SceneError(f'{place}: {type(problem).__name__}: {" ".join(str(problem).split())}'
+                         ) from problem
+    if not isinstance(hamiltonian, Hamiltonian):
+        raise SceneError(f'{place} returned a {type(hamiltonian).__name__}, expected a '
+                         'Hamiltonian')
+    return hamiltonian

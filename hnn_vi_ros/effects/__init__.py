@@ -1,0 +1,34 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects: what a scene may add to its Hamiltonian, by the name that its YAML gives them."""
+
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.damping import Damping
+from hnn_vi_ros.effects.dry_friction import DryFriction
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.gravity import Gravity
+from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
+from hnn_vi_ros.effects.impact import Impact
+from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
+from hnn_vi_ros.effects.magnetic_field import MagneticField
+from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
+from hnn_vi_ros.effects.quadratic_drag import QuadraticDrag
+from hnn_vi_ros.effects.soft_wall import SoftWall
+from hnn_vi_ros.effects.spring import Spring
+from hnn_vi_ros.effects.thermostat import Thermostat
+
+EFFECTS: dict[str, type[Effect]] = {
+    'gravity': Gravity,
+    'spring': Spring,
+    'magnetic_field': MagneticField,
+    'soft_wall': SoftWall,
+    'damping': Damping,
+    'dry_friction': DryFriction,
+    'quadratic_drag': QuadraticDrag,
+    'periodic_drive': PeriodicDrive,
+    'external_force': ExternalForce,
+    'learned_dissipation': LearnedDissipation,
+    'thermostat': Thermostat,
+    'holonomic_constraint': HolonomicConstraint,
+    'impact': Impact,
+}

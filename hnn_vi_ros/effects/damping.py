@@ -1,0 +1,83 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Linear damping of the momenta."""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+import math
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import Force, Live, per_coordinate, StepEffect
+from hnn_vi_ros.effects.splitting import strang
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class Damping(Force, StepEffect):
+    """
+    Linear damping, f = -gamma p, one rate for each coordinate.
+
+    Methods of order 1 and 2 take its exact flow p -> exp(-gamma h / 2) p before and after a step
+    (Strang splitting), which keeps their order; others take f at their nodes, as that would
+    lower their order to 2. Energy account: the change of H in the flow, or the power f . H_p.
+
+    Parameters
+    ----------
+    rate : float or list of float
+        gamma >= 0 [1/s], for all coordinates or for each.
+
+    Raises
+    ------
+    ValueError
+        A rate that is negative or not finite.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section II.5.
+    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001,
+    part 3.
+
+    """
+
+    depends_on_momentum = True
+
+    def __init__(self, rate: float | list[float]):
+        if not all(math.isfinite(value) and value >= 0.0 for value in np.ravel(rate)):
+            raise ValueError(f'rate = {rate} must be at least 0 and finite')
+        self.rate = rate
+
+    def splits(self, integrator: Integrator) -> bool:
+        """Tell whether the method takes the flow rather than the force."""
+        return integrator.order <= 2
+
+    def accepts(self, integrator: Integrator) -> bool:
+        """Tell whether the method takes the flow, or the force."""
+        return integrator.uses_hamiltonian and (
+            self.splits(integrator) or Force.accepts(self, integrator))
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[np.ndarray]:
+        """Return the rates, shape (d,) [1/s]."""
+        return (per_coordinate(coordinates, 'rate', self.rate),)
+
+    @staticmethod
+    @inlined
+    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
+        """Add -gamma p."""
+        for i in range(p.size):
+            f_p[i] -= parameters[0][i] * p[i]
+
+    @staticmethod
+    @cache
+    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+        """Return the step between two half flows; see StepEffect."""
+        return strang(_flow, step, keeps_gradient)
+
+
+@inlined
+def _flow(parameters: tuple, h: float, p: np.ndarray, p_carry: np.ndarray) -> None:
+    for i in range(parameters[0].size):
+        factor = math.exp(-parameters[0][i] * h)
+        p[i] *= factor
+        p_carry[i] *= factor

@@ -1,0 +1,59 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Dry friction, smooth where the motion turns."""
+
+from collections.abc import Sequence
+import math
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class DryFriction(Force):
+    """
+    Coulomb friction made smooth, f = -F tanh(v / u) with v = H_p of one coordinate.
+
+    Well above the speed u it has the constant size F; below, it is viscous with F / u, so that a
+    body at rest creeps under a load. Energy account: the power f v <= 0.
+
+    Parameters
+    ----------
+    coordinate : str
+        The coordinate that rubs.
+    force : float
+        F > 0, in the unit of the coordinate's generalised force [N] or [N m].
+    speed : float
+        u > 0, in the unit of the coordinate per second; steps h should resolve m u / F.
+
+    Raises
+    ------
+    ValueError
+        A parameter that is not positive.
+
+    References
+    ----------
+    E. Pennestrì et al., Review and comparison of dry friction force models, Nonlinear Dynamics
+    83 (2016), section 2.2.
+
+    """
+
+    depends_on_momentum = True
+
+    def __init__(self, coordinate: str, force: float, speed: float = 0.01):
+        check_positive(force=force, speed=speed)
+        self.coordinate, self.force, self.speed = coordinate, float(force), float(speed)
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, float, float]:
+        """Return the coordinate's place, F and u."""
+        return coordinate_index(coordinates, self.coordinate), self.force, self.speed
+
+    @staticmethod
+    @inlined
+    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
+        """Add -F tanh(v / u)."""
+        c, force, speed = parameters
+        f_p[c] -= force * math.tanh(velocity[c] / speed)

@@ -1,0 +1,67 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Uniform gravity along one coordinate."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
+from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class Gravity(Potential):
+    """
+    The weight of a mass in a uniform field, V = m g q_c.
+
+    Energy account: V joins H; the effect does no work beside it.
+
+    Parameters
+    ----------
+    coordinate : str
+        The coordinate c that points up [m].
+    mass : float
+        m > 0 [kg].
+    acceleration : float
+        g [m/s^2]; negative where the coordinate points down.
+
+    Raises
+    ------
+    ValueError
+        The mass is not positive, or a number is not finite.
+
+    References
+    ----------
+    L. Landau, E. Lifshitz, Mechanics, 1976, section 5.
+
+    """
+
+    def __init__(self, coordinate: str, mass: float = 1.0, acceleration: float = 9.81):
+        check_positive(mass=mass)
+        check_finite(weight=mass * acceleration)
+        self.coordinate, self.weight = coordinate, mass * acceleration
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, float]:
+        """Return the coordinate's place and the weight [N]."""
+        return coordinate_index(coordinates, self.coordinate), self.weight
+
+    @staticmethod
+    @inlined
+    def energy(parameters: tuple, q: np.ndarray) -> float:
+        """Return V [J]."""
+        c, weight = parameters
+        return weight * q[c]
+
+    @staticmethod
+    @inlined
+    def add_gradient(parameters: tuple, q: np.ndarray, dH_dq: np.ndarray) -> None:
+        """Add V'."""
+        c, weight = parameters
+        dH_dq[c] += weight
+
+    @staticmethod
+    @inlined
+    def add_hessian_vector(parameters: tuple, q: np.ndarray, v: np.ndarray, product: np.ndarray
+                           ) -> None:
+        """Add nothing: V is linear."""

@@ -1,0 +1,236 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels of a Hamiltonian together with effects: potentials, a magnetic field, forces."""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+
+from hnn_vi_ros.compilation import identify, inlined, is_own
+from hnn_vi_ros.effects.base import Force, Live, Potential
+from hnn_vi_ros.effects.magnetic_field import MagneticField
+from hnn_vi_ros.hamiltonians.base import Kernel
+from hnn_vi_ros.integrators.arithmetic import largest
+import numba
+import numpy as np
+
+_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+
+
+def join_potential(kernel: Kernel, potential: type[Potential], parameters: tuple) -> Kernel:
+    """Return the kernel of H(q, p) + V(q)."""
+    functions = _with_potential(*_functions(kernel), potential)
+    return _replace(kernel, functions, (potential,),
+                    (kernel.parameters, parameters, kernel.dimension))
+
+
+def join_magnetic_field(kernel: Kernel, parameters: tuple[int, int, float]) -> Kernel:
+    """Return the kernel of H(q, p - c A(q)); see MagneticField."""
+    functions = _with_magnetic_field(*_functions(kernel))
+    return _replace(kernel, functions, (MagneticField,),
+                    (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
+
+
+def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[tuple], live: Live
+               ) -> Kernel:
+    """
+    Return a kernel whose gradient is (H_q - f_p, H_p + f_q), with time and work beside it.
+
+    Each force brings a channel, a further coordinate and momentum: the coordinate is the time
+    since the start of the step, t' = 1, the momentum is the work of the force, w' = power. So
+    every method integrates both at its own nodes, at its own order.
+    """
+    d, channels = kernel.dimension, len(forces)
+    nested: tuple = ()
+    for own in reversed(parameters):
+        nested = (own, nested)
+    kinds = tuple(type(force) for force in forces)
+    functions = _with_forces(*_functions(kernel), kinds)
+    rounding = [sum(parts) for parts in zip(
+        kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True)]
+    space = np.zeros((12, max(d, channels)))
+    return _replace(
+        kernel, functions, kinds, (kernel.parameters, nested, live.clock, space, d, channels)
+    )._replace(dimension=d + channels, channels=channels, gradient_scale=tuple(rounding))
+
+
+def _functions(kernel: Kernel) -> tuple[Callable, Callable, Callable]:
+    return kernel.energy, kernel.gradient, kernel.hessian_vector
+
+
+def _replace(kernel: Kernel, functions: tuple[Callable, ...], kinds: tuple[type, ...],
+             parameters: tuple) -> Kernel:
+    if kernel.compiled:
+        for function in _functions(kernel):
+            # Before it is compiled into others, when numba names what has no name yet.
+            identify(function)
+        functions = tuple(_compile(function, base, kinds)
+                          for function, base in zip(functions, _functions(kernel), strict=True))
+    energy, gradient, hessian_vector = functions
+    return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
+                           parameters=parameters)
+
+
+@cache
+def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Callable:
+    # The name tells what is composed, and the module where any of it comes from elsewhere; see
+    # identify and compiled_loop.
+    names = ','.join(kind.__qualname__ for kind in kinds)
+    foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
+    function.__module__ = [*foreign, base.py_func.__module__][0]
+    function.__qualname__ = f'{names}({base.py_func.__qualname__})'
+    return numba.njit(function, error_model='numpy')
+
+
+@cache
+def _with_potential(base_energy: Callable, base_gradient: Callable, base_hessian_vector: Callable,
+                    potential: type[Potential]) -> tuple[Callable, Callable, Callable]:
+    add_energy, add_gradient = potential.energy, potential.add_gradient
+    add_hessian_vector = potential.add_hessian_vector
+
+    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+        base, own, _ = parameters
+        return base_energy(base, q, p) + add_energy(own, q)
+
+    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        base, own, d = parameters
+        base_gradient(base, q, p, dH_dq, dH_dp)
+        for a in range(0, q.size, d):
+            add_gradient(own, q[a:a + d], dH_dq[a:a + d])
+
+    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+        base, own, d = parameters
+        base_hessian_vector(base, q, p, v_q, v_p, product_q, product_p)
+        for a in range(0, q.size, d):
+            add_hessian_vector(own, q[a:a + d], v_q[a:a + d], product_q[a:a + d])
+    return energy, gradient, hessian_vector
+
+
+@cache
+def _with_magnetic_field(base_energy: Callable, base_gradient: Callable,
+                         base_hessian_vector: Callable) -> tuple[Callable, Callable, Callable]:
+    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+        base, own, space = parameters
+        _kinetic(own, q, p, space[0])
+        return base_energy(base, q, space[0])
+
+    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        base, own, space = parameters
+        x, y, b = own
+        d = space.shape[1]
+        for a in range(0, q.size, d):
+            end = a + d
+            _kinetic(own, q[a:end], p[a:end], space[0])
+            base_gradient(base, q[a:end], space[0], dH_dq[a:end], dH_dp[a:end])
+            dH_dq[a + x] -= b * dH_dp[a + y]
+            dH_dq[a + y] += b * dH_dp[a + x]
+
+    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+        base, own, space = parameters
+        x, y, b = own
+        d = space.shape[1]
+        for a in range(0, q.size, d):
+            end = a + d
+            _kinetic(own, q[a:end], p[a:end], space[0])
+            _kinetic(own, v_q[a:end], v_p[a:end], space[1])
+            base_hessian_vector(base, q[a:end], space[0], v_q[a:end], space[1],
+                                product_q[a:end], product_p[a:end])
+            product_q[a + x] -= b * product_p[a + y]
+            product_q[a + y] += b * product_p[a + x]
+    return energy, gradient, hessian_vector
+
+
+@inlined
+def _kinetic(own: tuple[int, int, float], q: np.ndarray, p: np.ndarray, target: np.ndarray
+             ) -> None:
+    """Fill p - c A(q), which is linear in (q, p)."""
+    x, y, b = own
+    for i in range(p.size):
+        target[i] = p[i]
+    target[x] += b * q[y]
+    target[y] -= b * q[x]
+
+
+@cache
+def _with_forces(base_energy: Callable, base_gradient: Callable, base_hessian_vector: Callable,
+                 kinds: tuple[type[Force], ...]) -> tuple[Callable, Callable, Callable]:
+    add_all = _chain(kinds, 0)
+
+    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+        base, _, _, _, d, _ = parameters
+        return base_energy(base, q[:d], p[:d])
+
+    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        base, forces, clock, space, d, channels = parameters
+        for a in range(0, q.size, d + channels):
+            b, end = a + d, a + d + channels
+            base_gradient(base, q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b])
+            space[2:4] = 0.0
+            add_all(forces, clock, q[b:end], q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b],
+                    dH_dq[b:end], dH_dp[b:end], space)
+            for i in range(d):
+                dH_dq[a + i] -= space[3, i]
+                dH_dp[a + i] += space[2, i]
+
+    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+        # Of the forces a central difference; only Newton's method asks, and for no more.
+        base, forces, clock, space, d, channels = parameters
+        for a in range(0, q.size, d + channels):
+            b, end = a + d, a + d + channels
+            base_hessian_vector(base, q[a:b], p[a:b], v_q[a:b], v_p[a:b],
+                                product_q[a:b], product_p[a:b])
+            product_q[b:end] = 0.0
+            product_p[b:end] = 0.0
+            length = max(largest(v_q[a:b]), largest(v_p[a:b]))
+            if length > 0.0:
+                size = max(largest(q[a:b]), largest(p[a:b]))
+                spacing = _SPACING * (size if size > 0.0 else 1.0) / length
+                for sign in (-1.0, 1.0):
+                    for i in range(d):
+                        space[4, i] = q[a + i] + sign * spacing * v_q[a + i]
+                        space[5, i] = p[a + i] + sign * spacing * v_p[a + i]
+                    base_gradient(base, space[4, :d], space[5, :d], space[6, :d], space[7, :d])
+                    space[2:4] = 0.0
+                    add_all(forces, clock, q[b:end], space[4, :d], space[5, :d], space[6, :d],
+                            space[7, :d], space[8], space[9], space)
+                    for i in range(d):
+                        product_q[a + i] -= sign * space[3, i] / (2.0 * spacing)
+                        product_p[a + i] += sign * space[2, i] / (2.0 * spacing)
+    return energy, gradient, hessian_vector
+
+
+@cache
+def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable:
+    """Return what adds the forces from the k-th on, each with its power."""
+    if not kinds:
+        return _add_none
+    add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1)
+
+    @inlined
+    def add_all(forces: tuple, clock: np.ndarray, times: np.ndarray, q: np.ndarray, p: np.ndarray,
+                H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray, pace: np.ndarray,
+                space: np.ndarray) -> None:
+        own, others = forces
+        f_q, f_p, power = space[0, :q.size], space[1, :q.size], 0.0
+        f_q[:] = 0.0
+        f_p[:] = 0.0
+        add_force(own, clock[0] + (clock[1] + times[k]), q, p, H_p, f_q, f_p)
+        for i in range(q.size):
+            power += H_q[i] * f_q[i] + H_p[i] * f_p[i]
+            space[2, i] += f_q[i]
+            space[3, i] += f_p[i]
+        minus_power[k], pace[k] = -power, 1.0
+        rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
+    return add_all
+
+
+@inlined
+def _add_none(forces: tuple, clock: np.ndarray, times: np.ndarray, q: np.ndarray, p: np.ndarray,
+              H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray, pace: np.ndarray,
+              space: np.ndarray) -> None:
+    """End the chain of forces."""

@@ -1,0 +1,71 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Dissipation that a network has learned."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.compilation import identify, inlined
+from hnn_vi_ros.effects.base import Force, Live
+from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
+from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class LearnedDissipation(Force):
+    """
+    The gradient of a network D(q, p), as in the dissipative HNN.
+
+        q' = H_p + D_q,  p' = -H_q + D_p
+
+    D is a model like that of H, with the same coordinates. Energy account: the power
+    H_q . D_q + H_p . D_p.
+
+    Parameters
+    ----------
+    model : str
+        A shipped model, one trained into models/ of the working directory, or the path of a
+        .safetensors file.
+
+    Raises
+    ------
+    ModelError
+        The model does not exist or is damaged.
+
+    References
+    ----------
+    A. Sosanya, S. Greydanus, Dissipative Hamiltonian Neural Networks: Learning Dissipative and
+    Conservative Dynamics Separately, 2022, arXiv:2201.10085.
+
+    """
+
+    depends_on_momentum = True
+
+    def __init__(self, model: str):
+        self.network = NeuralHamiltonian(load_checkpoint(model))
+
+    @property
+    def rounding(self) -> tuple[float, float]:
+        """Return the rounding errors of D_q and D_p; see Force."""
+        return self.network.kernel.gradient_scale
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+        """Return the network's kernel, and space for its gradient."""
+        if len(coordinates) != self.network.dimension:
+            raise ValueError(f'the model has {self.network.dimension} coordinates, H has '
+                             f'{len(coordinates)}')
+        kernel = self.network.twin().kernel
+        for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
+            identify(function)
+        return kernel, *np.zeros((2, len(coordinates)))
+
+    @staticmethod
+    @inlined
+    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
+        """Add D_q and D_p."""
+        network, dD_dq, dD_dp = parameters
+        network.gradient(network.parameters, q, p, dD_dq, dD_dp)
+        for i in range(q.size):
+            f_q[i] += dD_dq[i]
+            f_p[i] += dD_dp[i]

@@ -1,0 +1,53 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random numbers that depend on a seed and their count only, so that any step can be redone."""
+
+import math
+
+import numba
+import numpy as np
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+
+@numba.njit(cache=True)
+def _mix(x: np.uint64) -> np.uint64:
+    """Return the output function of SplitMix64, a bijection of 64-bit numbers."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@numba.njit(cache=True)
+def _uniform(key: np.uint64, count: np.uint64) -> float:
+    """Return the count-th number of the sequence of a key, in (0, 1]."""
+    bits = _mix(key + (count + np.uint64(1)) * _GOLDEN) >> np.uint64(11)
+    return (float(bits) + 1.0) * 2.0 ** -53
+
+
+@numba.njit(cache=True)
+def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
+    """
+    Fill an array with standard normal numbers, by the method of Box and Muller.
+
+    Parameters
+    ----------
+    seed : int
+        Tells runs apart.
+    draws : np.ndarray, shape (3,)
+        Numbers drawn in steps that are done and in the present one, and the stream; the second
+        is advanced. See Live.
+    normals : np.ndarray, shape (n,)
+        Filled.
+
+    References
+    ----------
+    G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
+
+    """
+    key = _mix(_mix(np.uint64(seed) + _GOLDEN) ^ _mix(np.uint64(draws[2])))
+    for i in range(normals.size):
+        count = np.uint64(draws[0] + draws[1])
+        radius = math.sqrt(-2.0 * math.log(_uniform(key, count)))
+        normals[i] = radius * math.cos(2.0 * math.pi * _uniform(key, count + np.uint64(1)))
+        draws[1] += 2

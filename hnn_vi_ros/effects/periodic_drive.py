@@ -1,0 +1,62 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A force that oscillates in time."""
+
+from collections.abc import Sequence
+import math
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class PeriodicDrive(Force):
+    """
+    A harmonic drive of one coordinate, f = F cos(2 pi nu t + phi).
+
+    t is the simulated time at the method's node. Energy account: the power f v.
+
+    Parameters
+    ----------
+    coordinate : str
+        The coordinate that is driven.
+    amplitude : float
+        F, in the unit of the coordinate's generalised force [N] or [N m].
+    frequency : float
+        nu > 0 [Hz].
+    phase : float
+        phi [rad].
+
+    Raises
+    ------
+    ValueError
+        A parameter out of its range.
+
+    References
+    ----------
+    L. Landau, E. Lifshitz, Mechanics, 1976, section 22.
+
+    """
+
+    depends_on_momentum = False
+
+    def __init__(self, coordinate: str, amplitude: float, frequency: float, phase: float = 0.0):
+        check_positive(frequency=frequency)
+        check_finite(amplitude=amplitude, phase=phase)
+        self.coordinate = coordinate
+        self.wave = float(amplitude), 2.0 * math.pi * frequency, float(phase)
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live
+                ) -> tuple[int, float, float, float]:
+        """Return the coordinate's place, F, the angular frequency and phi."""
+        return coordinate_index(coordinates, self.coordinate), *self.wave
+
+    @staticmethod
+    @inlined
+    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
+        """Add F cos(2 pi nu t + phi)."""
+        c, amplitude, omega, phase = parameters
+        f_p[c] += amplitude * math.cos(omega * t + phase)

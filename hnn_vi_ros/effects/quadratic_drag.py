@@ -1,0 +1,61 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The drag of a fast body in a fluid."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class QuadraticDrag(Force):
+    """
+    Newton's drag, f = -b |v| v, with v the velocity H_p of some coordinates together.
+
+    Energy account: the power f . v = -b |v|^3.
+
+    Parameters
+    ----------
+    coordinates : list of str
+        The coordinates whose velocity meets the fluid [m].
+    coefficient : float
+        b > 0 [kg/m], half of density, area and drag coefficient.
+
+    Raises
+    ------
+    ValueError
+        The coefficient is not positive, or no coordinate is named, or one twice.
+
+    References
+    ----------
+    G. Batchelor, An Introduction to Fluid Dynamics, 1967, section 5.11.
+
+    """
+
+    depends_on_momentum = True
+
+    def __init__(self, coordinates: list[str], coefficient: float):
+        check_positive(coefficient=coefficient)
+        if not coordinates or len(set(coordinates)) < len(coordinates):
+            raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
+        self.coordinates, self.coefficient = coordinates, float(coefficient)
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[np.ndarray, float]:
+        """Return the coordinates' places and b."""
+        return (np.array([coordinate_index(coordinates, name) for name in self.coordinates]),
+                self.coefficient)
+
+    @staticmethod
+    @inlined
+    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
+        """Add -b |v| v."""
+        places, coefficient = parameters
+        square = 0.0
+        for k in range(places.size):
+            square += velocity[places[k]] * velocity[places[k]]
+        for k in range(places.size):
+            f_p[places[k]] -= coefficient * np.sqrt(square) * velocity[places[k]]

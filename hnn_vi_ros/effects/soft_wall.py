@@ -1,0 +1,92 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A wall that pushes back smoothly."""
+
+from collections.abc import Sequence
+import math
+from typing import Literal
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
+from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class SoftWall(Potential):
+    """
+    A one-sided spring that sets in smoothly, V = k w^2 s(x / w)^2 / 2 with s(y) = log(1 + e^y).
+
+    x is the depth behind the wall: far behind it, V is that of a spring, k x^2 / 2; far in front
+    it vanishes as exp(2 x / w). It has derivatives of every order. Energy account: V joins H.
+
+    Parameters
+    ----------
+    coordinate : str
+        The coordinate that the wall bounds.
+    position : float
+        Where the wall stands, in the coordinate's unit.
+    side : str
+        ``'above'`` or ``'below'``: where the motion is free.
+    stiffness : float
+        k > 0 [N/m].
+    width : float
+        w > 0, over which the wall sets in, in the coordinate's unit.
+
+    Raises
+    ------
+    ValueError
+        A parameter out of its range.
+
+    References
+    ----------
+    C. Dugas et al., Incorporating second-order functional knowledge for better option pricing,
+    NIPS 2000 (the function s, there called softplus).
+
+    """
+
+    def __init__(self, coordinate: str, position: float = 0.0,
+                 side: Literal['above', 'below'] = 'above', stiffness: float = 100.0,
+                 width: float = 0.01):
+        check_positive(stiffness=stiffness, width=width)
+        check_finite(position=position)
+        self.coordinate, self.position = coordinate, float(position)
+        self.sign = {'above': -1.0, 'below': 1.0}[side]
+        self.stiffness, self.width = float(stiffness), float(width)
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+        """Return the coordinate's place, position, sign of the depth, stiffness and width."""
+        return (coordinate_index(coordinates, self.coordinate), self.position, self.sign,
+                self.stiffness, self.width)
+
+    @staticmethod
+    @inlined
+    def energy(parameters: tuple, q: np.ndarray) -> float:
+        """Return V [J]."""
+        c, position, sign, stiffness, width = parameters
+        s = width * _softplus(sign * (q[c] - position) / width)[0]
+        return 0.5 * stiffness * s * s
+
+    @staticmethod
+    @inlined
+    def add_gradient(parameters: tuple, q: np.ndarray, dH_dq: np.ndarray) -> None:
+        """Add V' = k w s s'."""
+        c, position, sign, stiffness, width = parameters
+        s, slope = _softplus(sign * (q[c] - position) / width)
+        dH_dq[c] += sign * stiffness * width * s * slope
+
+    @staticmethod
+    @inlined
+    def add_hessian_vector(parameters: tuple, q: np.ndarray, v: np.ndarray, product: np.ndarray
+                           ) -> None:
+        """Add V'' v, with V'' = k (s'^2 + s s' (1 - s'))."""
+        c, position, sign, stiffness, width = parameters
+        s, slope = _softplus(sign * (q[c] - position) / width)
+        product[c] += stiffness * (slope * slope + s * slope * (1.0 - slope)) * v[c]
+
+
+@inlined
+def _softplus(y: float) -> tuple[float, float]:
+    """Return log(1 + e^y) and its derivative, without overflow."""
+    e = math.exp(-abs(y))
+    return max(y, 0.0) + math.log1p(e), (1.0 if y >= 0.0 else e) / (1.0 + e)

@@ -1,0 +1,97 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A spring between two points, or from a point to a fixed place."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.effects.base import Live, Potential
+from hnn_vi_ros.effects.points import add_along, distance, resolve_pair, separation
+from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class Spring(Potential):
+    """
+    A linear spring, V = k (r - l)^2 / 2, with r the distance of its ends.
+
+    Between points of one coordinate, r is the signed difference. Energy account: V joins H.
+
+    Parameters
+    ----------
+    point : list of str
+        Names of the coordinates of one end [m].
+    other : list of str, optional
+        Names of the coordinates of the other end, or
+    anchor : list of float, optional
+        the fixed place of the other end [m].
+    stiffness : float
+        k > 0 [N/m].
+    rest_length : float
+        l >= 0 [m].
+
+    Raises
+    ------
+    ValueError
+        A parameter out of its range.
+
+    References
+    ----------
+    L. Landau, E. Lifshitz, Mechanics, 1976, section 21.
+
+    """
+
+    def __init__(self, point: list[str], other: list[str] | None = None,
+                 anchor: list[float] | None = None, stiffness: float = 1.0,
+                 rest_length: float = 0.0):
+        check_positive(stiffness=stiffness)
+        check_finite(rest_length=rest_length)
+        if rest_length < 0.0:
+            raise ValueError(f'rest_length = {rest_length} must be at least 0')
+        self.ends = point, other, anchor
+        self.stiffness, self.rest_length = float(stiffness), float(rest_length)
+
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+        """Return the ends, the stiffness [N/m] and the length at rest [m]."""
+        return (*resolve_pair(coordinates, *self.ends), self.stiffness, self.rest_length)
+
+    @staticmethod
+    @inlined
+    def energy(parameters: tuple, q: np.ndarray) -> float:
+        """Return V [J]."""
+        first, second, anchor, stiffness, rest = parameters
+        stretch = distance(first, second, anchor, q) - rest
+        return 0.5 * stiffness * stretch * stretch
+
+    @staticmethod
+    @inlined
+    def add_gradient(parameters: tuple, q: np.ndarray, dH_dq: np.ndarray) -> None:
+        """Add V' = k (1 - l / r) times the vector between the ends."""
+        first, second, anchor, stiffness, rest = parameters
+        r = distance(first, second, anchor, q)
+        for k in range(first.size):
+            along = separation(first, second, anchor, q, k)
+            # At r = 0 the direction of a spring at rest length l > 0 is undefined: no force.
+            pull = stiffness * (along - (rest * along / r if r != 0.0 else 0.0))
+            add_along(first, second, k, pull, dH_dq)
+
+    @staticmethod
+    @inlined
+    def add_hessian_vector(parameters: tuple, q: np.ndarray, v: np.ndarray, product: np.ndarray
+                           ) -> None:
+        """Add V'' v."""
+        first, second, anchor, stiffness, rest = parameters
+        r = distance(first, second, anchor, q)
+        bend = rest / r if r != 0.0 and first.size > 1 else 0.0
+        inward = 0.0
+        for k in range(first.size):
+            change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
+            inward += separation(first, second, anchor, q, k) * change
+        for k in range(first.size):
+            change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
+            along = separation(first, second, anchor, q, k)
+            value = change - bend * change
+            if bend != 0.0:
+                value += bend * along * inward / (r * r)
+            add_along(first, second, k, stiffness * value, product)

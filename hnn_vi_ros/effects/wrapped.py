@@ -1,0 +1,125 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""An integrator with an effect around its step, and the account that effects keep."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import final
+
+from hnn_vi_ros.compilation import inlined, is_own
+from hnn_vi_ros.effects.base import StepEffect
+from hnn_vi_ros.hamiltonians.base import Kernel
+from hnn_vi_ros.integrators.arithmetic import is_finite, plus
+from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+
+
+@final
+class Wrapped(Integrator):
+    """
+    A method whose step an effect has changed.
+
+    Parameters
+    ----------
+    inner : Integrator
+        The method.
+    kind : type of StepEffect
+        What changes its step.
+    settings : tuple
+        What the changed step finds in its options after those of the method.
+
+    """
+
+    explicit = symmetric = symplectic = False
+
+    def __init__(self, inner: Integrator, kind: type[StepEffect], settings: tuple):
+        self._inner, self._kind, self._settings = inner, kind, settings
+        self.order, self.compiled = inner.order, inner.compiled
+        self.step = kind.wrap(kind.inner_step(inner), inner.keeps_gradient)
+
+    @property
+    def kernel_name(self) -> str:
+        """Return the names of the effect and of the method."""
+        return f'{self._kind.__name__}({self._inner.kernel_name})'
+
+    @property
+    def own(self) -> bool:
+        """Return whether the effect and the method are this package's."""
+        return is_own(self._kind.__module__) and self._inner.own
+
+    @property
+    def links(self) -> int:
+        """Return how many solvers the chain of the method has."""
+        return self._inner.links
+
+    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+        """Return the options of the method, and the settings of the effect."""
+        return (self._inner.options(link, dimension), *self._settings)
+
+    def unknowns(self, n: int) -> tuple[int, ...]:
+        """Return the equations of the method, and the space for a point; see scratch."""
+        return (*self._inner.unknowns(n), n)
+
+    def substep(self) -> Integrator | None:
+        """Return the method's way to take a step in parts, with the effect."""
+        inner = self._inner.substep()
+        return None if inner is None else Wrapped(inner, self._kind, self._settings)
+
+
+class Account:
+    """Commit, after each step that succeeded, what the effects did in it; see Live."""
+
+    @staticmethod
+    def inner_step(integrator: Integrator) -> Callable:
+        """Return the step of the method."""
+        return integrator.step
+
+    @staticmethod
+    @cache
+    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+        """Return the step with its account."""
+        @inlined
+        def accounted(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+                      memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+            """Take one step; see Integrator."""
+            inner, live, channel_effects = options
+            live.pending[:] = 0.0
+            live.draws[1] = 0
+            outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])
+            if outcome != OK or not is_finite(z1):
+                return outcome if outcome != OK else NOT_FINITE, residual, gradients
+            d = kernel.dimension - kernel.channels
+            for a in range(0, z1.q.size, kernel.dimension):
+                for k in range(kernel.channels):
+                    i = a + d + k
+                    live.pending[channel_effects[k]] += z1.p[i] + z1.p_carry[i]
+                    z1.q[i], z1.p[i], z1.q_carry[i], z1.p_carry[i] = 0.0, 0.0, 0.0, 0.0
+            for k in range(live.pending.size):
+                live.work[k, 0], live.work[k, 1] = plus(
+                    live.work[k, 0], live.work[k, 1], live.pending[k])
+            start, until = live.clock[0], live.command[live.command.size - 1]
+            live.clock[0], live.clock[1] = plus(live.clock[0], live.clock[1], h)
+            live.draws[0] += live.draws[1]
+            if start < until <= live.clock[0]:
+                # The gradient that the next step begins with still holds the command that ends.
+                kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
+                gradients += 1
+            return OK, residual, gradients
+        return accounted
+
+
+@inlined
+def scratch(memory: tuple[Memory, ...]) -> Point:
+    """Return a point in the space that the outermost effect has in the memory."""
+    space = memory[len(memory) - 1]
+    return Point(space.values[0], space.values[1], space.values[2], space.values[3],
+                 space.residuals[0], space.residuals[1])
+
+
+@inlined
+def energy_of(kernel: Kernel, z: Point) -> float:
+    """Return the sum of H over the states of a point [J]."""
+    total = 0.0
+    for a in range(0, z.q.size, kernel.dimension):
+        end = a + kernel.dimension
+        total += kernel.energy(kernel.parameters, z.q[a:end], z.p[a:end])
+    return total

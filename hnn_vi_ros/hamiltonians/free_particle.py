@@ -1,0 +1,80 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The free particle, to which a scene's effects give everything that acts on it."""
+
+from collections.abc import Sequence
+from functools import cached_property
+import re
+
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.phase_space import Coordinate
+import numba
+import numpy as np
+
+
+class FreeParticle(Hamiltonian):
+    """
+    A mass on which nothing acts, H(q, p) = |p|^2 / (2 m).
+
+    It moves straight on at the velocity p / m. Several particles of the same mass are one whose
+    coordinates are those of all of them.
+
+    Parameters
+    ----------
+    mass : float
+        m > 0 [kg].
+    names : sequence of str
+        The names of its Cartesian coordinates [m], all different: a letter or underscore, then
+        letters, digits, underscores.
+
+    Raises
+    ------
+    ValueError
+        A mass that is not positive and finite, or names that cannot be used.
+
+    """
+
+    separable = True
+
+    def __init__(self, mass: float = 1.0, names: Sequence[str] = ('x',)):
+        check_positive(mass=mass)
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f'names = {list(names)} must name at least one coordinate, each once')
+        for name in names:
+            if not re.fullmatch(r'[^\W\d]\w*', name):
+                raise ValueError(f'names: {name!r} must be a letter or underscore, then letters, '
+                                 'digits, underscores')
+        self.mass = float(mass)
+        self.coordinates = tuple(Coordinate(name, 'm', 'kg m/s') for name in names)
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions that simulations compile."""
+        return Kernel(_energy, _gradient, _hessian_vector, (self.mass,), self.dimension,
+                      gradient_scale=(0.0, 0.0), compiled=True)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    (mass,) = parameters
+    energy = 0.5 * p[0] * p[0] / mass
+    for i in range(1, p.size):
+        energy += 0.5 * p[i] * p[i] / mass
+    return energy
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    (mass,) = parameters
+    for i in range(q.size):
+        dH_dq[i] = 0.0
+        dH_dp[i] = p[i] / mass
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    # The gradient is linear.
+    _gradient(parameters, v_q, v_p, product_q, product_p)

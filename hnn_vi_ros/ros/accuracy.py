@@ -1,0 +1,57 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The message that tells how accurate a run is."""
+
+from hnn_vi_ros.ros.messages import array_message
+from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
+import numpy as np
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64MultiArray
+
+ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)
+# The entries of its message.
+ENTRIES = (
+    'H', 'modified_H', 'energy_error', 'work', 'energy_budget', 'residual', 'iterations',
+    'modified_energy_band', 'drift_per_hour', 'microseconds_per_step_median',
+    'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor')
+
+
+class AccuracyEncoder:
+    """
+    Serialise the accuracy of a sample, in the order of ENTRIES.
+
+    ``energy_budget`` is H - H0 - W [J]; ``residual`` is the relative one of the last implicit
+    step; ``iterations`` are the gradients that each step since the sample before took, on average.
+    What follows them is evaluated now and then; see EnergyRecord and Figures.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    monitor : Monitor
+        What is measured of it.
+
+    """
+
+    def __init__(self, simulation: Simulation, monitor: Monitor):
+        self._simulation, self._monitor = simulation, monitor
+        self._energy0 = simulation.energy
+        self._last = (simulation.steps, simulation.gradients)
+        self._message = array_message(ENTRIES)
+        self._data = np.frombuffer(self._message.data)
+
+    def encode(self, sample: Sample) -> bytes:
+        """Return the serialised message that belongs to a sample, the newest one."""
+        steps, gradients = self._simulation.steps, self._simulation.gradients
+        taken, spent = steps - self._last[0], gradients - self._last[1]
+        self._last = (steps, gradients)
+        record, figures = self._monitor.energy, self._monitor.timing.figures
+        self._data[:] = (
+            sample.energy, sample.modified_energy, sample.energy_error, sample.work,
+            sample.energy - self._energy0 - sample.work, self._simulation.residual,
+            spent / taken if taken else 0.0, record.band, record.drift_per_hour,
+            figures.microseconds_per_step_median, figures.microseconds_per_step_p99,
+            figures.gradients_per_step, figures.largest_real_time_factor)
+        return serialize_message(self._message)

@@ -1,0 +1,75 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the first moments of a run tell beforehand: where it goes, and what a step costs."""
+
+import time
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+# Wall time that looking ahead may take, but for the batch of steps that exceeds it [s].
+_LONGEST = 0.1
+# What is left free on each side of the states that were met, as a share of their extent.
+_MARGIN = 0.1
+
+
+class LookAhead(NamedTuple):
+    """
+    What was found.
+
+    Parameters
+    ----------
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p, with a margin.
+    microseconds_per_step : float or None
+        Of the compiled kernel, in the fastest batch; None if already the first step fails.
+
+    """
+
+    box: tuple[np.ndarray, np.ndarray]
+    microseconds_per_step: float | None
+
+
+def look_ahead(simulation: Simulation, seconds: float) -> LookAhead:
+    """
+    Simulate on from the initial state, and go back to it as if nothing had been.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    seconds : float
+        Simulated time to look ahead [s]; less where that takes long or a step fails.
+
+    """
+    simulation.compile()
+    q0, p0 = simulation.q.copy(), simulation.p.copy()
+    met = [np.concatenate([q0, p0])[None]]
+    left, batch, fastest = max(1.0, seconds // simulation.step_size), 1, None
+    until = time.monotonic() + _LONGEST
+    while left > 0 and time.monotonic() < until:
+        n = int(min(batch, left))
+        begin = time.perf_counter()
+        try:
+            states = np.hstack(simulation.record(n, 1))
+        except StepFailure:
+            break
+        cost = (time.perf_counter() - begin) / n * 1e6
+        fastest = cost if fastest is None else min(fastest, cost)
+        met += [states.min(axis=0, keepdims=True), states.max(axis=0, keepdims=True)]
+        left, batch = left - n, 2 * batch
+    simulation.restart(q0, p0)
+    extremes = np.vstack(met)
+    return LookAhead(_widened(extremes.min(axis=0), extremes.max(axis=0)), fastest)
+
+
+def _widened(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    extent = high - low
+    # What stays where it is, but for rounding, is shown with one unit on either side.
+    moves = extent > 1e-9 * np.maximum(1.0, np.maximum(abs(low), abs(high)))
+    margin = np.where(moves, _MARGIN * extent, 1.0)
+    bounds = np.stack([low - margin, high + margin], axis=-1)
+    d = low.size // 2
+    return bounds[:d], bounds[d:]

@@ -1,0 +1,79 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of a simulation, a whole number of steps apart."""
+
+from fractions import Fraction
+import math
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
+
+_MOST_STEPS = 1e9
+# What a ROS time stamp holds [s].
+_LONGEST_RUN = 2**31 - 1
+
+
+class Sampler:
+    """
+    Take samples of a simulation.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    rate : float
+        Samples per simulated second that are asked for [Hz].
+
+    Attributes
+    ----------
+    every : int
+        Steps from sample to sample.
+    tick : float
+        Simulated time from sample to sample [s].
+    deviation : str
+        What to tell of a rate that the step size does not allow; else empty.
+
+    Raises
+    ------
+    ParameterError
+        Too many steps lie between two samples.
+
+    """
+
+    def __init__(self, simulation: Simulation, rate: float):
+        self._simulation, self._energy0 = simulation, simulation.energy
+        h = simulation.step_size
+        self._nanoseconds = Fraction(repr(h)) * 10**9
+        exact = 1.0 / (rate * h)
+        if exact > _MOST_STEPS:
+            raise ParameterError(
+                f'parameter step_size: {exact:.3g} steps from sample to sample are too many, at '
+                f'most {_MOST_STEPS:.0e}; use a larger step_size or publish_rate')
+        self.every = max(1, round(exact))
+        self.tick = self.every * h
+        self.deviation = '' if abs(exact - self.every) <= 1e-9 * exact else (
+            f'publish_rate {rate:g} Hz is not a whole number of steps of {h:g} s: publishing '
+            f'every {self.every} steps, {1.0 / self.tick:g} Hz')
+
+    def count(self, duration: float) -> float:
+        """Return the number of samples that a duration [s] asks for; 0 is for ever."""
+        samples = round(min(duration or math.inf, _LONGEST_RUN) / self.tick)
+        if samples == 0:
+            raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
+                                 f'time between two samples, {self.tick:g} s')
+        return samples
+
+    def sample(self) -> Sample:
+        """Return the state, and the energies that belong to it."""
+        simulation = self._simulation
+        energy, modified = simulation.energy, simulation.modified_energy
+        work = simulation.work
+        budget = energy - self._energy0 - work
+        return Sample(
+            step=simulation.steps, stamp=round(simulation.steps * self._nanoseconds),
+            q=simulation.q.copy(), p=simulation.p.copy(),
+            dH_dq=simulation.dH_dq.copy(), dH_dp=simulation.dH_dp.copy(), energy=energy,
+            modified_energy=math.nan if modified is None else modified,
+            energy_error=budget / abs(self._energy0) if self._energy0 else budget,
+            work=work)

@@ -1,0 +1,142 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Check, list and explain scenes, and print their JSON schema."""
+
+import argparse
+from collections.abc import Iterator, Sequence
+import json
+import math
+import sys
+
+from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.resources import shipped_names
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.studies.effect_cost import EffectCosts, measure_effects
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema
+
+
+def main(argv: list[str]) -> int:
+    """Do what the one option asks for; return 1 if a scene that is checked is not valid."""
+    parser = argparse.ArgumentParser(prog='scene', description=__doc__)
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument('--check', nargs='+', metavar='SCENE', help=(
+        'say of each scene, a shipped name or a file, whether it is valid'))
+    task.add_argument('--list', action='store_true', help='name the shipped scenes')
+    task.add_argument('--schema', action='store_true', help=(
+        'print the JSON schema by which editors complete and check scenes'))
+    task.add_argument('--explain', metavar='SCENE', help=(
+        'tell what a scene simulates, and measure what each of its effects adds to a step'))
+    options = parser.parse_args(argv)
+    if options.check:
+        return check(options.check)
+    if options.list:
+        lines = list_scenes()
+    elif options.schema:
+        lines = [json_schema()]
+    else:
+        lines = explain(load_scene(options.explain))
+    for line in lines:
+        print(line, flush=True)
+    return 0
+
+
+def check(names: Sequence[str]) -> int:
+    """Print one line a scene: what it is, or to the standard error stream what is wrong."""
+    status = 0
+    for name in names:
+        try:
+            scene = load_scene(name)
+            print(_in_a_line(scene, Simulation.from_scene(scene)))
+        except HnnViRosError as problem:
+            print(f'scene: {problem}', file=sys.stderr)
+            status = 1
+    return status
+
+
+def list_scenes() -> list[str]:
+    """Return a line for each shipped scene: its name, its description, whether it can run."""
+    names = shipped_names('scene')
+    width = max(map(len, names))
+    lines = []
+    for name in names:
+        scene = load_scene(name)
+        mark = ' (model absent)' if _lacks_a_model(scene) else ''
+        lines.append(f'{name:{width}}  {scene.description}{mark}')
+    return lines
+
+
+def json_schema() -> str:
+    """Return the schema of a scene's YAML, JSON Schema draft 2020-12."""
+    schema = Scene.model_json_schema(schema_generator=_Plain)
+    schema = {'$schema': _Plain.schema_dialect, **schema, 'title': 'A scene of hnn_vi_ros'}
+    return json.dumps(schema, indent=2, ensure_ascii=False)
+
+
+class _Plain(GenerateJsonSchema):
+    """A JSON schema without a title for each key, which would only repeat its name."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:
+        return False
+
+
+def explain(scene: Scene) -> Iterator[str]:
+    """
+    Yield the lines that tell what a scene simulates and how long a step takes.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene cannot be built or fails.
+
+    """
+    simulation = Simulation.from_scene(scene)
+    hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
+    yield f'{scene.name}: {scene.description}'
+    yield f'file: {scene.source}'
+    yield from _choice('hamiltonian', scene.hamiltonian)
+    yield from (f'  {name}: {value}' for name, value in hamiltonian.provenance.items())
+    for i, c in enumerate(hamiltonian.coordinates):
+        yield (f'  coordinate {c.name} [{c.q_unit}] from {scene.initial_state.q[i]:g}, its '
+               f'momentum [{c.p_unit}] from {scene.initial_state.p[i]:g}')
+    for choice, effect in zip(scene.effects, scene.create_effects(), strict=True):
+        yield from _choice('effect', choice)
+        yield f'  {"conservative" if effect.conservative else "does work"}'
+    yield from _choice('integrator', scene.integrator)
+    yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
+    yield f'conservative: {"yes" if simulation.conservative else "no"}'
+    print('measuring ...', file=sys.stderr)
+    yield from _times(measure_effects(scene))
+
+
+def _choice(role: str, choice: BaseModel) -> Iterator[str]:
+    yield f'{role} {choice.kind}: {type(choice).__doc__}'
+    for name, field in type(choice).model_fields.items():
+        if name != 'kind':
+            yield f'  {name} = {getattr(choice, name)}: {field.description}'
+
+
+def _times(costs: EffectCosts) -> Iterator[str]:
+    yield f'time per step: {1e6 * costs.total:.3f} us'
+    if not math.isnan(costs.bare):
+        yield f'  of the bare integrator: {1e6 * costs.bare:.3f} us'
+    for label, added in costs.added.items():
+        text = 'cannot be left out' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
+        yield f'  {label} {text}'
+
+
+def _in_a_line(scene: Scene, simulation: Simulation) -> str:
+    what = getattr(scene.hamiltonian, 'model', None) or getattr(scene.hamiltonian, 'factory', '')
+    parts = [f'{scene.hamiltonian.kind} {what}'.strip(), *(e.kind for e in scene.effects)]
+    kept = 'conservative' if simulation.conservative else 'not conservative'
+    return (f'{scene.name}: valid: {" + ".join(parts)}, {scene.integrator.kind}, '
+            f'h = {scene.step_size:g} s, {kept}')
+
+
+def _lacks_a_model(scene: Scene) -> bool:
+    try:
+        scene.model_files()
+    except ModelError:
+        return True
+    return False

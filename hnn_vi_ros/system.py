@@ -1,0 +1,216 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A Hamiltonian together with the effects that a scene lists, made ready for a method."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, EffectError, Force, Live, Potential, StepEffect
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
+from hnn_vi_ros.effects.impact import Impact
+from hnn_vi_ros.effects.kernels import add_forces, join_magnetic_field, join_potential
+from hnn_vi_ros.effects.magnetic_field import MagneticField
+from hnn_vi_ros.effects.rattle import Rods, stack
+from hnn_vi_ros.effects.thermostat import Thermostat
+from hnn_vi_ros.effects.wrapped import Account, Wrapped
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.composition import Composition
+import numpy as np
+
+_KINDS = {effect: kind for kind, effect in EFFECTS.items()}
+
+
+class JoinedHamiltonian(Hamiltonian):
+    """
+    A Hamiltonian with potentials and magnetic fields joined to it.
+
+    Parameters
+    ----------
+    base : Hamiltonian
+        H without them.
+    joined : sequence of (Effect, tuple)
+        Potential or MagneticField, each with its resolved parameters.
+
+    """
+
+    def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Effect, tuple]]):
+        self.base, self._joined = base, joined
+        self.coordinates = base.coordinates
+        self.separable = base.separable and all(
+            isinstance(effect, Potential) for effect, _ in joined)
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the box in which the base was learned."""
+        return self.base.box
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Return what identifies the data behind the base."""
+        return self.base.provenance
+
+    def twin(self) -> 'JoinedHamiltonian':
+        """Return the same function with working memory of its own."""
+        return JoinedHamiltonian(self.base.twin(), self._joined)
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions that simulations compile."""
+        kernel = self.base.kernel
+        for effect, parameters in self._joined:
+            if isinstance(effect, MagneticField):
+                kernel = join_magnetic_field(kernel, parameters)
+            else:
+                kernel = join_potential(kernel, type(effect), parameters)
+        return kernel
+
+
+class System:
+    """
+    What a simulation of some effects compiles; without effects, H and the method themselves.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of d coordinates.
+    effects : sequence of Effect
+        In the scene's order.
+    integrator : Integrator
+        The method.
+
+    Attributes
+    ----------
+    hamiltonian : Hamiltonian
+        H with the potentials joined.
+    kernel : Kernel
+        That of H, with the forces.
+    integrator : Integrator
+        The method, with what acts around its steps.
+    live : Live
+        What the effects keep from step to step.
+    labels : list of str
+        A name for each effect: its kind, with its place where that stands more than once.
+    conservative : bool
+        Whether no effect does work.
+    lockstep : bool
+        Whether several trajectories can step together.
+
+    Raises
+    ------
+    EffectError
+        An effect names an unknown coordinate, or does not combine with another.
+    UnsupportedSystem
+        The method cannot take an effect or the Hamiltonian; names those that can.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
+                 integrator: Integrator):
+        self._effects = list(effects)
+        self.live = Live.empty(len(effects), hamiltonian.dimension)
+        # An effect of the user's own goes by the name of its class.
+        kinds = [_KINDS.get(type(effect), type(effect).__name__) for effect in effects]
+        self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
+                       for index, kind in enumerate(kinds)]
+        self.conservative = all(effect.conservative for effect in effects)
+        self.lockstep = not self._all(Thermostat, HolonomicConstraint, Impact)
+        self._check(integrator)
+        rods = self._all(HolonomicConstraint)
+        if len(rods) > hamiltonian.dimension:
+            raise EffectError(rods[-1], f'{len(rods)} rods leave {hamiltonian.dimension} '
+                                        'coordinates no freedom; leave some out')
+        self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
+        joined = [(effects[i], self._parameters[i]) for i in self._all(Potential, MagneticField)]
+        self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
+        integrator.check(self.hamiltonian)
+        split = [i for i in self._all(StepEffect) if i not in self._forces(integrator)]
+        self._assemble(integrator, self._forces(integrator), split)
+
+    @property
+    def takes_commands(self) -> bool:
+        """Whether there is an external force."""
+        return bool(self._all(ExternalForce))
+
+    def command(self, values: Sequence[float]) -> None:
+        """Set the external force, or raise ValueError and leave it as it is."""
+        if not self.takes_commands:
+            raise ValueError('no effect of the scene is an external_force: it takes no commands')
+        for index in self._all(ExternalForce):
+            self._effects[index].take(values, self._parameters[index])
+
+    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
+        """
+        Raise ValueError if a state, of shape (d,) or (m d,), is behind a wall or off its rods.
+
+        Also for m > 1 trajectories together, where an effect takes only one.
+        """
+        if not self.lockstep and q.size > self.hamiltonian.dimension:
+            raise ValueError('q and p are several states, but thermostat, impact and '
+                             'holonomic_constraint take one at a time; use simulate_many')
+        for index in self._all(Impact):
+            self._effects[index].check_state(self._parameters[index], q)
+        for index in self._all(HolonomicConstraint):
+            _, velocity = self.hamiltonian.gradient(q, p)
+            self._effects[index].check_state(self._parameters[index], q, velocity)
+
+    def _all(self, *kinds: type[Effect]) -> list[int]:
+        return [i for i, effect in enumerate(self._effects) if isinstance(effect, kinds)]
+
+    def _forces(self, integrator: Integrator) -> list[int]:
+        """Return the effects that the method takes at its nodes."""
+        return [i for i in self._all(Force) if not self._effects[i].splits(integrator)]
+
+    def _check(self, integrator: Integrator) -> None:
+        for single in (ExternalForce, Thermostat):
+            if len(self._all(single)) > 1:
+                raise EffectError(self._all(single)[1],
+                                  f'a scene takes one {_KINDS[single]} only; join the two')
+        if self._all(HolonomicConstraint):
+            for index in self._all(Thermostat, Impact):
+                raise EffectError(index, f'{_KINDS[type(self._effects[index])]} does not combine '
+                                         'with holonomic_constraint; leave one of them out')
+        for effect, label in zip(self._effects, self.labels, strict=True):
+            if not effect.accepts(integrator):
+                name = next(key for key, method in INTEGRATORS.items()
+                            if type(integrator) is method)
+                able = [key for key, method in INTEGRATORS.items()
+                        if method.uses_hamiltonian and effect.accepts(method())]
+                if isinstance(integrator, Composition):
+                    name += f' over {integrator.base.kernel_name}'
+                raise UnsupportedSystem(f'{name} cannot take the effect {label}; methods that '
+                                        f'can: {", ".join(able)}')
+
+    def _resolve(self, index: int, hamiltonian: Hamiltonian) -> tuple:
+        try:
+            return self._effects[index].resolve(hamiltonian.coordinates, self.live)
+        except ValueError as problem:
+            raise EffectError(index, str(problem)) from problem
+
+    def _assemble(self, integrator: Integrator, forces: list[int], around: list[int]) -> None:
+        """Make kernel and method: bath inside, then flows, rods, walls, and the account."""
+        self.kernel, self.integrator = self.hamiltonian.kernel, integrator
+        if forces:
+            self.kernel = add_forces(self.kernel, [self._effects[i] for i in forces],
+                                     [self._parameters[i] for i in forces], self.live)
+        rods = self._all(HolonomicConstraint)
+        walls = self._all(Impact)
+        flows = [i for i in around if i not in rods + walls + self._all(Thermostat)]
+        for i in self._all(Thermostat) + flows:
+            self._wrap(i, self._parameters[i])
+        if rods:
+            stacked = stack([self._parameters[i] for i in rods])
+            self._wrap(rods[0], Rods.of(stacked, self.kernel.dimension, len(self._effects)))
+        for i in walls:
+            self._wrap(i, self._parameters[i])
+        if forces or around:
+            self.integrator = Wrapped(
+                self.integrator, Account, (self.live, np.array(forces, dtype=np.int64)))
+
+    def _wrap(self, index: int, settings: tuple) -> None:
+        self.integrator = Wrapped(
+            self.integrator, type(self._effects[index]), (settings, self.live, index))

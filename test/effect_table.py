@@ -1,0 +1,117 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The table of effects: a new row subjects an effect to every generic test."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from helpers import random_checkpoint, Uncompiled
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.checkpoint import save_checkpoint
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """
+    One row of the table: effects, and a system and a state on which they act.
+
+    Parameters
+    ----------
+    name : str
+        That of the first effect, or a word for the combination.
+    effects : tuple of (str, dict)
+        Kind and arguments of each; the first is the one that the row is about.
+    system : str
+        A nonlinear Hamiltonian, once the effects have joined it.
+    q, p : tuple of float
+        The initial state.
+    duration : float
+        Of the tests' runs [s].
+    arguments : dict, optional
+        Of the Hamiltonian.
+    order : int
+        The order of accuracy that the effects leave a method at best.
+
+    """
+
+    name: str
+    effects: tuple[tuple[str, dict[str, Any]], ...]
+    system: str = 'pendulum'
+    q: tuple[float, ...] = (0.7,)
+    p: tuple[float, ...] = (-1.2,)
+    duration: float = 1.0
+    arguments: tuple = ()
+    order: int = 16
+
+    @property
+    def hamiltonian(self) -> Hamiltonian:
+        """Build the system, compiled."""
+        return HAMILTONIANS[self.system](*self.arguments)
+
+    @property
+    def uncompiled(self) -> Hamiltonian:
+        """Build the system as plain Python."""
+        return Uncompiled(self.hamiltonian)
+
+    def create(self, folder: Path) -> list[Effect]:
+        """Build the effects; a network, with random weights, is written into a folder."""
+        return [create_effect(kind, arguments, folder) for kind, arguments in self.effects]
+
+
+def create_effect(kind: str, arguments: dict[str, Any], folder: Path) -> Effect:
+    """Build an effect; the network ``model`` of d coordinates is written into a folder."""
+    if kind == 'learned_dissipation':
+        d = arguments['model']
+        path = folder / f'dissipation_{d}.safetensors'
+        if not path.exists():
+            save_checkpoint(path, random_checkpoint([2 * d, 8, 1], seed=3))
+        arguments = {'model': str(path)}
+    return EFFECTS[kind](**arguments)
+
+
+_DAMPING = ('damping', {'rate': 0.8})
+_DRIVE = ('periodic_drive', {'coordinate': 'angle', 'amplitude': 3.0, 'frequency': 0.8,
+                             'phase': 0.3})
+_SPRING = ('spring', {'point': ['angle'], 'anchor': [0.2], 'stiffness': 5.0, 'rest_length': 0.1})
+_IMPACT = ('impact', {'coordinate': 'angle', 'position': 0.3, 'side': 'above',
+                      'restitution': 0.7})
+_ROD = ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0], 'length': 1.0})
+_WEIGHT = ('gravity', {'coordinate': 'z'})
+# Of a bob on a rod, and of a pendulum that will fall on a wall.
+_ON_A_ROD = {'system': 'free_particle', 'arguments': (1.0, ('x', 'z')), 'q': (0.6, 0.8),
+             'p': (0.8, -0.6), 'order': 2}
+_FALLING = {'q': (1.0,), 'p': (0.0,)}
+
+EFFECT_ROWS = [
+    EffectRow('gravity', (('gravity', {'coordinate': 'angle', 'acceleration': 2.0}),)),
+    EffectRow('spring', (_SPRING,)),
+    EffectRow('spring in a plane', (('spring', {
+        'point': ['x', 'z'], 'anchor': [0.2, 0.1], 'stiffness': 5.0, 'rest_length': 0.5}),),
+        'free_particle', (1.0, 0.3), (-0.4, 1.0), arguments=(1.0, ('x', 'z'))),
+    EffectRow('magnetic_field', (('magnetic_field', {'plane': ['x', 'y'], 'field': 2.0}),),
+              'henon_heiles', (0.3, -0.2), (0.2, 0.3), 2.0),
+    EffectRow('soft_wall', (('soft_wall', {
+        'coordinate': 'angle', 'position': 0.1, 'stiffness': 50.0, 'width': 0.3}),)),
+    EffectRow('damping', (_DAMPING,)),
+    EffectRow('dry_friction', (('dry_friction', {
+        'coordinate': 'angle', 'force': 2.0, 'speed': 1.0}),)),
+    # Not through rest, where its second derivative jumps.
+    EffectRow('quadratic_drag', (('quadratic_drag', {
+        'coordinates': ['angle'], 'coefficient': 0.5}),), p=(-2.0,), duration=0.5),
+    EffectRow('periodic_drive', (_DRIVE,)),
+    EffectRow('external_force', (('external_force', {
+        'coordinates': ['angle'], 'timeout': 100.0}),)),
+    EffectRow('learned_dissipation', (('learned_dissipation', {'model': 1}),)),
+    EffectRow('thermostat', (('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),),
+              order=2),
+    EffectRow('holonomic_constraint', (_ROD, _WEIGHT), **_ON_A_ROD),
+    EffectRow('impact', (_IMPACT,), **_FALLING),
+    EffectRow('impact with forces', (_IMPACT, _DAMPING, _DRIVE, _SPRING), **_FALLING),
+    EffectRow('rod with forces', (_ROD, _WEIGHT, ('damping', {'rate': [0.5, 1.0]}), (
+        'periodic_drive', {'coordinate': 'x', 'amplitude': 3.0, 'frequency': 0.8})),
+        **_ON_A_ROD),
+]

@@ -1,0 +1,45 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulators as processes, and what they leave behind."""
+
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+from rosbags.highlevel import AnyReader
+
+
+def start(folder: Path, **parameters: object) -> subprocess.Popen:
+    """Start a simulator in a folder."""
+    values = {'scene': 'oscillator.yaml', 'discovery_time': 0} | parameters
+    arguments = [word for name, value in values.items()
+                 for word in ('-p', f'{name}:={value}')]
+    code = 'from hnn_vi_ros.cli import simulator; simulator()'
+    return subprocess.Popen([sys.executable, '-c', code, '--ros-args', *arguments], cwd=folder,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, str]:
+    """Wait for the end; return status, standard output and standard error."""
+    out, error = process.communicate(timeout=timeout)
+    assert 'Traceback' not in error, error
+    return process.returncode, out, error
+
+
+def wait_until(condition, timeout: float = 30.0) -> None:
+    """Wait until the condition holds."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, 'timed out'
+        time.sleep(0.02)
+
+
+def read_bag(bag: Path) -> dict[str, list[tuple[int, object]]]:
+    """Return (log time, message) of each topic, by the independent reader."""
+    with AnyReader([bag]) as reader:
+        topics = {connection.topic: [] for connection in reader.connections}
+        for connection, stamp, raw in reader.messages():
+            topics[connection.topic].append(
+                (stamp, reader.deserialize(raw, connection.msgtype)))
+    return topics

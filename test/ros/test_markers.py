@@ -1,0 +1,120 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The mechanism as markers: nothing without a subscriber, every part with one."""
+
+from collections.abc import Iterator
+import time
+
+from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.mechanisms.parts import Box
+from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
+from hnn_vi_ros.sinks.sample import Sample
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from visualization_msgs.msg import Marker, MarkerArray
+
+STATES = {'bouncing_mass': [0.3], 'cartesian_pendulum': [0.6, -0.8],
+          'charged_particle': [0.2, 0.1], 'double_pendulum': [1.0, -2.0],
+          'henon_heiles': [0.1, 0.2], 'kepler': [0.5, 0.5], 'mass_spring': [-0.4],
+          'pendulum': [2.0], 'spring_chain': [0.3, -0.2, 0.1, 0.05]}
+
+
+class FakePublisher:
+    """Stand in for a publisher with a number of subscribers."""
+
+    def __init__(self, subscribers: int):
+        self.subscribers = subscribers
+        self.messages: list[MarkerArray] = []
+
+    def get_subscription_count(self) -> int:
+        return self.subscribers
+
+    def publish(self, message: MarkerArray) -> None:
+        self.messages.append(message)
+
+
+def sample_of(q: list[float], stamp: int = 0) -> Sample:
+    array = np.array(q)
+    return Sample(0, stamp, array, array, array, array, 0.0, 0.0, 0.0)
+
+
+def test_markers_are_not_built_without_a_subscriber():
+    def mechanism(q: np.ndarray, reach: float) -> dict:
+        raise AssertionError('the mechanism was drawn')
+    publisher = FakePublisher(0)
+    markers = MarkerPublisher(publisher, mechanism, 1.0, 'world')
+    for stamp in range(100):
+        markers.publish(sample_of([0.0], stamp))
+        markers._due = 0.0
+    assert publisher.messages == []
+
+
+def test_markers_come_at_most_30_times_a_second():
+    publisher = FakePublisher(1)
+    markers = MarkerPublisher(publisher, MECHANISMS['pendulum'], 1.0, 'world')
+    begin = time.monotonic()
+    while time.monotonic() < begin + 0.5:
+        markers.publish(sample_of([0.0]))
+    # Half a second has room for 15 after the first.
+    assert 5 <= len(publisher.messages) <= 16
+
+
+@pytest.fixture
+def executor() -> Iterator[SingleThreadedExecutor]:
+    """Give an executor with a node, in a context of its own."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('markers_test', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        yield executor
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def check_geometry(marker: Marker, part) -> None:
+    color = marker.color
+    # Colours are float32 in the message.
+    np.testing.assert_allclose([color.r, color.g, color.b, color.a],
+                               [*np.array(part.color) / 255.0, 1.0], rtol=1e-7)
+    if isinstance(part, Box):
+        assert marker.type == Marker.CUBE
+        place, scale = marker.pose.position, marker.scale
+        assert [place.x, place.y, place.z] == part.center.tolist()
+        assert [scale.x, scale.y, scale.z] == [2.0 * half for half in part.half_size]
+    else:
+        assert marker.type == Marker.LINE_STRIP
+        assert marker.scale.x == 2.0 * part.radius
+        assert [[p.x, p.y, p.z] for p in marker.points] == part.points.tolist()
+        assert marker.pose.position.x == marker.pose.position.z == 0.0
+    assert (marker.pose.orientation.w, marker.id, marker.action) == (1.0, 0, Marker.ADD)
+
+
+@pytest.mark.parametrize('name', MECHANISMS)
+def test_markers_reach_a_subscriber_with_the_geometry_of_every_part(name: str, executor):
+    node, = executor.get_nodes()
+    received: list[MarkerArray] = []
+    publisher = node.create_publisher(MARKERS_TOPIC[1], 'markers', 1)
+    node.create_subscription(MarkerArray, 'markers', received.append, 10)
+    markers = MarkerPublisher(publisher, MECHANISMS[name], 0.7, 'map')
+    # The second message is made of the first, with the moving parts at other places.
+    for second, q in enumerate([np.array(STATES[name]), -0.5 * np.array(STATES[name])]):
+        deadline = time.monotonic() + 10.0
+        while not received or received[-1].markers[0].header.stamp.sec != second:
+            assert time.monotonic() < deadline, 'no markers came'
+            markers.publish(sample_of(q, second * 10**9 + 5))
+            executor.spin_once(timeout_sec=0.04)
+        message = received[-1]
+        parts = MECHANISMS[name](q, 0.7)
+        assert [marker.ns for marker in message.markers] == list(parts)
+        for marker in message.markers:
+            assert marker.header.frame_id == 'map'
+            stamp = marker.header.stamp
+            assert (stamp.sec, stamp.nanosec) == (second, 5)
+            check_geometry(marker, parts[marker.ns])

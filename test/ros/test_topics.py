@@ -1,0 +1,275 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics exist where a scene calls for them, and commands act as they should."""
+
+from collections.abc import Iterator
+from pathlib import Path
+import time
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.ros.accuracy import ENTRIES
+from hnn_vi_ros.ros.look_ahead import look_ahead
+from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.scene_report import scene_report
+from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray, String
+import yaml
+
+OSCILLATOR = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+MASS, TIMEOUT = 2.0, 0.5
+COMMANDED = f"""\
+hamiltonian: {{kind: free_particle, mass: {MASS}, names: [x]}}
+effects: [{{kind: external_force, coordinates: [x], timeout: {TIMEOUT}}}]
+integrator: {{kind: generalized_leapfrog}}
+step_size: 0.01
+initial_state: {{q: [0.0], p: [0.0]}}
+"""
+# The paper's iteration does not converge in its 17th step.
+FAILING = """\
+hamiltonian: {kind: tao}
+integrator: {kind: variational_euler, solver: fixed_point}
+step_size: 0.4
+initial_state: {q: [1.0], p: [-1.0]}
+"""
+BOX = (np.array([[-1.0, 1.0]]), np.array([[-1.0, 1.0]]))
+
+
+def load(folder: Path, text: str):
+    (folder / 'scene.yaml').write_text(text)
+    return load_scene(folder / 'scene.yaml')
+
+
+def simulation_of(folder: Path, text: str) -> Simulation:
+    return Simulation.from_scene(load(folder, text))
+
+
+def sample_of(simulation: Simulation, **changes: float) -> Sample:
+    values = {'modified_energy': 0.5, 'energy_error': 0.25} | changes
+    return Sample(simulation.steps, 0, simulation.q.copy(), simulation.p.copy(),
+                  simulation.dH_dq.copy(), simulation.dH_dp.copy(), simulation.energy, **values)
+
+
+def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = None) -> Monitor:
+    monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
+    topics.open(simulation, monitor, mechanism, BOX, 'world')
+    return monitor
+
+
+@pytest.fixture
+def nodes() -> Iterator[tuple[Node, Node, SingleThreadedExecutor]]:
+    """Give the simulator's node, another one, and the executor of both."""
+    context = Context()
+    rclpy.init(context=context)
+    nodes = [rclpy.create_node(name, context=context) for name in ('simulator', 'other')]
+    executor = SingleThreadedExecutor(context=context)
+    for node in nodes:
+        executor.add_node(node)
+    try:
+        yield *nodes, executor
+    finally:
+        executor.shutdown()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def spin_until(executor: SingleThreadedExecutor, condition) -> None:
+    deadline = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline, 'timed out'
+        executor.spin_once(timeout_sec=0.02)
+
+
+def topics_of(node: Node) -> tuple[set[str], set[str]]:
+    """Return what the node publishes and what it hears, but for what every node has."""
+    names = node.get_name(), node.get_namespace()
+    return tuple(
+        {topic for topic, _ in found} - {'/rosout', '/parameter_events'}
+        for found in (node.get_publisher_names_and_types_by_node(*names),
+                      node.get_subscriber_names_and_types_by_node(*names)))
+
+
+ALWAYS = {'/simulator/q', '/simulator/p', '/simulator/energy', '/joint_states',
+          '/simulator/scene', '/diagnostics'}
+
+
+@pytest.mark.parametrize('text, accuracy, mechanism, published, heard', [
+    (OSCILLATOR, False, None, set(), set()),
+    (OSCILLATOR, True, None, {'/simulator/accuracy'}, set()),
+    (OSCILLATOR, False, 'mass_spring', {'/simulator/markers'}, set()),
+    (COMMANDED, False, None, set(), {'/simulator/commands'}),
+], ids=['bare', 'accuracy', 'mechanism', 'commands'])
+def test_topics_that_are_not_called_for_do_not_exist(
+        tmp_path, nodes, text, accuracy, mechanism, published, heard):
+    node, _, _ = nodes
+    topics = Topics(node, accuracy)
+    open_topics(topics, simulation_of(tmp_path, text), mechanism)
+    assert topics_of(node) == (ALWAYS | published, heard)
+
+
+def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
+    node, _, _ = nodes
+    simulation = simulation_of(tmp_path, OSCILLATOR)
+    topics = Topics(node, True)
+    monitor = open_topics(topics, simulation)
+    energy0 = simulation.energy
+    for _ in range(2):
+        gradients = simulation.gradients
+        monitor.advance(10)
+        sample = sample_of(simulation, work=0.125)
+        monitor.add(sample)
+        message = deserialize_message(topics.publish(sample)[-1], Float64MultiArray)
+        dimension, = message.layout.dim
+        assert dimension.label == ','.join(ENTRIES)
+        assert dimension.size == len(message.data) == len(ENTRIES)
+        found = dict(zip(ENTRIES, message.data, strict=True))
+        figures = monitor.timing.figures
+        # Generalised leapfrog has no modified energy, and no sample has cost anything yet.
+        assert np.isnan([found.pop('modified_energy_band'), found.pop('drift_per_hour'),
+                         found.pop('largest_real_time_factor')]).all()
+        assert found == {
+            'H': simulation.energy, 'modified_H': 0.5, 'energy_error': 0.25, 'work': 0.125,
+            'energy_budget': simulation.energy - energy0 - 0.125,
+            'residual': simulation.residual,
+            'iterations': (simulation.gradients - gradients) / 10,
+            'microseconds_per_step_median': figures.microseconds_per_step_median,
+            'microseconds_per_step_p99': figures.microseconds_per_step_p99,
+            'gradients_per_step': figures.gradients_per_step}
+        assert figures.microseconds_per_step_p99 > 0.0
+
+
+@pytest.fixture
+def commanded(tmp_path, nodes):
+    """Give a simulation that hears commands, and a function that sends one."""
+    node, other, executor = nodes
+    simulation = simulation_of(tmp_path, COMMANDED)
+    topics = Topics(node, False)
+    open_topics(topics, simulation)
+    heard = []
+    take = simulation.set_command
+
+    def set_command(values: list[float]) -> None:
+        heard.append(values)
+        take(values)
+    simulation.set_command = set_command
+    publisher = other.create_publisher(Float64MultiArray, '/simulator/commands', 1)
+    spin_until(executor, publisher.get_subscription_count)
+
+    def send(values: list[float]) -> None:
+        count = len(heard)
+        publisher.publish(Float64MultiArray(data=values))
+        spin_until(executor, lambda: len(heard) > count)
+    return simulation, send
+
+
+def test_command_accelerates_by_force_over_mass(commanded):
+    simulation, send = commanded
+    send([3.0])
+    simulation.advance(40)
+    t = 0.4
+    # Both are exact for a constant force, up to 40 roundings.
+    assert simulation.dH_dp[0] == pytest.approx(3.0 / MASS * t, rel=1e-13)
+    assert simulation.q[0] == pytest.approx(0.5 * 3.0 / MASS * t * t, rel=1e-13)
+
+
+def test_command_that_is_not_renewed_ends_after_its_time_out(commanded):
+    simulation, send = commanded
+    simulation.advance(30)
+    send([3.0])
+    simulation.advance(100)
+    # Held for as many whole steps as begin before the time-out.
+    assert simulation.p[0] == pytest.approx(3.0 * TIMEOUT, abs=3.0 * 0.01 * 1.001)
+    p = simulation.p[0]
+    simulation.advance(100)
+    assert simulation.p[0] == p
+    send([-3.0])
+    simulation.advance(10)
+    assert simulation.p[0] == pytest.approx(p - 0.3, rel=1e-13)
+
+
+@pytest.mark.parametrize('bad', [[], [1.0, 2.0], [float('nan')], [float('inf')]])
+def test_command_that_is_not_valid_is_ignored_whole(commanded, bad):
+    simulation, send = commanded
+    send([3.0])
+    send(bad)
+    simulation.advance(10)
+    assert simulation.p[0] == pytest.approx(0.3, rel=1e-13)
+
+
+def test_scene_reaches_a_subscriber_that_comes_later(tmp_path, nodes):
+    node, other, executor = nodes
+    topics = Topics(node, False)
+    open_topics(topics, simulation_of(tmp_path, OSCILLATOR))
+    topics.publish_scene('description: any')
+    received: list[String] = []
+    other.create_subscription(
+        String, '/simulator/scene', received.append,
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    spin_until(executor, lambda: received)
+    assert received[0].data == 'description: any'
+
+
+def test_scene_report_names_live_effects_and_what_they_cost(tmp_path):
+    scene = load(tmp_path, COMMANDED)
+    simulation = Simulation.from_scene(scene)
+    report = yaml.safe_load(scene_report(scene, simulation, 1.23456, False))
+    assert report['live_effects'] == [
+        {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT}]
+    assert report['conservative'] is False
+    assert report['microseconds_per_step'] == 1.235
+    assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}
+    assert 'added_microseconds' not in report
+    explained = yaml.safe_load(scene_report(scene, simulation, None, True))
+    assert explained['microseconds_per_step'] is None
+    added = explained['added_microseconds']
+    assert added.keys() == {'external_force'}
+    # A force on one coordinate costs nanoseconds; a mistaken unit would be off by 1e6.
+    assert abs(added['external_force']) < 1000.0
+
+
+def test_look_ahead_leaves_the_simulation_as_it_was(tmp_path):
+    simulation, fresh = (simulation_of(tmp_path, OSCILLATOR) for _ in range(2))
+    before = simulation.snapshot()
+    found = look_ahead(simulation, 10.0)
+    assert 0.0 < found.microseconds_per_step < 1e4
+    after = simulation.snapshot()
+    assert before.keys() == after.keys()
+    assert all(np.array_equal(before[key], after[key]) for key in before)
+    assert (simulation.gradients, simulation.rescued, simulation.residual) == (0, 0, 0.0)
+    simulation.advance(1000)
+    fresh.advance(1000)
+    assert (simulation.q == fresh.q).all() and (simulation.p == fresh.p).all()
+
+
+def test_look_ahead_finds_the_extent_of_the_motion(tmp_path):
+    (q,), (p,) = look_ahead(simulation_of(tmp_path, OSCILLATOR), 7.0).box
+    # The unit circle, with a margin of a tenth of its diameter; h = 0.01 misses 1e-4 of it.
+    for low, high in (q, p):
+        assert (low, high) == (pytest.approx(-1.2, abs=1e-3), pytest.approx(1.2, abs=1e-3))
+
+
+def test_look_ahead_shows_what_does_not_move_with_room_around_it(tmp_path):
+    found = look_ahead(simulation_of(tmp_path, COMMANDED), 1.0)
+    np.testing.assert_array_equal(found.box, [[[-1.0, 1.0]]] * 2)
+
+
+def test_look_ahead_of_a_step_that_fails_ends_there(tmp_path):
+    simulation = simulation_of(tmp_path, FAILING)
+    found = look_ahead(simulation, 100.0)
+    assert simulation.steps == 0 and simulation.q[0] == 1.0
+    assert np.isfinite(found.box).all() and found.microseconds_per_step > 0.0

@@ -1,0 +1,440 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects together: what is not listed does not exist, what is refused, repeatability."""
+
+from collections.abc import Callable
+from pathlib import Path
+import sys
+
+from effect_table import create_effect, EFFECT_ROWS, EffectRow
+from helpers import EPS, Uncompiled
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import EffectError
+from hnn_vi_ros.ensemble import BLOCK, simulate, simulate_many
+from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.system import System
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
+SCENE = """\
+hamiltonian: {{kind: {kind}}}
+{effects}
+integrator: {{kind: {integrator}}}
+step_size: 0.05
+initial_state: {{q: {q}, p: {q}}}
+"""
+EFFECTS_FOLDER = Path(sys.modules['hnn_vi_ros.effects'].__file__).parent
+
+
+def free(*names: str) -> Hamiltonian:
+    """Return free coordinates of 1 kg each."""
+    return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
+
+
+def effect(kind: str, *arguments: object, **more: object) -> object:
+    """Build an effect."""
+    return EFFECTS[kind](*arguments, **more)
+
+
+# What is not listed.
+
+@pytest.mark.parametrize('integrator', ['variational_euler', 'stormer_verlet', 'gauss4'])
+def test_system_without_effects_is_the_hamiltonian_and_the_method_themselves(integrator):
+    hamiltonian, method = HAMILTONIANS['pendulum'](), INTEGRATORS[integrator]()
+    system = System(hamiltonian, [], method)
+    assert system.hamiltonian is hamiltonian
+    assert system.kernel is hamiltonian.kernel
+    assert system.integrator is method
+    assert system.integrator.step is INTEGRATORS[integrator].step
+    assert system.conservative
+    assert not system.takes_commands
+    assert system.labels == []
+
+
+def test_system_of_potentials_leaves_the_method_alone():
+    method = INTEGRATORS['stormer_verlet']()
+    system = System(free('x'), [effect('gravity', 'x')], method)
+    assert system.integrator is method
+    assert system.kernel is system.hamiltonian.kernel
+    assert system.kernel.channels == 0
+
+
+def test_scene_with_its_effects_removed_is_bit_identical_to_one_that_never_had_any(tmp_path):
+    results = []
+    for name, effects in (('never', ''), ('removed', 'effects: []')):
+        path = tmp_path / f'{name}.yaml'
+        path.write_text(SCENE.format(kind='tao', effects=effects, integrator='variational_euler',
+                                     q=[0.7]))
+        results.append(simulate(load_scene(path), 50.0))
+    for part in ('t', 'q', 'p', 'energy'):
+        assert np.array_equal(*(getattr(result, part) for result in results))
+    bare = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), 0.05, [0.7],
+                      [0.7])
+    assert np.array_equal(bare.record(1000, 1)[0], results[0].q[1:])
+
+
+def calls_in_effects(action: Callable[[], object]) -> dict[str, int]:
+    """Return how often a Python function of each file of effects/ is called in an action."""
+    counts: dict[str, int] = {}
+
+    def count(frame, event: str, argument: object) -> None:
+        path = Path(frame.f_code.co_filename)
+        if event == 'call' and path.parent == EFFECTS_FOLDER:
+            counts[path.stem] = counts.get(path.stem, 0) + 1
+
+    sys.setprofile(count)
+    try:
+        action()
+    finally:
+        sys.setprofile(None)
+    return counts
+
+
+@pytest.mark.parametrize('integrator', ['variational_euler', 'stormer_verlet', 'gauss4', 'rk4'])
+def test_scene_without_effects_calls_none_of_their_functions(integrator):
+    simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS[integrator](),
+                            0.05, [0.7], [0.0])
+
+    def run() -> None:
+        simulation.advance(20)
+        simulation.restore(simulation.snapshot())
+        assert simulation.budget == simulation.energy - simulation._energy0
+        simulation.restart([0.5], [0.1])
+
+    counts = calls_in_effects(run)
+    # A restart forgets what effects keep, of which there is none.
+    assert counts.pop('base', 0) <= 1
+    assert counts == {}
+
+
+# What several effects are made of.
+SHARED = {'base', 'events', 'kernels', 'noise', 'points', 'rattle', 'splitting', 'wrapped'}
+
+
+@pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
+def test_scene_calls_the_functions_of_its_own_effects_only(row: EffectRow, tmp_path: Path):
+    # A method whose nodes take forces.
+    integrator = 'gauss4' if row.name == 'damping' else 'generalized_leapfrog'
+    simulation = Simulation(row.uncompiled, INTEGRATORS[integrator](), 0.05, row.q, row.p,
+                            row.create(tmp_path))
+    if simulation.takes_commands:
+        simulation.set_command([1.0])
+    counts = calls_in_effects(lambda: simulation.advance(20))
+    listed = {kind for kind, _ in row.effects}
+    assert set(counts) - SHARED <= listed
+    # Rods, walls and the field act in shared functions only.
+    assert listed - set(counts) <= {'holonomic_constraint', 'impact', 'magnetic_field'}
+    assert sum(counts.values()) >= 20
+
+
+def test_system_labels_tell_effects_of_one_kind_apart():
+    system = System(free('x'), [effect('damping', 0.1), effect('gravity', 'x'),
+                                effect('damping', 0.2)], INTEGRATORS['stormer_verlet']())
+    assert system.labels == ['damping_0', 'gravity', 'damping_2']
+
+
+# What is refused.
+
+@pytest.mark.parametrize('integrator, kind, arguments, able', [
+    (INTEGRATORS['stormer_verlet'](), 'dry_friction', ('x', 1.0), 'generalized_leapfrog'),
+    (INTEGRATORS['stormer_verlet'](), 'magnetic_field', (['x', 'z'],), 'implicit_midpoint'),
+    (INTEGRATORS['yoshida4']('stormer_verlet'), 'magnetic_field', (['x', 'z'],), 'gauss4'),
+    (INTEGRATORS['yoshida4']('stormer_verlet'), 'damping', (0.1,), 'gauss4'),
+    (INTEGRATORS['variational_euler'](), 'impact', ('x',), 'stormer_verlet'),
+    (INTEGRATORS['variational_euler'](), 'thermostat', (1.0, 1.0), 'stormer_verlet'),
+    (INTEGRATORS['gauss4'](), 'thermostat', (1.0, 1.0), 'stormer_verlet, generalized_leapfrog'),
+    (INTEGRATORS['variational_euler'](), 'holonomic_constraint', (['x', 'z'], None, [0.0, 0.0]),
+     'stormer_verlet'),
+    (INTEGRATORS['discrete_gradient'](), 'holonomic_constraint', (['x', 'z'], None, [0.0, 0.0]),
+     'implicit_midpoint'),
+    (INTEGRATORS['discrete_gradient'](), 'periodic_drive', ('x', 1.0, 1.0), 'gauss4'),
+])
+def test_method_that_cannot_take_an_effect_is_refused_with_those_that_can(
+        integrator, kind, arguments, able):
+    with pytest.raises(UnsupportedSystem) as raised:
+        System(free('x', 'z'), [effect(kind, *arguments)], integrator)
+    message = str(raised.value)
+    assert f'cannot take the effect {kind}; methods that can: ' in message
+    named = message.partition('can: ')[2].split(', ')
+    assert set(able.split(', ')) <= set(named)
+    for name in named:
+        System(free('x', 'z'), [effect(kind, *arguments)], INTEGRATORS[name]())
+
+
+@pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
+def test_discrete_euler_lagrange_takes_no_effect_at_all(row: EffectRow, tmp_path: Path):
+    integrator = INTEGRATORS['discrete_euler_lagrange']('helpers:midpoint_lagrangian', 2)
+    with pytest.raises(UnsupportedSystem, match='discrete_euler_lagrange cannot take the effect'):
+        System(row.uncompiled, row.create(tmp_path), integrator)
+
+
+@pytest.mark.parametrize('effects, index, message', [
+    ([('thermostat', {'temperature': 1.0, 'rate': 1.0})] * 2, 1, 'one thermostat only'),
+    ([('external_force', {'coordinates': ['x']}), ('external_force', {'coordinates': ['z']})], 1,
+     'one external_force only'),
+    ([('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
+      ('impact', {'coordinate': 'x'})], 1, 'impact does not combine with holonomic_constraint'),
+    ([('thermostat', {'temperature': 1.0, 'rate': 1.0}),
+      ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
+     'thermostat does not combine'),
+])
+def test_effects_that_do_not_combine_are_refused(effects, index, message):
+    with pytest.raises(EffectError, match=message) as raised:
+        System(free('x', 'z'), [create_effect(*one, Path()) for one in effects],
+               INTEGRATORS['generalized_leapfrog']())
+    assert raised.value.index == index
+
+
+def test_initial_state_behind_a_wall_is_refused():
+    with pytest.raises(ValueError, match=r'initial x = -0\.5 is behind the wall .* at 0\.0'):
+        Simulation(free('x'), INTEGRATORS['stormer_verlet'](), 0.1, [-0.5], [0.0],
+                   [effect('impact', 'x')])
+
+
+@pytest.mark.parametrize('kind, arguments', [
+    ('impact', ('x',)), ('thermostat', (1.0, 1.0)),
+    ('holonomic_constraint', (['x', 'z'], None, [0.0, 0.0]))])
+def test_several_states_at_once_are_refused_where_an_effect_takes_one(kind, arguments):
+    with pytest.raises(ValueError, match='use simulate_many'):
+        Simulation(free('x', 'z'), INTEGRATORS['stormer_verlet'](), 0.1, [[1.0, 0.0]] * 2,
+                   [[0.0, 0.0]] * 2, [effect(kind, *arguments)])
+
+
+# Repeatability.
+
+def brownian(seed: int = 1) -> Simulation:
+    """Return a pendulum in a heat bath."""
+    return Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['stormer_verlet'](),
+                      0.05, [0.7], [0.0], [effect('thermostat', 0.5, 1.0, seed=seed)])
+
+
+def rods() -> Simulation:
+    """Return a mass on a rod from a pivot."""
+    row = next(row for row in EFFECT_ROWS if row.name == 'rod with forces')
+    return Simulation(row.uncompiled, INTEGRATORS['generalized_leapfrog'](), 0.05, row.q, row.p,
+                      row.create(Path()))
+
+
+def resting() -> Simulation:
+    """Return a mass that lies on the floor, and is pushed into it and lifted off it."""
+    return Simulation(free('z'), INTEGRATORS['implicit_midpoint'](), 0.02, [0.02], [0.0],
+                      [effect('gravity', 'z'), effect('impact', 'z', restitution=0.3),
+                       effect('periodic_drive', 'z', 20.0, 0.5, 0.5 * np.pi)])
+
+
+def commanded() -> Simulation:
+    """Return a pendulum that is driven, and pushed until a time-out."""
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss4'](), 0.05, [0.7], [0.0],
+        [effect('periodic_drive', 'angle', 1.0, 0.3), effect('external_force', ['angle'], 3.02)])
+    simulation.set_command([2.0])
+    return simulation
+
+
+SIMULATIONS = [brownian, rods, resting, commanded]
+
+
+def assert_same(one: Simulation, other: Simulation) -> None:
+    """Compare everything that a simulation shows, bit by bit."""
+    for part in ('q', 'p', 'dH_dq', 'dH_dp'):
+        assert np.array_equal(getattr(one, part), getattr(other, part))
+    assert (one.works, one.budget, one.time) == (other.works, other.budget, other.time)
+
+
+@pytest.mark.parametrize('make', SIMULATIONS, ids=lambda make: make.__name__)
+def test_simulation_with_effects_is_bit_identical_when_repeated_and_when_cut_in_pieces(make):
+    whole, pieces = make(), make()
+    whole.advance(120)
+    for n in (1, 0, 58, 1, 60):
+        pieces.advance(n)
+    assert_same(whole, pieces)
+    q, p = whole.q.copy(), whole.p.copy()
+    again = make()
+    samples = again.record(4, 30)
+    assert np.array_equal(samples[0][-1], q)
+    assert np.array_equal(samples[1][-1], p)
+
+
+@pytest.mark.parametrize('make', SIMULATIONS, ids=lambda make: make.__name__)
+def test_simulation_with_effects_restored_from_a_snapshot_is_bit_identical(make):
+    whole, resumed = make(), make()
+    # After 50 steps the mass lies on the floor, and the external force has ended before 70.
+    whole.advance(50)
+    snapshot = whole.snapshot()
+    whole.advance(70)
+    resumed.restore(snapshot)
+    resumed.advance(70)
+    assert_same(whole, resumed)
+    # Going back in the same simulation is no different.
+    whole.restore(snapshot)
+    whole.advance(70)
+    assert_same(whole, resumed)
+
+
+def test_mass_of_these_tests_is_at_rest_where_it_is_cut_and_is_lifted_off_after_that():
+    simulation = resting()
+    simulation.advance(50)
+    assert (simulation.q[0], simulation.p[0]) == (0.0, 0.0)
+    lifted, _ = simulation.record(70, 1)
+    assert (lifted[:5] == 0.0).all()
+    assert lifted.max() > 0.1
+
+
+def test_thermostat_noise_is_that_of_its_seed_and_stream():
+    first, same, other = brownian(1), brownian(1), brownian(2)
+    for simulation in (first, same, other):
+        simulation.advance(20)
+    assert np.array_equal(first.q, same.q)
+    assert not np.isclose(first.q, other.q)
+    # Two uniform numbers for each normal one, of which a step takes one.
+    assert first.snapshot()['live.draws'][0] == 2 * 20
+    first.restart([0.7], [0.0], stream=0)
+    other.restart([0.7], [0.0])
+    same.restart([0.7], [0.0], stream=1)
+    for simulation in (first, same):
+        simulation.advance(20)
+    assert not np.isclose(first.q, same.q)
+    same.restart([0.7], [0.0])
+    same.advance(20)
+    assert np.array_equal(first.q, same.q)
+    assert same.works == first.works
+
+
+def test_thermostat_noise_is_drawn_once_for_each_part_of_a_step_that_a_wall_cuts():
+    """Trials of the time of impact meet the same noise: they are parts of one path."""
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['stormer_verlet'](), 0.05, [0.7],
+        [0.0], [effect('thermostat', 0.5, 1.0), effect('impact', 'angle', restitution=1.0)])
+    q, _ = simulation.record(100, 1)
+    assert q.min() >= 0.0
+    parts = simulation.snapshot()['live.draws'][0] // 2 - 100
+    # Some two impacts a second.
+    assert 5 <= parts <= 20
+
+
+@pytest.mark.parametrize('integrator', ['variational_euler', 'implicit_midpoint'])
+def test_step_that_is_taken_in_parts_counts_its_time_and_work_once(integrator):
+    """No solver converges in the whole step, nor in all of its halves."""
+    name = HAMILTONIANS['tao']().coordinates[0].name
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS[integrator](), 2.5, [1.5], [-2.0],
+        [effect('periodic_drive', name, 0.1, 0.1)])
+    simulation.advance(1)
+    assert simulation.rescued == 1
+    fine = Simulation(
+        Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS['gauss8'](), 2.5 / 200, [1.5], [-2.0],
+        [effect('periodic_drive', name, 0.1, 0.1)])
+    fine.advance(200)
+    # Of the clock of the drive, and roughly of the work: the first attempts are not counted.
+    assert simulation.snapshot()['live.clock'].sum() == 2.5
+    assert simulation.work == pytest.approx(fine.work, abs=0.2)
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_step_that_fails_leaves_time_work_and_noise_as_they_were():
+    simulation = Simulation(
+        free('x'), INTEGRATORS['stormer_verlet'](), 0.1, [1.0], [0.0],
+        [effect('spring', ['x'], anchor=[0.0], stiffness=1e300),
+         effect('thermostat', 1.0, 1.0)])
+    with pytest.raises(StepFailure, match='not finite'):
+        simulation.advance(100)
+    before = simulation.snapshot()
+    assert simulation.steps < 100
+    with pytest.raises(StepFailure):
+        simulation.advance(1)
+    for name in ('live.clock', 'live.work', 'point.q', 'point.p'):
+        assert np.array_equal(simulation.snapshot()[name], before[name])
+    assert simulation.snapshot()['live.draws'][0] == before['live.draws'][0]
+    assert simulation.snapshot()['live.clock'][0] == pytest.approx(simulation.time)
+
+
+# Many at once.
+
+def scene_of(tmp_path: Path, kind: str, effects: str, integrator: str, d: int):
+    """Load a scene of some effects."""
+    path = tmp_path / 'scene.yaml'
+    path.write_text(SCENE.format(kind=kind, effects=f'effects:\n{effects}',
+                                 integrator=integrator, q=[0.0] * d))
+    return load_scene(path)
+
+
+@pytest.mark.parametrize('kind, d, integrator, effects', [
+    ('pendulum', 1, 'generalized_leapfrog',
+     '  - {kind: damping, rate: 0.3}\n'
+     '  - {kind: periodic_drive, coordinate: angle, amplitude: 1.0, frequency: 0.5}\n'),
+    ('henon_heiles', 2, 'implicit_midpoint', '  - {kind: magnetic_field, plane: [x, y]}\n'),
+    ('pendulum', 1, 'stormer_verlet',
+     '  - {kind: thermostat, temperature: 0.5, rate: 2.0, seed: 1}\n'
+     '  - {kind: impact, coordinate: angle, position: -1.0, restitution: 0.7}\n')],
+    ids=['forces', 'magnetic field', 'bath and wall'])
+def test_many_trajectories_with_effects_are_those_of_each_alone(
+        kind, d, integrator, effects, tmp_path):
+    scene = scene_of(tmp_path, kind, effects, integrator, d)
+    m, samples, every = BLOCK + 3, 4, 10
+    q, p = np.random.default_rng(0).uniform(-0.4, 0.4, (2, m, d))
+    many = simulate_many(scene, q, p, samples * every * 0.05, samples=samples, threads=2)
+    alone = Simulation(scene.create_hamiltonian(), scene.create_integrator(), 0.05, q[0], p[0],
+                       scene.create_effects())
+    for i in (0, 1, BLOCK - 1, BLOCK, m - 1):
+        alone.restart(q[i], p[i], stream=i)
+        q_alone, p_alone = alone.record(samples, every)
+        # Both are solved to 8 eps a step, and the flow stretches that less than 100 times.
+        tolerance = 100 * 8 * EPS * samples * every
+        assert np.abs(many.q[1:, i] - q_alone).max() <= tolerance
+        assert np.abs(many.p[1:, i] - p_alone).max() <= tolerance
+        assert many.energy[-1, i] == pytest.approx(alone.energy, abs=100 * tolerance)
+
+
+def test_budget_of_trajectories_that_step_together_is_the_sum_of_theirs():
+    def make(q, p) -> Simulation:
+        return Simulation(Uncompiled(HAMILTONIANS['henon_heiles']()), INTEGRATORS['gauss6'](),
+                          0.1, q, p, [effect('magnetic_field', ['x', 'y']),
+                                      effect('damping', [0.1, 0.3]),
+                                      effect('periodic_drive', 'x', 0.3, 0.2)])
+
+    q, p = np.random.default_rng(1).uniform(-0.3, 0.3, (2, 3, 2))
+    together, alone = make(q, p), [make(*state) for state in zip(q, p, strict=True)]
+    for simulation in (together, *alone):
+        simulation.advance(20)
+    assert together.energy == pytest.approx(sum(one.energy for one in alone), abs=1e-12)
+    assert together.work == pytest.approx(sum(one.work for one in alone), abs=1e-12)
+    assert abs(together.work) > 1e-3
+    assert abs(together.budget) < 1e-8
+
+
+def test_initial_momentum_along_a_rod_is_refused():
+    rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
+    with pytest.raises(ValueError, match='changes it by 0.5 m/s'):
+        Simulation(HAMILTONIANS['free_particle'](names=['x', 'z']),
+                   INTEGRATORS['stormer_verlet'](), 0.1, [1.0, 0.0], [0.5, 0.2], [rod])
+
+
+def test_command_is_refused_where_no_effect_takes_one():
+    simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['rk4'](), 0.1, [1.0], [0.0])
+    with pytest.raises(ValueError, match='external_force'):
+        simulation.set_command([1.0])
+
+
+def test_more_rods_than_coordinates_are_refused():
+    rods = [EFFECTS['holonomic_constraint'](['x'], anchor=[0.0], length=1.0) for _ in range(2)]
+    with pytest.raises(EffectError, match='no freedom'):
+        Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['stormer_verlet'](), 0.1, [1.0],
+                   [0.0], rods)
+
+
+def test_snapshot_carries_the_energy_that_the_budget_starts_from():
+    def start(q: float) -> Simulation:
+        return Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss8'](), 0.1,
+                          [q], [0.0])
+
+    first, other = start(1.0), start(0.5)
+    first.advance(5)
+    other.restore(first.snapshot())
+    assert other.budget == first.budget

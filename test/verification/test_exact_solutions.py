@@ -1,0 +1,390 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects against the exact solutions that mechanics has for them."""
+
+from collections.abc import Callable
+
+from helpers import EPS, Uncompiled
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
+G = 9.81
+
+
+def free_particle(*names: str) -> Uncompiled:
+    """Return free coordinates of 1 kg each."""
+    return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
+
+
+def oscillator() -> Uncompiled:
+    """Return a mass of 1 kg on a spring of 1 N/m."""
+    return Uncompiled(HAMILTONIANS['harmonic_oscillator']())
+
+
+def effect(kind: str, *arguments: object, **more: object) -> Effect:
+    """Build an effect."""
+    return EFFECTS[kind](*arguments, **more)
+
+
+def path(simulation: Simulation, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times, shape (steps,), and q and p, shape (steps, d), after each step."""
+    q, p = simulation.record(steps, 1)
+    return simulation.step_size * np.arange(1, steps + 1), q, p
+
+
+def largest_error(make: Callable[[float], Simulation], duration: float, steps: int,
+                  exact: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Return the largest abs(q_0 - exact(t)) along a run."""
+    t, q, _ = path(make(duration / steps), steps)
+    return np.abs(q[:, 0] - exact(t)).max()
+
+
+def damped(t: np.ndarray) -> np.ndarray:
+    """Solve x'' = -x - x' / 2 from x = 1 at rest."""
+    omega = np.sqrt(1.0 - 0.0625)
+    return np.exp(-0.25 * t) * (np.cos(omega * t) + 0.25 / omega * np.sin(omega * t))
+
+
+def driven(t: np.ndarray) -> np.ndarray:
+    """Solve x'' = -x + 2 cos(w t + 0.4) from x = 1 at rest, w = 2 pi 0.3, off resonance."""
+    omega = 2.0 * np.pi * 0.3
+    size = 2.0 / (1.0 - omega * omega)
+    start, speed = 1.0 - size * np.cos(0.4), size * omega * np.sin(0.4)
+    return size * np.cos(omega * t + 0.4) + start * np.cos(t) + speed * np.sin(t)
+
+
+@pytest.mark.parametrize('kind, arguments, exact', [
+    ('damping', (0.5,), damped), ('periodic_drive', ('x', 2.0, 0.3, 0.4), driven)])
+@pytest.mark.parametrize('name', ['stormer_verlet', 'generalized_leapfrog', 'implicit_midpoint',
+                                  'gauss8'])
+def test_oscillator_with_an_effect_follows_its_exact_solution(kind, arguments, exact, name,
+                                                              measured):
+    def make(h: float) -> Simulation:
+        return Simulation(oscillator(), INTEGRATORS[name](), h, [1.0], [0.0],
+                          [effect(kind, *arguments)])
+
+    if name == 'gauss8':
+        # h^8 over some constant of 1e-6, for h = 0.1.
+        error = largest_error(make, 10.0, 100, exact)
+        measured('error against an exact solution', f'{name}, {kind}', error, '< 1e-12')
+        assert error < 1e-12
+        return
+    errors = [largest_error(make, 10.0, steps, exact) for steps in (100, 200)]
+    # Order 2, from a first error that is that of h = 0.1.
+    assert errors[0] < 0.1
+    order = np.log2(errors[0] / errors[1])
+    measured('order against an exact solution', f'{name}, {kind}', order, '2 ± 0.35')
+    assert order == pytest.approx(2.0, abs=0.35)
+
+
+def test_damping_of_a_free_particle_is_exact_to_round_off():
+    simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['stormer_verlet'](), 0.1,
+                            [0.0, 0.0], [1.0, 1.0], [effect('damping', [0.3, 2.0])])
+    t, _, p = path(simulation, 50)
+    # Two factors a step, each rounded.
+    exact = np.exp(-np.outer(t, [0.3, 2.0]))
+    assert np.abs(p / exact - 1.0).max() <= 2 * 50 * 2 * EPS
+
+
+def test_magnetic_field_turns_a_particle_on_its_circle_to_round_off_with_gauss8(measured):
+    """Solve q' = v, v' = w J v with w = c B / m = 3: a circle of radius |v| / w."""
+    simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['gauss8'](), np.pi / 90,
+                            [1.0, 0.0], [0.0, -1.5], [effect('magnetic_field', ['x', 'y'], 2.0,
+                                                             1.5)])
+    # p = (0, -1.5) is m v + c A with A = B (-y, x) / 2: v = (0, -3).
+    assert simulation.dH_dp == pytest.approx([0.0, -3.0], abs=4 * EPS)
+    t, q, _ = path(simulation, 180)
+    error = np.abs(q - np.column_stack([np.cos(3.0 * t), -np.sin(3.0 * t)])).max()
+    measured('error against an exact solution', 'gauss8, cyclotron motion', error, '< 1e-12')
+    # (w h)^8 over 1e8 or so, and the rounding of 180 steps.
+    assert error < 1e-12
+
+
+def test_magnetic_field_with_implicit_midpoint_keeps_the_circle_and_its_known_frequency(measured):
+    """Each step turns the velocity by 2 atan(w h / 2), and q stays on the circle."""
+    h, omega, steps = 0.3, 1.0, 200
+    simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['implicit_midpoint'](), h,
+                            [1.0, 0.0], [0.0, -0.5], [effect('magnetic_field', ['x', 'y'])])
+    t, q, _ = path(simulation, steps)
+    radius = np.hypot(*q.T)
+    measured('error of the radius', 'implicit_midpoint, cyclotron motion',
+             np.abs(radius - 1.0).max(), '< 8 eps x 200')
+    assert np.abs(radius - 1.0).max() <= 8 * EPS * steps
+    angle = 2.0 * np.arctan(0.5 * omega * h) * np.arange(1, steps + 1)
+    assert np.abs(q - np.column_stack([np.cos(angle), -np.sin(angle)])).max() <= \
+        steps * 8 * EPS * steps
+
+
+def test_gravity_throws_a_parabola():
+    simulation = Simulation(free_particle('x', 'z'), INTEGRATORS['stormer_verlet'](), 0.01,
+                            [0.0, 1.0], [2.0, 3.0], [effect('gravity', 'z')])
+    t, q, _ = path(simulation, 200)
+    # Stormer-Verlet is exact for a constant force; z falls to some -12.
+    assert np.abs(q - np.column_stack([2.0 * t, 1.0 + 3.0 * t - 0.5 * G * t * t])).max() < 1e-12
+
+
+def test_spring_between_two_particles_swings_with_their_reduced_mass():
+    """Two masses of 1 kg: the distance swings with the frequency sqrt(2 k / m) about l."""
+    simulation = Simulation(
+        free_particle('x', 'y'), INTEGRATORS['gauss8'](), 0.1, [1.5, 0.0], [0.3, 0.3],
+        [effect('spring', ['x'], other=['y'], stiffness=0.5, rest_length=1.0)])
+    t, q, _ = path(simulation, 100)
+    assert np.abs(q[:, 0] - q[:, 1] - (1.0 + 0.5 * np.cos(t))).max() < 1e-12
+    # Their centre moves on.
+    assert np.abs(q.mean(axis=1) - (0.75 + 0.3 * t)).max() < 1e-12
+
+
+def test_spring_with_a_length_at_rest_swings_and_circles_in_the_plane():
+    along = np.array([0.6, 0.8])
+    anchor, stiffness, rest = np.array([0.5, -0.2]), 2.0, 1.0
+
+    def run(r: float, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        simulation = Simulation(
+            free_particle('x', 'y'), INTEGRATORS['gauss8'](), 0.05, anchor + r * along, speed,
+            [effect('spring', ['x', 'y'], anchor=anchor.tolist(), stiffness=stiffness,
+                    rest_length=rest)])
+        t, q, _ = path(simulation, 200)
+        return t, q - anchor
+
+    t, q = run(1.3, np.zeros(2))
+    exact = np.outer(rest + 0.3 * np.cos(np.sqrt(stiffness) * t), along)
+    assert np.abs(q - exact).max() < 1e-12
+    # A circle of radius r has w^2 = (k / m) (r - l) / r.
+    omega = np.sqrt(stiffness * 0.5 / 1.5)
+    t, q = run(1.5, 1.5 * omega * np.array([-0.8, 0.6]))
+    angle = np.arctan2(0.8, 0.6) + omega * t
+    exact = 1.5 * np.column_stack([np.cos(angle), np.sin(angle)])
+    assert np.abs(q - exact).max() < 1e-12
+
+
+def test_quadratic_drag_slows_a_particle_as_one_over_time():
+    """Solve m v' = -b v^2: v = v0 / (1 + b v0 t / m), x = (m / b) log(1 + b v0 t / m)."""
+    b, mass, speed = 0.8, 2.0, np.array([3.0, 4.0])
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](mass, ('x', 'y'))), INTEGRATORS['gauss8'](),
+        0.02, [0.0, 0.0], mass * speed, [effect('quadratic_drag', ['x', 'y'], b)])
+    t, q, p = path(simulation, 100)
+    rate = b * 5.0 / mass
+    slowing = 1.0 + rate * t
+    # The nearest singularity is 0.5 s before the start: (h / 0.5)^8 / 1e4 a step.
+    assert np.abs(p - mass * speed / slowing[:, None]).max() < 1e-12
+    assert np.abs(q - np.outer(np.log(slowing) / rate, speed)).max() < 1e-12
+
+
+def test_dry_friction_follows_the_integral_of_its_smooth_law():
+    """Solve m v' = -F tanh(v / u): sinh(v / u) = sinh(v0 / u) exp(-F t / (m u))."""
+    force, u, v0, mass = 1.0, 0.2, 0.6, 2.0
+    simulation = Simulation(Uncompiled(HAMILTONIANS['free_particle'](mass)),
+                            INTEGRATORS['gauss8'](), 0.02, [0.0], [mass * v0],
+                            [effect('dry_friction', 'x', force, u)])
+    t, _, p = path(simulation, 150)
+    exact = u * np.arcsinh(np.sinh(v0 / u) * np.exp(-force * t / (mass * u)))
+    # The law bends over u, which takes some 20 steps: (1 / 20)^8 and less.
+    assert np.abs(p[:, 0] / mass - exact).max() < 1e-11
+
+
+def test_dry_friction_lets_a_body_at_rest_creep_under_a_load():
+    """F tanh(v / u) balances the load: v = u atanh(load / F)."""
+    simulation = Simulation(
+        free_particle('x'), INTEGRATORS['gauss4'](), 0.05, [0.0], [0.0],
+        [effect('dry_friction', 'x', 2.0, 0.5), effect('gravity', 'x', 1.0, -1.0)])
+    simulation.advance(300)
+    # The approach is exp(-(1 - 1/4) F t / (m u)), with t = 15 s.
+    assert simulation.p[0] == pytest.approx(0.5 * np.arctanh(0.5), rel=1e-12)
+
+
+def bouncing(t: np.ndarray, height: float, restitution: float) -> np.ndarray:
+    """Return the height of a mass that falls from rest, and keeps e of its speed in a bounce."""
+    speed = np.sqrt(2.0 * G * height)
+    z, start, duration = np.zeros_like(t), -speed / G, 2.0 * speed / G
+    while speed > 1e-3 and start < t[-1]:
+        now = (t >= start) & (t < start + duration)
+        z[now] = speed * (t[now] - start) - 0.5 * G * (t[now] - start) ** 2
+        start, speed = start + duration, restitution * speed
+        duration = 2.0 * speed / G
+    return z
+
+
+def mass_over_a_wall(h: float, restitution: float, *more: Effect, z: float = 1.0) -> Simulation:
+    """Return a mass that falls on a wall at z = 0."""
+    return Simulation(free_particle('z'), INTEGRATORS['stormer_verlet'](), h, [z], [0.0],
+                      [effect('gravity', 'z'),
+                       effect('impact', 'z', restitution=restitution), *more])
+
+
+def test_impact_keeps_its_share_of_the_speed_and_happens_in_time(measured):
+    """All speeds e^k v and all times of impact show in the heights at all times."""
+    simulation = mass_over_a_wall(0.01, 0.8)
+    t, q, _ = path(simulation, 350)
+    # Ten impacts, whose times are found to round-off and multiplied by speeds below 5 m/s.
+    assert np.abs(q[:, 0] - bouncing(t, 1.0, 0.8)).max() < 1e-12
+    measured('largest energy budget [J]', 'stormer_verlet, bouncing mass',
+             abs(simulation.budget), '< 1e-12')
+    assert abs(simulation.budget) < 1e-12
+    bounces = np.log(1.0 + simulation.work / G) / np.log(0.64)
+    # Each impact leaves e^2 of the energy.
+    assert bounces == pytest.approx(round(bounces), abs=1e-9)
+    assert round(bounces) >= 8
+
+
+@pytest.mark.parametrize('side, position', [('above', -0.3), ('below', 0.4)])
+def test_impact_on_either_side_of_a_wall_mirrors_the_path(side, position):
+    sign = 1.0 if side == 'above' else -1.0
+    simulation = Simulation(free_particle('x'), INTEGRATORS['implicit_midpoint'](), 0.07,
+                            [position + sign], [-2.0 * sign],
+                            [effect('impact', 'x', position, side, 0.5)])
+    t, q, _ = path(simulation, 20)
+    exact = np.where(t < 0.5, 1.0 - 2.0 * t, t - 0.5)
+    assert np.abs(sign * (q[:, 0] - position) - exact).max() < 1e-14 * 20
+
+
+def test_elastic_impact_returns_to_its_height_for_ten_thousand_steps_without_drift(measured):
+    simulation = mass_over_a_wall(0.01, 1.0)
+    _, q, p = path(simulation, 10_000)
+    assert simulation.conservative
+    error = G * q[:, 0] + 0.5 * p[:, 0] ** 2 - G
+    measured('energy error over 10,000 steps', 'stormer_verlet, elastic impacts',
+             np.abs(error).max(), '< 1e-11')
+    # Some 110 impacts and 1e4 steps, a random walk of roundings of 10 J.
+    assert np.abs(error).max() < 1e-11
+    # The highest of 90 samples of a flight is within g h^2 / 8 of its top.
+    assert q[-100:].max() > 1.0 - G * 0.01 ** 2 / 8.0 - 1e-12
+
+
+def test_impact_brings_a_body_to_rest_and_it_stays():
+    simulation = mass_over_a_wall(0.01, 0.5)
+    # The flights sum up to t1 + 2 t1 e / (1 - e) = 3 t1 = 1.36 s.
+    _, q, p = path(simulation, 135)
+    assert q[-1] > 0.0 or p[-1] != 0.0
+    _, q, p = path(simulation, 200)
+    assert (q[5:] == 0.0).all()
+    assert (p[5:] == 0.0).all()
+    assert simulation.work == pytest.approx(-G, rel=1e-12)
+    assert abs(simulation.budget) < 1e-12
+
+
+def test_body_at_rest_on_a_wall_is_lifted_off_by_a_drive():
+    """It rests until F sin(w t) = m g, then m z'' = F sin(w t) - m g."""
+    force, frequency = 20.0, 0.5
+    omega = 2.0 * np.pi * frequency
+    simulation = mass_over_a_wall(
+        0.002, 0.0, effect('periodic_drive', 'z', force, frequency, -0.5 * np.pi), z=0.0)
+    t, q, _ = path(simulation, 200)
+    off = np.arcsin(G / force) / omega
+    assert (q[t < off] == 0.0).all()
+    late, phase = t[t > off] - off, omega * off
+    exact = force / omega ** 2 * (np.sin(phase) - np.sin(omega * t[t > off])) \
+        + force / omega * np.cos(phase) * late - 0.5 * G * late ** 2
+    assert exact[-1] > 0.05
+    # It starts up to a step late, in which the force grows to F w h: v lacks F w h^2 / 2 at most.
+    bound = force * omega * 0.002 ** 2
+    assert np.abs(q[t > off, 0] - exact).max() < bound
+
+
+def test_body_that_was_lifted_off_bounces_where_it_lands():
+    """Pushed up by 20 N for 0.2 s; with e = 0.5 a quarter of the height comes back."""
+    simulation = mass_over_a_wall(0.001, 0.5, effect('external_force', ['z'], 0.2), z=0.0)
+    simulation.advance(20)
+    assert (simulation.q[0], simulation.p[0]) == (0.0, 0.0)
+    simulation.set_command([20.0])
+    _, q, _ = path(simulation, 1400)
+    rise = (20.0 - G) * 0.2
+    top = 0.1 * rise + rise ** 2 / (2.0 * G)
+    # A top is sampled within g h^2 / 8.
+    assert q.max() == pytest.approx(top, abs=G * 1e-6)
+    landed = int(1000 * (0.2 + rise / G + np.sqrt(2.0 * top / G))) + 1
+    assert q[landed:].max() == pytest.approx(0.25 * top, abs=G * 1e-6)
+    assert abs(simulation.budget) < 1e-12
+
+
+def mean_and_error(values: np.ndarray, blocks: int = 100) -> tuple[float, float]:
+    """Return a mean and its standard error, from blocks much longer than the correlation."""
+    means = values[:len(values) // blocks * blocks].reshape(blocks, -1).mean(axis=1)
+    return means.mean(), means.std(ddof=1) / np.sqrt(blocks)
+
+
+def assert_within_three_errors(values: np.ndarray, expected: float) -> tuple[float, float]:
+    """Compare a mean with its expectation; return it with its standard error."""
+    mean, error = mean_and_error(values)
+    assert abs(mean - expected) < 3.0 * error
+    return mean, error
+
+
+def test_thermostat_gives_the_oscillator_its_exact_temperature(measured):
+    """BAOAB on a linear force: <q^2> = kT / k for any h, <p^2> = m kT (1 - (w h)^2 / 4)."""
+    temperature, h = 0.7, 0.5
+    simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](), INTEGRATORS['stormer_verlet'](),
+                            h, [0.0], [0.0], [effect('thermostat', temperature, 1.0, seed=1)])
+    simulation.advance(100)
+    q, p = simulation.record(1_000_000, 1)
+    for name, values, expected in (
+            ('<k q^2> / kT', q[:, 0] ** 2, temperature),
+            ('<p^2 / m> / kT', p[:, 0] ** 2, temperature * (1.0 - 0.25 * h * h))):
+        mean, error = assert_within_three_errors(values, expected)
+        measured(f'temperature, {name}', 'thermostat, oscillator, h = 0.5', mean / temperature,
+                 f'{expected / temperature:.4g} ± {3.0 * error / temperature:.2g}')
+        # Sharp enough to tell the two apart.
+        assert error < 0.005 * temperature
+
+
+def test_thermostat_gives_the_pendulum_kinetic_and_configurational_temperature(measured):
+    """<p^2 / m> = kT and <V'^2> = kT <V''>, whatever V."""
+    temperature, h = 3.0, 0.02
+    simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['stormer_verlet'](), h,
+                            [0.0], [0.0], [effect('thermostat', temperature, 2.0, seed=2)])
+    simulation.advance(1000)
+    q, p = simulation.record(1_000_000, 1)
+    # The bias of BAOAB in p^2 is (w h)^2 / 4 = 1e-3 of it, a third of the standard error.
+    mean, error = assert_within_three_errors(p[:, 0] ** 2, temperature)
+    measured('temperature, <p^2 / m> / kT', 'thermostat, pendulum', mean / temperature,
+             f'1 ± {3.0 * error / temperature:.2g}')
+    slope, curvature = G * np.sin(q[:, 0]), G * np.cos(q[:, 0])
+    _, error = assert_within_three_errors(slope ** 2 - temperature * curvature, 0.0)
+    measured("temperature, <V'^2> / <V''> / kT", 'thermostat, pendulum',
+             (slope ** 2).mean() / curvature.mean() / temperature,
+             f'1 ± {3.0 * error / curvature.mean() / temperature:.2g}')
+    # Far from small swings, for which any thermostat would do.
+    assert np.abs(q).max() > np.pi
+    # Heat that is taken up and given back again leaves the system with some kT.
+    assert abs(simulation.work) < 50.0 * temperature
+
+
+def test_thermostat_lets_the_velocity_of_a_free_particle_decay_exponentially():
+    """The autocorrelation of p is m kT exp(-gamma t), exactly."""
+    rate, h, mass = 0.8, 0.25, 2.0
+    simulation = Simulation(Uncompiled(HAMILTONIANS['free_particle'](mass)),
+                            INTEGRATORS['stormer_verlet'](), h, [0.0], [0.0],
+                            [effect('thermostat', 1.0, rate, mass, 3)])
+    simulation.advance(100)
+    p = simulation.record(40_000, 1)[1][:, 0]
+    for lag in (0, 1, 4, 10):
+        products = p[:len(p) - lag] * p[lag:]
+        assert_within_three_errors(products, mass * np.exp(-rate * h * lag))
+
+
+def test_thermostat_without_heat_is_exact_friction():
+    simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['stormer_verlet'](), 0.1,
+                            [0.0, 0.0], [1.0, 1.0],
+                            [effect('thermostat', 1e-40, [0.3, 2.0])])
+    t, _, p = path(simulation, 50)
+    # The noise is of the size of 1e-20, the momenta above 1e-5; each step rounds twice.
+    assert np.abs(p / np.exp(-np.outer(t, [0.3, 2.0])) - 1.0).max() <= 2 * 50 * 2 * EPS
+
+
+def test_thermostat_takes_a_rate_and_a_mass_for_each_coordinate():
+    simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['generalized_leapfrog'](), 0.5,
+                            [0.0, 0.0], [0.0, 0.0],
+                            [effect('thermostat', 1.0, [0.5, 3.0], [1.0, 4.0], 4)])
+    simulation.advance(50)
+    p = simulation.record(20_000, 1)[1]
+    for i, (rate, mass) in enumerate([(0.5, 1.0), (3.0, 4.0)]):
+        assert_within_three_errors(p[:, i] ** 2, mass)
+        assert_within_three_errors(p[1:, i] * p[:-1, i], mass * np.exp(-0.5 * rate))
+    assert_within_three_errors(p[:, 0] * p[:, 1], 0.0)
