@@ -1,0 +1,75 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rows 7: what the integrator auto chose, over the best of a grid of methods and step sizes."""
+
+from collections.abc import Callable, Iterator
+import math
+
+from benchmarks.measurement import compare, interleave, Row, Settings
+from hnn_vi_ros.calibration import calibrate, CANDIDATES
+from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.trials import Budget, Problem
+import numpy as np
+
+_PAIRS = (
+    ('exact_pendulum', Budget('energy_error', 1e-3, 200.0)),
+    ('exact_pendulum', Budget('energy_error', 1e-8, 200.0)),
+    ('pendulum', Budget('energy_error', 1e-5, 200.0)),
+    ('kepler', Budget('energy_error', 1e-6, 200.0)),
+)
+_STEP_SIZES = [0.8 * 2.0 ** -k for k in range(11)]
+# Simulated time of a timed run [s].
+_TIMED = 200.0
+
+
+def rows(settings: Settings) -> Iterator[Row]:
+    """Measure a row for each pair of scene and budget."""
+    for name, budget in _PAIRS:
+        settings.say(f'{name}, {budget.kind} {budget.error:g}')
+        yield _row(name, budget, settings)
+
+
+def _row(name: str, budget: Budget, settings: Settings) -> Row:
+    scene = load_scene(name)
+    problem = Problem(scene.create_hamiltonian(), (), np.array(scene.initial_state.q),
+                      np.array(scene.initial_state.p))
+    choice = calibrate(problem, budget)
+    label, h = _best(problem, budget)
+    times = interleave([_contestant(problem, choice.method, choice.step_size),
+                        _contestant(problem, label, h)], settings.repetitions)
+    return compare(
+        f'auto on {name}, {budget.kind} {budget.error:g}: time a simulated second', times[:, 0],
+        times[:, 1], target=1.5, scale=1e6 / _TIMED, peer_name=f'{label}, h = {h:g}',
+        note=f'auto took {choice.method}, h = {choice.step_size:.3g}; the peer is the fastest '
+             'row of the grid that holds the budget')
+
+
+def _contestant(problem: Problem, method: str, h: float) -> Callable:
+    simulation = problem.simulation(method, h)
+    simulation.compile()
+    return lambda: lambda: simulation.advance(round(_TIMED / h))
+
+
+def _best(problem: Problem, budget: Budget) -> tuple[str, float]:
+    """Return the method and step that hold the budget at the least time."""
+    found = []
+    for method in CANDIDATES:
+        for h in _STEP_SIZES:
+            try:
+                simulation = problem.simulation(method, h)
+                size, worst = abs(simulation.energy), 0.0
+                every = math.ceil(budget.horizon / h / 2000)
+                while simulation.time < budget.horizon and worst <= budget.error:
+                    simulation.advance(every)
+                    worst = max(worst, abs(simulation.budget) / size)
+            except UnsupportedSystem:
+                break
+            except StepFailure:
+                continue
+            if worst <= budget.error:
+                # The largest step of a method that holds it is its fastest.
+                run = _contestant(problem, method, h)
+                found.append((float(np.median(interleave([run], 5))), method, h))
+                break
+    return min(found)[1:]

@@ -1,0 +1,172 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The integrator auto: what it chooses holds the budget, and what cannot be held is said."""
+
+from functools import cache
+import math
+
+from hnn_vi_ros.calibration import calibrate, CANDIDATES, Choice, remembered
+from hnn_vi_ros.ensemble import simulate
+from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.studies.references import make_reference
+from hnn_vi_ros.trials import Budget, Problem
+import numpy as np
+import pytest
+
+ENERGY, PATH = 'energy_error', 'path_error'
+# None of these was looked at when the constants of the calibration were chosen.
+PAIRS = [
+    *[('exact_pendulum', Budget(ENERGY, error, horizon))
+      for error in (3e-3, 2e-5, 7e-8, 4e-11) for horizon in (40.0, 700.0)],
+    *[('pendulum', Budget(ENERGY, error, horizon))
+      for error, horizon in ((5e-4, 300.0), (3e-7, 60.0), (2e-9, 500.0))],
+    *[('kepler', Budget(ENERGY, error, horizon))
+      for error, horizon in ((2e-3, 90.0), (4e-6, 800.0), (5e-10, 200.0))],
+    *[('henon_heiles', Budget(ENERGY, error, horizon))
+      for error, horizon in ((6e-4, 1000.0), (1e-7, 150.0))],
+    *[('exact_pendulum', Budget(PATH, error, horizon))
+      for error, horizon in ((4e-3, 15.0), (6e-6, 80.0), (3e-8, 250.0))],
+    *[('kepler', Budget(PATH, error, horizon))
+      for error, horizon in ((5e-3, 12.0), (8e-6, 60.0), (4e-7, 200.0))],
+    ('exact_damped_driven_pendulum', Budget(ENERGY, 2e-4, 60.0)),
+]
+
+
+@cache
+def problem(name: str) -> Problem:
+    """Return what a shipped scene simulates."""
+    scene = load_scene(name)
+    return Problem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                   np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+
+
+def error_of(name: str, budget: Budget, choice: Choice) -> float:
+    """Return the error that a choice makes up to the horizon, looked at a thousand times."""
+    simulation = problem(name).simulation(choice.method, choice.step_size)
+    if budget.kind == PATH:
+        reference = make_reference(
+            problem(name).hamiltonian, problem(name).q, problem(name).p, budget.horizon, 0.1)
+        errors = []
+        for k in range(10):
+            simulation.advance(round((k + 1) * budget.horizon / 10 / choice.step_size)
+                               - simulation.steps)
+            z = np.concatenate([simulation.q, simulation.p])
+            errors.append(np.abs(z - reference.path[k]).max())
+        return max(errors)
+    size, worst = abs(simulation.energy), 0.0
+    steps = round(budget.horizon / choice.step_size)
+    every = math.ceil(steps / 1000)
+    while simulation.steps < steps:
+        simulation.advance(every)
+        worst = max(worst, abs(simulation.budget) / size)
+    return worst
+
+
+@pytest.mark.parametrize('name, budget', PAIRS, ids=lambda value: str(value) if isinstance(
+    value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
+def test_choice_holds_its_budget_up_to_the_horizon(name: str, budget: Budget, measured):
+    choice = calibrate(problem(name), budget)
+    error = error_of(name, budget, choice)
+    measured('error of what auto chose', f'{name}, {budget.kind} up to {budget.horizon:g} s, '
+             f'{choice.method}, h = {choice.step_size:.3g}', error, f'<= {budget.error:g}')
+    assert error <= budget.error
+
+
+def test_there_are_twenty_held_back_pairs():
+    assert len(PAIRS) >= 20
+
+
+def test_step_divides_the_time_between_two_samples():
+    choice = calibrate(problem('exact_pendulum'), Budget(ENERGY, 1e-4, 100.0), 0.01)
+    parts = 0.01 / choice.step_size
+    assert choice.step_size <= 0.01 and parts == pytest.approx(round(parts), rel=1e-12)
+
+
+def test_budget_below_round_off_is_refused_with_the_nearest():
+    with pytest.raises(CalibrationError, match=r'no method holds .* the nearest is gauss\d+'):
+        calibrate(problem('exact_pendulum'), Budget(ENERGY, 1e-18, 10.0))
+
+
+def test_path_of_a_chaotic_motion_is_refused():
+    with pytest.raises(CalibrationError, match='chaotic'):
+        calibrate(problem('henon_heiles'), Budget(PATH, 1e-6, 2000.0))
+
+
+def test_candidates_all_keep_their_energy():
+    assert all(INTEGRATORS[name]().symplectic for name in CANDIDATES)
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """Return a function that reads a scene of the pendulum with some integrator."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+
+    def read(integrator: str, more: str = ''):
+        path = tmp_path / 'mine.yaml'
+        path.write_text('hamiltonian: {kind: pendulum}\n'
+                        f'integrator: {{kind: auto, {integrator}}}\n{more}'
+                        'initial_state: {q: [2.5], p: [0.0]}\n')
+        return load_scene(path)
+    return read
+
+
+def test_scene_with_the_integrator_auto_is_simulated(scene):
+    trajectory = simulate(scene('energy_error: 1e-5, horizon: 100.0'), 20.0)
+    assert np.ptp(trajectory.energy) <= 1e-5 * trajectory.energy[0]
+
+
+def test_choice_is_remembered(scene, monkeypatch):
+    mine = scene('energy_error: 1e-5, horizon: 100.0')
+    first = mine.resolved()
+    monkeypatch.setattr('hnn_vi_ros.calibration.calibrate', None)
+    assert mine.resolved().chosen == first.chosen
+    # Another budget is another question.
+    with pytest.raises(TypeError):
+        scene('energy_error: 1e-6, horizon: 100.0').resolved()
+
+
+def test_choice_that_cannot_be_read_is_made_anew(tmp_path, scene):
+    mine = scene('energy_error: 1e-5, horizon: 100.0')
+    mine.resolved()
+    (file,) = (tmp_path / 'cache').rglob('*.json')
+    for damaged in ('', '{', '{"method": "gauss4"}', '[]'):
+        file.write_text(damaged)
+        assert mine.resolved().chosen[1].method in CANDIDATES
+    assert 'step_size' in file.read_text()
+
+
+@pytest.mark.parametrize('integrator, expected', [
+    ('horizon: 1.0', 'mine.yaml:2: integrator.*either energy_error or path_error'),
+    ('energy_error: 1e-3, path_error: 1e-3, horizon: 1.0', 'mine.yaml:2: integrator.*either'),
+    ('energy_error: 1e-3', 'mine.yaml:2: integrator.horizon: .*required'),
+    ('energy_error: -1.0, horizon: 1.0', 'mine.yaml:2: integrator.energy_error'),
+])
+def test_mistake_in_a_budget_is_answered_with_its_place(scene, integrator, expected):
+    with pytest.raises(SceneError, match=expected):
+        scene(integrator)
+
+
+def test_scene_without_step_size_needs_the_integrator_auto(scene):
+    mine = scene('energy_error: 1e-5, horizon: 100.0')
+    with pytest.raises(SceneError, match='step_size'):
+        mine.with_overrides(integrator='gauss4')
+    assert Simulation.from_scene(mine.with_overrides(0.01, 'gauss4')).step_size == 0.01
+
+
+def test_effect_that_no_candidate_takes_is_refused(scene):
+    two = ('effects:\n'
+           '  - {kind: thermostat, temperature: 0.1, rate: 1.0}\n'
+           '  - {kind: holonomic_constraint, point: [angle], anchor: [0.0], length: 2.5}\n')
+    with pytest.raises((SceneError, UnsupportedSystem), match='does not combine'):
+        scene('energy_error: 1e-5, horizon: 100.0', two).resolved()
+
+
+def test_remembered_tells_largest_steps_apart(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    budget = Budget(ENERGY, 1e-3, 50.0)
+    steps = [remembered(problem('exact_pendulum'), budget, largest, 'name').step_size
+             for largest in (None, 0.01)]
+    assert steps[1] <= 0.01 < steps[0]
