@@ -1,0 +1,285 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page docs/accuracy-and-cost.md: what it says of the methods is computed from the rows."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+import math
+from pathlib import Path
+import shutil
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.studies.measuring import Row
+from hnn_vi_ros.studies.results import CSV, Results
+from hnn_vi_ros.studies.work_precision_figure import draw
+from hnn_vi_ros.studies.work_precision_plan import SCENES
+from hnn_vi_ros.studies.work_precision_report import (
+    best_table, cheapest, circumstances, drift_table, horizons_of, of_horizon, ours, peers, ratio)
+
+PAGE, FOLDER = 'accuracy-and-cost.md', 'accuracy'
+_PAPER, _CLASSIC = 'variational_euler', 'rk4'
+_PEER_ERRORS = tuple(10.0 ** -k for k in range(3, 11))
+_CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
+_TEXT = """\
+# What accuracy costs in time
+
+Written by `ros2 run hnn_vi_ros work_precision --all`, from measurements on {machine}, commit
+{commit}. Every sentence with a number in it is computed from the tables; nothing is drawn by
+chance.
+
+A row is a method at one step size, run from the scene's initial state to a horizon T. Its *path
+error* is the largest distance from the true path, at the instants T/10, ..., T; its *energy band*
+the largest abs(H - H0). Its time is the wall time per simulated second, on one core, compiled and
+warm. The cheapest method at an error is the row that takes the least time among those with at
+most that error. Times compare methods on one machine; of another, read the ratios only. Peers
+that choose their own steps are run at tolerances 1e-3 to 1e-13, and only the end of their path is
+looked at, which is to their advantage.
+
+## Which method to take
+
+{choice}
+
+{choices}
+
+A cell is the cheapest of our methods and the microseconds it takes for a simulated second. 'none'
+is where no row is good enough, '-' where the motion is chaotic and no path can be followed.
+
+## Where the first-order scheme loses
+
+`variational_euler` is the method of the paper and the default. It is of order 1, and where an
+exact path is wanted it pays for that:
+
+{first_order}
+
+What it does keep is the energy, for as long as it runs:
+
+{first_order_energy}
+
+Take it to see the paper's results, and where a bounded energy at few gradients a second is all
+that is asked for.
+
+## Where RK4 dies
+
+RK4 is cheap and of order 4, but neither symplectic nor symmetric: its energy drifts, and a longer
+horizon makes that worse, while a symplectic method's band stays what it is:
+
+{rk4}
+
+## Against the peers
+
+{peers}
+
+## How good the learned H is
+
+{learned}
+
+## Steps that are not solved, gradients that are rounded
+
+`gauss8@1e-4` stops its equations at a residual of 1e-4, `gauss8@float32` takes its gradient in
+single precision. Neither is a method of the simulator, which solves every step to round-off.
+
+{drift}
+
+"""
+
+
+def write_page(folder: Path, docs: Path) -> list[Path]:
+    """
+    Write the page, its pictures and its tables.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the results of each of SCENES, in a folder of its name.
+    docs : Path
+        Where the page goes; pictures and tables into a folder beside it.
+
+    Raises
+    ------
+    ParameterError
+        A scene is not measured yet, or a file cannot be written.
+
+    """
+    results = {}
+    for scene in SCENES:
+        if not (folder / scene / CSV).is_file():
+            raise ParameterError(f'{folder / scene}: no results; measure them with: '
+                                 'ros2 run hnn_vi_ros work_precision --all')
+        results[scene] = Results(folder / scene)
+    try:
+        (docs / FOLDER).mkdir(parents=True, exist_ok=True)
+        pictures = [path for scene in SCENES for path in _copy(docs / FOLDER, scene,
+                                                               results[scene])]
+        (docs / PAGE).write_text(as_page(results), encoding='utf-8')
+    except OSError as problem:
+        raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); '
+                             'give a folder that can be written') from problem
+    return [docs / PAGE, *pictures]
+
+
+def as_page(results: Mapping[str, Results]) -> str:
+    """Return the page; the results are those of each scene."""
+    parts: dict[str, Callable] = {
+        'choice': _choice, 'choices': _choices, 'first_order': _first_order,
+        'first_order_energy': _first_order_energy, 'rk4': _rk4, 'peers': _peers,
+        'learned': _learned, 'drift': _drift}
+    machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
+    commits = dict.fromkeys(name for entry in results.values() for name in entry.commits)
+    page = _TEXT.format(machine=' and '.join(machines), commit=', '.join(commits),
+                        **{name: '\n'.join(part(results)) for name, part in parts.items()})
+    return page + '\n'.join(line for name, entry in results.items()
+                            for line in _section(name, entry))
+
+
+def _copy(folder: Path, scene: str, results: Results) -> Iterator[Path]:
+    yield Path(shutil.copyfile(results.folder / CSV, folder / f'{scene}.csv'))
+    for horizon in horizons_of(results):
+        yield draw(folder / _picture(scene, horizon),
+                   f'{scene}: what accuracy costs over {horizon:g} s',
+                   of_horizon(results, horizon), results.references[horizon],
+                   results.model_errors.get(horizon))
+
+
+def _picture(scene: str, horizon: float) -> str:
+    return f'{scene}_{horizon:g}s.png'.replace('+', '')
+
+
+def _section(name: str, results: Results) -> Iterator[str]:
+    yield f'## {name}\n'
+    yield f'Every run: [{name}.csv]({FOLDER}/{name}.csv).\n'
+    for horizon in horizons_of(results):
+        yield f'### {name}, T = {horizon:g} s\n'
+        yield f'![{name}, T = {horizon:g} s]({FOLDER}/{_picture(name, horizon)})\n'
+        yield from (f'- {line}' for line in circumstances(results, horizon))
+        yield '\n' + best_table(of_horizon(results, horizon))
+
+
+def _cases(results: Mapping[str, Results]) -> Iterator[tuple[str, float, list[Row]]]:
+    for name, entry in results.items():
+        for horizon in horizons_of(entry):
+            yield name, horizon, of_horizon(entry, horizon)
+
+
+def _has_paths(rows: list[Row]) -> bool:
+    return any(not math.isnan(row.path_error) for row in rows)
+
+
+def _choice(results: Mapping[str, Results]) -> Iterator[str]:
+    """Say how often each method is the cheapest."""
+    for error in _CHOICES:
+        best = [cheapest(ours(rows), error) for _, _, rows in _cases(results)
+                if _has_paths(rows)]
+        counts = Counter(row.method if row else 'none' for row in best)
+        yield (f'- For a path error of {error:g}, of {len(best)} scenes and horizons: '
+               + ', '.join(f'{method} {count}' for method, count in counts.most_common()) + '.')
+
+
+def _choices(results: Mapping[str, Results]) -> Iterator[str]:
+    yield '| scene | T [s] | ' + ' | '.join(f'{error:g}' for error in _CHOICES) + ' |'
+    yield '|---' * (2 + len(_CHOICES)) + '|'
+    for name, horizon, rows in _cases(results):
+        cells = []
+        for error in _CHOICES:
+            row = cheapest(ours(rows), error)
+            cells.append('-' if not _has_paths(rows) else 'none' if row is None else
+                         f'{row.method} {1e6 * row.seconds_per_simulated_second:.3g}')
+        yield f'| {name} | {horizon:g} | {" | ".join(cells)} |'
+
+
+def _first_order(results: Mapping[str, Results]) -> Iterator[str]:
+    for name, horizon, rows in _cases(results):
+        own = [row for row in rows if row.method == _PAPER and not math.isnan(row.path_error)]
+        if horizon != horizons_of(results[name])[0] or not own:
+            continue
+        best = min(own, key=lambda row: row.path_error)
+        other = cheapest((row for row in ours(rows) if row.method != _PAPER), best.path_error)
+        if other is not None:
+            yield (f'- {name}, T = {horizon:g} s: its best path error is {best.path_error:.2g}, '
+                   f'with h = {best.step_size:.3g} s; {other.method} is as good with h = '
+                   f'{other.step_size:.3g} s in {ratio(other, best):.2g} of the time.')
+    wins = [f'{name} (T = {horizon:g} s, error {error:g})'
+            for name, horizon, rows in _cases(results) for error in (1e-1, *_CHOICES)
+            if (row := cheapest(ours(rows), error)) is not None and row.method == _PAPER]
+    yield ('- It is the cheapest for ' + ', '.join(wins) + '.' if wins else
+           '- It is the cheapest nowhere in these tables.')
+
+
+def _growth(results: Results, method: str) -> tuple[Row, Row] | None:
+    """Return the rows of one step at the shortest and the longest horizon it was run to."""
+    finished = [row for row in results.rows if row.method == method and row.finished]
+    for horizon in reversed(horizons_of(results)[1:]):
+        late = [row for row in finished if row.horizon == horizon]
+        if late:
+            end = max(late, key=lambda row: row.energy_band)
+            for row in finished:
+                if row.horizon == horizons_of(results)[0] and row.step_size == end.step_size:
+                    return row, end
+    return None
+
+
+def _first_order_energy(results: Mapping[str, Results]) -> Iterator[str]:
+    for name, entry in results.items():
+        found = _growth(entry, _PAPER)
+        if found is not None:
+            yield (f'- {name}, h = {found[0].step_size:.3g} s: a band of '
+                   f'{found[0].energy_band:.2g} J over {found[0].horizon:g} s and of '
+                   f'{found[1].energy_band:.2g} J over {found[1].horizon:g} s.')
+
+
+def _rk4(results: Mapping[str, Results]) -> Iterator[str]:
+    yield ('| scene | step [s] | T [s] | rk4 [J] | T [s] | rk4 [J] | cheapest that is as good '
+           'at the longer T |')
+    yield '|---' * 7 + '|'
+    for name, entry in results.items():
+        for row in entry.rows:
+            if row.method != _CLASSIC or row.horizon != horizons_of(entry)[0] or row.failed:
+                continue
+            later = [end for end in entry.rows if end.method == _CLASSIC and end.finished
+                     and end.step_size == row.step_size and end.horizon > row.horizon]
+            if later and later[-1].energy_band > 10.0 * row.energy_band > 1e-10:
+                end = later[-1]
+                best = cheapest((other for other in ours(of_horizon(entry, end.horizon))
+                                 if other.method != _CLASSIC), end.energy_band, 'energy_band')
+                verdict = '' if best is None else (
+                    f'{best.method}, h = {best.step_size:.3g} s, {ratio(best, end):.2g} of its '
+                    'time')
+                yield (f'| {name} | {row.step_size:.3g} | {row.horizon:g} | '
+                       f'{row.energy_band:.2g} | {end.horizon:g} | {end.energy_band:.2g} | '
+                       f'{verdict} |')
+
+
+def _peers(results: Mapping[str, Results]) -> Iterator[str]:
+    silent = True
+    for name, horizon, rows in _cases(results):
+        if not peers(rows) or not _has_paths(rows):
+            continue
+        silent, ratios = False, {}
+        for error in _PEER_ERRORS:
+            best, other = cheapest(ours(rows), error), cheapest(peers(rows), error)
+            if best and other:
+                ratios[error] = ratio(best, other)
+        slower = {error: value for error, value in ratios.items() if value > 1.0}
+        yield (f'- {name}, T = {horizon:g} s: of {len(ratios)} path errors from 1e-3 to 1e-10 '
+               'that both reach, our best method is faster than every peer at '
+               f'{len(ratios) - len(slower)}' + (
+                   f', in {min(ratios.values()):.2g} to {max(ratios.values()):.2g} of the best '
+                   "peer's time" if ratios else '') + (
+                   '; slower at ' + ', '.join(f'{error:g} ({value:.2g} times)'
+                                              for error, value in slower.items())
+                   if slower else '') + '.')
+    if silent:
+        yield 'No peer was measured; `--peers` does that.'
+
+
+def _learned(results: Mapping[str, Results]) -> Iterator[str]:
+    for name, entry in results.items():
+        for horizon in sorted(entry.model_errors):
+            yield f'- {name}, T = {horizon:g} s: ' + ' '.join(
+                line for line in circumstances(entry, horizon)[2:])
+
+
+def _drift(results: Mapping[str, Results]) -> Iterator[str]:
+    for name, entry in results.items():
+        table = drift_table(entry)
+        if table:
+            yield f'{name}:\n\n{table}'

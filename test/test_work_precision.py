@@ -1,0 +1,428 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the work-precision study reports is what was asked for, and agrees with other sources."""
+
+import csv
+from pathlib import Path
+import re
+
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
+from hnn_vi_ros.hamiltonians.kepler import Kepler
+from hnn_vi_ros.hamiltonians.pendulum import Pendulum
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.studies import work_precision
+from hnn_vi_ros.studies.accuracy_page import write_page
+from hnn_vi_ros.studies.measuring import measure_row, PeerRun, Row, whole_steps
+from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
+from hnn_vi_ros.studies.references import (
+    make_reference, ModelError, Reference, true_hamiltonian)
+from hnn_vi_ros.studies.results import read_rows, Results
+from hnn_vi_ros.studies.work_precision_plan import SCENES
+from hnn_vi_ros.studies.work_precision_report import cheapest
+import mpmath
+import numpy as np
+from PIL import Image
+import pytest
+
+COLUMNS = ['method', 'step_size', 'horizon', 'path_error', 'energy_band',
+           'seconds_per_simulated_second', 'p95_seconds', 'gradients_per_simulated_second',
+           'status']
+EPS = np.finfo(np.float64).eps
+
+
+def study(folder: Path, scene: str, *options: str) -> list:
+    """Run a study of few runs; return its rows."""
+    assert work_precision.main(['--scene', scene, '--out', str(folder), '--runs', '3',
+                                *options]) == 0
+    return read_rows(folder / 'work_precision.csv')
+
+
+def exact_pendulum(q0: float, p0: float, t: float) -> tuple[float, float]:
+    """Return (q, p) of the pendulum of 1 kg, 1 m, 9.81 m/s2, by theta functions of 40 digits."""
+    mpmath.mp.dps = 40
+    omega = mpmath.sqrt(mpmath.mpf(9.81))
+    m = mpmath.sin(mpmath.mpf(q0) / 2) ** 2 + (mpmath.mpf(p0) / (2 * omega)) ** 2
+    if m < 1:
+        k = mpmath.sqrt(m)
+        phi = mpmath.atan2(mpmath.sin(mpmath.mpf(q0) / 2), mpmath.mpf(p0) / (2 * omega))
+        u = omega * t + mpmath.ellipf(phi, m)
+        q = 2 * mpmath.asin(k * mpmath.ellipfun('sn', u, m=m))
+        return float(q), float(2 * omega * k * mpmath.ellipfun('cn', u, m=m))
+    # Over the top: the angle is found again from its sine and cosine and the turns so far.
+    k, n = mpmath.sqrt(m), 1 / m
+    u = k * omega * t + mpmath.ellipf(mpmath.mpf(q0) / 2, n)
+    turns = mpmath.floor((u + mpmath.ellipk(n)) / (2 * mpmath.ellipk(n)))
+    rest = u - 2 * turns * mpmath.ellipk(n)
+    q = 2 * (mpmath.asin(mpmath.ellipfun('sn', rest, m=n)) + turns * mpmath.pi)
+    return float(q), float(2 * omega * k * mpmath.ellipfun('dn', rest, m=n))
+
+
+def exact_orbit(e: float, t: float) -> np.ndarray:
+    """Return (x, y, p_x, p_y) of the ellipse of a = 1, mu = 1, from its apocentre on -x."""
+    mpmath.mp.dps = 40
+    mean = mpmath.mpf(t) + mpmath.pi
+    anomaly = mpmath.findroot(lambda E: E - e * mpmath.sin(E) - mean, mean)
+    r, side = 1 - e * mpmath.cos(anomaly), mpmath.sqrt(1 - mpmath.mpf(e) ** 2)
+    return np.array([mpmath.cos(anomaly) - e, side * mpmath.sin(anomaly),
+                     -mpmath.sin(anomaly) / r, side * mpmath.cos(anomaly) / r], dtype=float)
+
+
+def rk4(field, z: np.ndarray, h: float, steps: int, every: int) -> np.ndarray:
+    """Take steps of the classical method; return every so many of the states."""
+    path = []
+    for n in range(1, steps + 1):
+        a = field(z)
+        b = field(z + 0.5 * h * a)
+        c = field(z + 0.5 * h * b)
+        z = z + h / 6.0 * (a + 2.0 * b + 2.0 * c + field(z + h * c))
+        if n % every == 0:
+            path.append(z)
+    return np.array(path)
+
+
+def test_pendulum_errors_agree_with_an_independent_computation(tmp_path):
+    (row,) = study(tmp_path, 'exact_pendulum', '--methods', 'rk4', '--steps', '0.05',
+                   '--horizons', '10')
+    path = rk4(lambda z: np.array([z[1], -9.81 * np.sin(z[0])]), np.array([2.5, 0.0]), 0.05, 200,
+               1)
+    exact = np.array([exact_pendulum(2.5, 0.0, t) for t in range(1, 11)])
+    energies = 0.5 * path[:, 1] ** 2 + 9.81 * (1.0 - np.cos(path[:, 0]))
+    # The table has six digits.
+    assert row.path_error == pytest.approx(np.abs(path[19::20] - exact).max(), rel=1e-5)
+    assert row.energy_band == pytest.approx(
+        np.abs(energies - 9.81 * (1.0 - np.cos(2.5))).max(), rel=1e-5)
+    assert row.gradients_per_simulated_second == 80.0
+
+
+def test_kepler_errors_agree_with_an_independent_computation(tmp_path):
+    (row,) = study(tmp_path, 'kepler', '--methods', 'rk4', '--steps', '0.05', '--horizons', '10')
+    scene = load_scene('kepler').initial_state
+    z = np.array([*scene.q, *scene.p])
+
+    def field(z: np.ndarray) -> np.ndarray:
+        return np.concatenate([z[2:], -z[:2] / np.hypot(*z[:2]) ** 3])
+
+    path = rk4(field, z, 0.05, 200, 20)
+    # The scene's apocentre is on (0.6, 0.8), that of exact_orbit on (-1, 0).
+    turn = np.array([[-0.6, 0.8], [-0.8, -0.6]])
+    exact = np.array([[*turn @ orbit[:2], *turn @ orbit[2:]]
+                      for orbit in (exact_orbit(0.6, t) for t in range(1, 11))])
+    assert np.abs(np.array([*turn @ exact_orbit(0.6, 0.0)[:2]]) - z[:2]).max() < 1e-15
+    assert row.path_error == pytest.approx(np.abs(path - exact).max(), rel=1e-5)
+
+
+@pytest.mark.parametrize('q0, p0', [(2.5, 0.0), (0.3, -1.0), (1.0, 9.0), (-3.0, 0.5)])
+@pytest.mark.parametrize('horizon', [10.0, 1000.0])
+def test_pendulum_reference_is_as_accurate_as_it_says(q0, p0, horizon):
+    reference = make_reference(Pendulum(), np.array([q0]), np.array([p0]), horizon, 0.1)
+    exact = np.array([exact_pendulum(q0, p0, horizon * j / 10) for j in range(1, 11)])
+    assert reference.how.startswith('exact') and reference.verified
+    assert np.abs(reference.path - exact).max() <= reference.accuracy
+
+
+@pytest.mark.parametrize('e', [0.0, 0.6, 0.9])
+def test_kepler_reference_is_as_accurate_as_it_says(e):
+    q0, p0 = np.array([-1.0 - e, 0.0]), np.array([0.0, -np.sqrt((1.0 - e) / (1.0 + e))])
+    reference = make_reference(Kepler(), q0, p0, 1000.0, 0.1)
+    exact = np.array([exact_orbit(e, 100.0 * j) for j in range(1, 11)])
+    assert reference.how.startswith('exact')
+    # 1 + e and the square root are rounded: eps of the energy, 1.5 eps of the phase T.
+    sensitivity = 3.0 * EPS * 1000.0 / (1.0 - e) ** 2
+    assert np.abs(reference.path - exact).max() <= reference.accuracy + sensitivity
+
+
+@pytest.mark.parametrize('q0, p0', [((1.0, 0.0), (0.0, 1.5)), ((1.0, 0.0), (-0.5, 0.0))],
+                         ids=['open', 'into the centre'])
+def test_orbits_that_are_no_ellipse_have_no_formula(q0, p0):
+    assert not make_reference(Kepler(), np.array(q0), np.array(p0), 1.0, 0.01
+                              ).how.startswith('exact')
+
+
+def test_formula_and_gauss_agree_within_their_accuracies(monkeypatch):
+    start = np.array([0.96, 1.28]), np.array([-0.4, 0.3])
+    exact = make_reference(Kepler(), *start, 100.0, 0.1)
+    monkeypatch.setattr('hnn_vi_ros.studies.references.EXACT', {})
+    gauss = make_reference(Kepler(), *start, 100.0, 0.1)
+    assert gauss.how.startswith('gauss16') and gauss.accuracy < 1e-11
+    # Each is known to a few times what it says.
+    assert np.abs(exact.path - gauss.path).max() <= 3.0 * (exact.accuracy + gauss.accuracy)
+
+
+def test_chaotic_motion_is_followed_only_as_far_as_halving_verifies():
+    start = np.array([1.2, 0.0]), np.array([0.0, 0.0])
+    assert make_reference(DoublePendulum(), *start, 10.0, 0.05).verified
+    # 500 s are some 60 Lyapunov times: 1e-16 has grown to the size of the motion by far.
+    assert not make_reference(DoublePendulum(), *start, 500.0, 0.05).verified
+
+
+def test_chaotic_horizon_has_energies_only(tmp_path):
+    rows = study(tmp_path, 'exact_double_pendulum', '--methods', 'gauss8', '--steps', '0.1',
+                 '--horizons', '10', '500')
+    assert [row.status for row in rows] == ['ok', 'energy only']
+    assert np.isfinite(rows[0].path_error) and np.isnan(rows[1].path_error)
+    assert all(0.0 < row.energy_band < 1e-2 for row in rows)
+    assert 'cannot be followed so far' in (tmp_path / 'work_precision.md').read_text()
+    # The second run reads the reference that is none from the folder.
+    study(tmp_path, 'exact_double_pendulum', '--methods', 'gauss8', '--steps', '0.2',
+          '--horizons', '10', '500')
+
+
+def test_columns_and_files_are_those_of_the_interface(tmp_path):
+    rows = study(tmp_path, 'exact_pendulum', '--methods', 'rk4', 'gauss8', '--steps', '0.1',
+                 '0.05', '--horizons', '1', '2')
+    with (tmp_path / 'work_precision.csv').open() as file:
+        table = list(csv.reader(file))
+    assert table[0] == COLUMNS
+    assert len(table) == 9 and all(len(line) == 9 for line in table)
+    assert {row.key for row in rows} == {
+        (method, h, T) for method in ('rk4', 'gauss8') for h in (0.1, 0.05) for T in (1.0, 2.0)}
+    assert all(0.0 < row.seconds_per_simulated_second <= row.p95_seconds for row in rows)
+    for name in ('work_precision_1s.png', 'work_precision_2s.png'):
+        with Image.open(tmp_path / name) as image:
+            assert image.width >= 1500
+            assert len(image.convert('L').getcolors(256)) > 20
+    assert (tmp_path / 'work_precision.rrd').stat().st_size > 1000
+    assert re.search(r'\| 0.0001 \| (rk4|gauss8) \|', (tmp_path / 'work_precision.md').read_text())
+
+
+def test_interrupted_study_keeps_its_rows_and_measures_none_twice(tmp_path, monkeypatch, capsys):
+    options = ['--scene', 'exact_pendulum', '--methods', 'rk4', '--steps', '0.1', '0.05', '0.025',
+               '--horizons', '1', '--runs', '1', '--out', str(tmp_path)]
+    measured = []
+
+    def stop_at_the_third(run, *arguments):
+        if len(measured) == 2:
+            raise KeyboardInterrupt
+        measured.append(run.step_size)
+        return measure_row(run, *arguments)
+
+    monkeypatch.setattr(work_precision, 'measure_row', stop_at_the_third)
+    assert work_precision.main(options) == 130
+    assert '2 rows are kept' in capsys.readouterr().out
+    first = read_rows(tmp_path / 'work_precision.csv')
+    # A crash in the middle of a line costs that line.
+    with (tmp_path / 'work_precision.csv').open('a') as file:
+        file.write('rk4,0.025,1.0,0.1,0.1,0.1,0.1,0.1,o')
+    measured.append('go on')
+    assert work_precision.main(options) == 0
+    assert measured == [0.1, 0.05, 'go on', 0.025]
+    rows = read_rows(tmp_path / 'work_precision.csv')
+    assert rows[:2] == first and rows[2].status == 'ok'
+
+
+def test_failed_run_is_a_row_with_its_reason(tmp_path):
+    # Energies grow beyond 1/6, the orbit escapes and overflows.
+    rows = study(tmp_path, 'henon_heiles', '--methods', 'explicit_euler', '--steps', '1', '0.5',
+                 '--horizons', '100', '200')
+    assert len(rows) == 4
+    for row in rows:
+        assert re.fullmatch(r'not finite at t = \d+(\.\d+)? s', row.status) and row.failed
+        assert np.isnan([row.path_error, row.energy_band]).all()
+        assert row.seconds_per_simulated_second > 0.0
+    assert (tmp_path / 'work_precision_200s.png').is_file()
+
+
+def test_run_that_would_take_too_long_is_left_until_the_limit_allows_it(tmp_path):
+    options = ['exact_pendulum', '--methods', 'rk4', '--steps', '0.1', '--horizons', '1', '10']
+    rows = study(tmp_path, *options, '--limit', '1e-9')
+    assert [row.status.partition(':')[0] for row in rows] == ['ok', 'too long']
+    assert not rows[1].failed
+    assert [row.status for row in study(tmp_path, *options)] == ['ok', 'ok']
+
+
+@pytest.mark.parametrize('options, message', [
+    (['--scene', 'nothing'], 'no scene'),
+    (['--scene', 'kepler', '--methods', 'euler'], "unknown method 'euler'; valid: variational_"),
+    (['--scene', 'kepler', '--methods', 'gauss8@tight'], 'after @ comes float32, a tolerance'),
+    (['--scene', 'kepler', '--methods', 'gauss8@0'], 'after @ comes float32, a tolerance'),
+    (['--scene', 'kepler', '--methods', 'rk4@1e-4'], 'take an implicit method'),
+    (['--scene', 'kepler', '--methods', 'gauss8@float32'], 'networks of ours'),
+    (['--scene', 'pendulum', '--methods', 'stormer_verlet'], 'use generalized_leapfrog'),
+    (['--scene', 'kepler', '--methods', 'discrete_euler_lagrange'], 'leave it out'),
+    (['--scene', 'kepler', '--horizons', '10', '--steps', '0.3'], 'not a whole number of steps'),
+    (['--scene', 'kepler', '--horizons', '0.03'], 'not a whole number of steps of 0.2 s'),
+    (['--scene', 'kepler', '--horizons', '-1'], '--horizons: must be positive'),
+    (['--scene', 'kepler', '--steps', 'nan'], '--steps: must be positive'),
+    (['--scene', 'damped_driven_pendulum'], 'give a scene without effects'),
+    (['--scene', 'kepler', '--out', '/dev/null/x'], 'give a folder that can be written'),
+])
+def test_bad_input_is_one_line_before_any_time_is_spent(options, message, monkeypatch, tmp_path):
+    monkeypatch.setattr(work_precision, 'measure', lambda study: pytest.fail('it was measured'))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(HnnViRosError, match=re.escape(message)) as problem:
+        work_precision.main(options)
+    assert '\n' not in str(problem.value)
+
+
+def test_results_of_something_else_are_refused(tmp_path):
+    options = ['--methods', 'rk4', '--steps', '0.1', '--horizons', '1']
+    study(tmp_path, 'exact_pendulum', *options)
+    with pytest.raises(HnnViRosError, match='results of another scene; give another --out'):
+        study(tmp_path, 'kepler', *options)
+    with pytest.raises(HnnViRosError, match='results of another number of --runs'):
+        study(tmp_path, 'exact_pendulum', *options, '--runs', '4')
+    (tmp_path / 'work_precision.json').write_text('{')
+    with pytest.raises(HnnViRosError, match='damaged'):
+        study(tmp_path, 'exact_pendulum', *options)
+    (tmp_path / 'work_precision.json').unlink()
+    with pytest.raises(HnnViRosError, match='remove it or give another --out'):
+        study(tmp_path, 'exact_pendulum', *options)
+
+
+@pytest.mark.parametrize('horizon, step_size, steps', [
+    (10.0, 0.2, 50), (1e5, 0.2 / 256, 128_000_000), (10.0, 0.3, None), (0.1, 0.2, None)])
+def test_steps_divide_a_horizon_or_not(horizon, step_size, steps):
+    assert whole_steps(horizon, step_size) == steps
+
+
+def test_learned_pendulum_carries_the_error_of_the_model(tmp_path):
+    hamiltonian = load_scene('pendulum').create_hamiltonian()
+    truth = true_hamiltonian(hamiltonian)
+    assert isinstance(truth, Pendulum)
+    assert (truth.mass, truth.length, truth.gravity) == (1.0, 1.0, 9.81)
+    study(tmp_path, 'pendulum', '--methods', 'gauss8', '--steps', '0.1', '--horizons', '10')
+    text = (tmp_path / 'work_precision.md').read_text()
+    found = re.search(r'off by (\S+) along the path and (\S+) J in energy', text)
+    # The learned motion against the formula, from another solver and another formula.
+    z = np.array([2.5, 0.0])
+    (peer, _) = scipy_peers(hamiltonian)
+    errors, energies = [], []
+    for t in range(1, 11):
+        z, _ = peer.solve(z, 1.0, 1e-12)
+        errors.append(np.abs(z - exact_pendulum(2.5, 0.0, t)).max())
+        energies.append(abs(truth.energy(z[:1], z[1:]) - truth.energy([2.5], [0.0])))
+    assert float(found[1]) == pytest.approx(max(errors), rel=0.05)
+    # Ten states of a thousand find a part of the largest.
+    assert max(energies) <= 1.05 * float(found[2]) and float(found[2]) < 3e-3
+    assert 'Longest step that is as good as that: gauss8 0.1 s' in text
+
+
+def test_steps_that_are_not_solved_drift_and_solved_ones_do_not(tmp_path):
+    rows = study(tmp_path, 'pendulum', '--methods', 'gauss8', 'gauss8@1e-4', '--steps', '0.1',
+                 '--horizons', '10', '200')
+    bands = {(row.method, row.horizon): row.energy_band for row in rows}
+    # A drift makes the band grow with the horizon, here 20 times as long.
+    assert bands['gauss8@1e-4', 200.0] > 5.0 * bands['gauss8@1e-4', 10.0]
+    assert bands['gauss8', 200.0] < 1.5 * bands['gauss8', 10.0]
+    assert '| gauss8@1e-4 |' in (tmp_path / 'work_precision.md').read_text().partition('drift')[2]
+
+
+def test_fixed_number_of_iterations_is_less_than_a_solution(tmp_path):
+    one, two, solved = study(
+        tmp_path, 'exact_pendulum', '--methods', 'implicit_midpoint@1', 'implicit_midpoint@2',
+        'implicit_midpoint', '--steps', '0.05', '--horizons', '10')
+    assert one.gradients_per_simulated_second == 20.0
+    assert two.gradients_per_simulated_second == 40.0 < solved.gradients_per_simulated_second
+    assert one.energy_band > two.energy_band
+
+
+def test_single_precision_gradients_cost_the_digits_that_they_lack(tmp_path):
+    double, single = study(tmp_path, 'pendulum', '--methods', 'rk4', 'rk4@float32', '--steps',
+                           '0.005', '--horizons', '10')
+    # Gradients of up to 10, in single precision: 6e-7 each, amplified along 10 s.
+    assert 1e-7 < single.path_error < 1e-3
+    assert double.path_error < 0.1 * single.path_error
+
+
+def test_scipy_peer_is_measured_with_our_gradient():
+    hamiltonian = HAMILTONIANS['pendulum']()
+    reference = make_reference(hamiltonian, np.array([2.5]), np.array([0.0]), 10.0, 0.1)
+    rows = [measure_row(PeerRun(peer, 1e-8, hamiltonian, np.array([2.5, 0.0])), 10.0, reference, 2)
+            for peer in scipy_peers(hamiltonian)]
+    assert [row.method for row in rows] == [
+        'scipy DOP853 tolerance=1e-08', 'scipy RK45 tolerance=1e-08']
+    # A tolerance of 1e-8 a step, amplified over 10 s next to the separatrix.
+    assert all(1e-10 < row.path_error < 1e-4 and row.status == 'ok' for row in rows)
+    assert all(np.isnan(row.step_size) for row in rows)
+    assert cheapest(rows, 1e-4).method.startswith('scipy DOP853')
+
+
+def test_peers_stand_in_the_same_table(tmp_path, monkeypatch):
+    monkeypatch.setattr('hnn_vi_ros.studies.peers.create_peers', scipy_peers)
+    rows = study(tmp_path, 'exact_pendulum', '--methods', 'rk4', '--steps', '0.1', '--horizons',
+                 '1', '--peers')
+    assert len(rows) == 23 and len({row.key for row in rows}) == 23
+    assert '| peer | us a simulated second | ours / peer |' in (
+        tmp_path / 'work_precision.md').read_text()
+
+
+@pytest.mark.parametrize('scene, more', [
+    ('pendulum', {'torchdiffeq dopri5', 'torchdiffeq dopri8', 'torchdiffeq rk4'}),
+    ('kepler', {'diffrax SemiImplicitEuler'})])
+def test_peers_solve_the_same_motion(scene, more):
+    for package in ('torchdiffeq', 'diffrax'):
+        pytest.importorskip(package, reason=f'{package} is not installed; see `make bench`')
+    loaded = load_scene(scene)
+    hamiltonian = loaded.create_hamiltonian()
+    start = np.array(loaded.initial_state.q), np.array(loaded.initial_state.p)
+    reference = make_reference(hamiltonian, *start, 1.0, 0.1)
+    rows = [measure_row(PeerRun(peer, 1e-8 if peer.adaptive else 1e-3, hamiltonian,
+                                np.concatenate(start)), 1.0, reference, 1)
+            for peer in create_peers(hamiltonian)]
+    assert {row.method.partition(' tolerance=')[0] for row in rows} == more | {
+        'scipy DOP853', 'scipy RK45', 'diffrax Tsit5', 'diffrax Dopri8'}
+    for row in rows:
+        # Order 1 with h = 1e-3; the others at a tolerance of 1e-8 or h^4 = 1e-12, of which
+        # torchdiffeq's dopri8 makes 1.6e-5.
+        assert row.path_error < (1e-2 if 'Euler' in row.method else 1e-4)
+        assert row.status == 'ok' and row.gradients_per_simulated_second > 0.0
+
+
+@pytest.mark.parametrize('name', sorted(HAMILTONIANS))
+def test_formula_in_jax_is_the_compiled_one(name):
+    jax = pytest.importorskip('jax', reason='jax is not installed; see `make bench`')
+    hamiltonian = HAMILTONIANS[name]()
+    z = np.random.default_rng(1).uniform(0.1, 1.0, 2 * hamiltonian.dimension)
+    gradient = np.asarray(jax.grad(jax_energy(hamiltonian))(z))
+    exact = np.concatenate(hamiltonian.gradient(*np.split(z, 2)))
+    assert np.abs(gradient - exact).max() <= 1e-12 * max(1.0, np.abs(exact).max())
+
+
+def invent(folder: Path, scene: str) -> None:
+    """Fill a folder with rows whose errors and times follow from the order of each method."""
+    results = Results(folder / scene, {'scene': scene, 'version': '0', 'machine': 'none',
+                                       'number of --runs': '3'})
+    for horizon in (10.0, 1000.0):
+        path = np.ones((10, 2))
+        results.keep_reference(
+            horizon, Reference(path, 1e-12, 'exact: invented', path[:0]),
+            None if scene in ('kepler', 'henon_heiles') or scene.startswith('exact')
+            else ModelError(1e-3, 1e-4))
+        for method, order, cost, drift in (
+                ('variational_euler', 1, 3.0, 0.0), ('rk4', 4, 4.0, 1.0), ('gauss8', 8, 20.0, 0.0),
+                ('gauss8@1e-4', 2, 10.0, 1.0), ('scipy DOP853 tolerance=1e-06', 8, 80.0, 1.0)):
+            for h in (0.1, 0.05) if '=' not in method else (float('nan'),):
+                size = 0.1 if '=' in method else h
+                error = size ** order * horizon / 10.0
+                band = size ** order * (horizon / 10.0) ** drift
+                seconds = 1e-6 * cost / size
+                results.add(Row(method, h, horizon, error, band, seconds, seconds, cost / size,
+                                'ok'))
+
+
+def test_page_says_of_each_method_what_its_rows_say(tmp_path):
+    for scene in SCENES:
+        invent(tmp_path / 'results', scene)
+    written = write_page(tmp_path / 'results', tmp_path / 'docs')
+    assert len(written) == 1 + 3 * len(SCENES) and all(path.is_file() for path in written)
+    text = written[0].read_text()
+    # gauss8 at h = 0.1 costs 200 us; variational_euler at its best, h = 0.05, 60, rk4 at 0.1, 40.
+    assert ('- kepler, T = 10 s: its best path error is 0.05, with h = 0.05 s; rk4 is as good '
+            'with h = 0.1 s in 0.67 of the time.') in text
+    assert '- It is the cheapest for harmonic_oscillator (T = 10 s, error 0.1)' in text
+    # rk4's band of 1e-4 J at h = 0.1 has become 1e-2 J; gauss8 keeps 1e-8 J.
+    assert ('| kepler | 0.1 | 10 | 0.0001 | 1000 | 0.01 | gauss8, h = 0.1 s, 5 of its time |'
+            in text)
+    assert '- kepler, T = 1000 s: of 4 path errors from 1e-3 to 1e-10' in text
+    assert '- pendulum, T = 10 s: The learned H itself is off by 0.001' in text
+    assert '| gauss8@1e-4 | 0.1 | 0.01 | 1 |' in text
+    assert text.count('](accuracy/') == 3 * len(SCENES)
+    for link in re.findall(r'\]\((accuracy/[^)]+)\)', text):
+        assert (tmp_path / 'docs' / link).is_file()
+
+
+def test_page_of_a_scene_that_is_not_measured_is_refused(tmp_path):
+    with pytest.raises(HnnViRosError, match='work_precision --all'):
+        write_page(tmp_path, tmp_path)
