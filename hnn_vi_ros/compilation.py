@@ -88,7 +88,7 @@ def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True)
         Whether the step is all of this package.
 
     """
-    functions = (kernel.energy, kernel.gradient, kernel.hessian_vector)
+    functions = functions_of(kernel)
     if not (own and all(is_own(function.py_func.__module__) for function in functions)):
         return _uncached(loop)
     return _cached(loop, *(identify(function) for function in functions), method)
@@ -116,6 +116,51 @@ def identify(dispatcher: Callable) -> str:
     name = f'{function.__module__}.{function.__qualname__}'
     _give_identity(dispatcher, name)
     return name
+
+
+def functions_of(kernel: Kernel) -> tuple[Callable, Callable, Callable]:
+    """Return energy, gradient and hessian_vector."""
+    return kernel.energy, kernel.gradient, kernel.hessian_vector
+
+
+def composed(kernel: Kernel, functions: tuple[Callable, ...], kinds: tuple[type, ...],
+             parameters: tuple) -> Kernel:
+    """
+    Return a kernel whose functions call those of another.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        The other.
+    functions : tuple of callable
+        What takes the place of ``functions_of(kernel)``: plain Python, the same functions for the
+        same kernel and kinds.
+    kinds : tuple of type
+        What is joined to the kernel; their names tell the functions from others.
+    parameters : tuple
+        What the functions take first.
+
+    """
+    if kernel.compiled:
+        for function in functions_of(kernel):
+            # Before it is compiled into others, when numba names what has no name yet.
+            identify(function)
+        functions = tuple(_compile(function, base, kinds)
+                          for function, base in zip(functions, functions_of(kernel), strict=True))
+    energy, gradient, hessian_vector = functions
+    return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
+                           parameters=parameters)
+
+
+@cache
+def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Callable:
+    # The name tells what is composed, and the module where any of it comes from elsewhere; see
+    # identify and compiled_loop.
+    names = ','.join(kind.__qualname__ for kind in kinds)
+    foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
+    function.__module__ = [*foreign, base.py_func.__module__][0]
+    function.__qualname__ = f'{names}({base.py_func.__qualname__})'
+    return numba.njit(function, error_model='numpy')
 
 
 def _give_identity(dispatcher: Callable, name: str) -> None:

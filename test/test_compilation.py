@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 
-from hnn_vi_ros.compilation import compiled_loop
+from hnn_vi_ros.compilation import compiled_loop, is_own
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.loops import advance
 from hnn_vi_ros.simulation import Simulation
 import numba
+import pytest
 
 RUN = """
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -64,3 +65,8 @@ def test_second_simulation_of_the_same_kind_compiles_nothing():
 
     first = simulate()._advance
     assert simulate()._advance is first and len(first.overloads) == 1
+
+
+@pytest.mark.parametrize('method', INTEGRATORS.values(), ids=INTEGRATORS)
+def test_kernels_of_every_method_are_kept(method):
+    assert is_own(method.__module__)

@@ -5,12 +5,11 @@
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from hnn_vi_ros.compilation import identify, inlined, is_own
+from hnn_vi_ros.compilation import composed, functions_of, inlined
 from hnn_vi_ros.effects.base import Force, Live, Potential
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import largest
-import numba
 import numpy as np
 
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
@@ -18,15 +17,15 @@ _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 def join_potential(kernel: Kernel, potential: type[Potential], parameters: tuple) -> Kernel:
     """Return the kernel of H(q, p) + V(q)."""
-    functions = _with_potential(*_functions(kernel), potential)
-    return _replace(kernel, functions, (potential,),
+    functions = _with_potential(*functions_of(kernel), potential)
+    return composed(kernel, functions, (potential,),
                     (kernel.parameters, parameters, kernel.dimension))
 
 
 def join_magnetic_field(kernel: Kernel, parameters: tuple[int, int, float]) -> Kernel:
     """Return the kernel of H(q, p - c A(q)); see MagneticField."""
-    functions = _with_magnetic_field(*_functions(kernel))
-    return _replace(kernel, functions, (MagneticField,),
+    functions = _with_magnetic_field(*functions_of(kernel))
+    return composed(kernel, functions, (MagneticField,),
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
 
 
@@ -44,41 +43,13 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[tup
     for own in reversed(parameters):
         nested = (own, nested)
     kinds = tuple(type(force) for force in forces)
-    functions = _with_forces(*_functions(kernel), kinds)
+    functions = _with_forces(*functions_of(kernel), kinds)
     rounding = [sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True)]
     space = np.zeros((12, max(d, channels)))
-    return _replace(
+    return composed(
         kernel, functions, kinds, (kernel.parameters, nested, live.clock, space, d, channels)
     )._replace(dimension=d + channels, channels=channels, gradient_scale=tuple(rounding))
-
-
-def _functions(kernel: Kernel) -> tuple[Callable, Callable, Callable]:
-    return kernel.energy, kernel.gradient, kernel.hessian_vector
-
-
-def _replace(kernel: Kernel, functions: tuple[Callable, ...], kinds: tuple[type, ...],
-             parameters: tuple) -> Kernel:
-    if kernel.compiled:
-        for function in _functions(kernel):
-            # Before it is compiled into others, when numba names what has no name yet.
-            identify(function)
-        functions = tuple(_compile(function, base, kinds)
-                          for function, base in zip(functions, _functions(kernel), strict=True))
-    energy, gradient, hessian_vector = functions
-    return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
-                           parameters=parameters)
-
-
-@cache
-def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Callable:
-    # The name tells what is composed, and the module where any of it comes from elsewhere; see
-    # identify and compiled_loop.
-    names = ','.join(kind.__qualname__ for kind in kinds)
-    foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
-    function.__module__ = [*foreign, base.py_func.__module__][0]
-    function.__qualname__ = f'{names}({base.py_func.__qualname__})'
-    return numba.njit(function, error_model='numpy')
 
 
 @cache

@@ -144,7 +144,7 @@ class Gauss(ImplicitIntegrator):
 def _gauss(stages: int) -> type[Gauss]:
     order = 2 * stages
     return type(f'Gauss{order}', (Gauss,), {
-        'stages': stages, 'order': order,
+        'stages': stages, 'order': order, '__module__': __name__,
         '__doc__': f'Gauss collocation of {stages} stages, order {order}; see Gauss.'})
 
 

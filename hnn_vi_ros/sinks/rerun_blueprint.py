@@ -126,7 +126,8 @@ def _timing_views(pace: float | None) -> rrb.Vertical:
     return rrb.Vertical(*(
         rrb.TimeSeriesView(name=title, origin='/', contents=[path], axis_y=axis_y,
                            plot_legend=rrb.PlotLegend(visible=False))
-        for title, path, axis_y in zip(titles, TIMING, (None, axis), strict=True)), row_shares=[0.62, 0.38])
+        for title, path, axis_y in zip(titles, TIMING, (None, axis), strict=True)),
+        row_shares=[0.62, 0.38])
 
 
 def _events_view() -> rrb.TextLogView:

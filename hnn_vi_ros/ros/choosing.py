@@ -1,0 +1,62 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tell what the integrator auto chooses, and whether that can hold the pace."""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.calibration import Choice
+from hnn_vi_ros.choices import AutoChoice
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.trials import Budget
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+
+class Event(NamedTuple):
+    """A line to log and to show beside the samples; level is INFO, WARN or ERROR."""
+
+    text: str
+    level: str
+
+
+def resolve(scene: Scene, largest_step: float, real_time_factor: float, logger: RcutilsLogger
+            ) -> tuple[Scene, list[Event]]:
+    """
+    Return a scene that names its method and step size, and what is to be told of the choice.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the integrator auto or any other.
+    largest_step : float
+        A time that the step must divide where the scene names none [s].
+    real_time_factor : float
+        The pace that is asked for; 0 for as fast as possible.
+    logger : RcutilsLogger
+        Told before, since trying methods takes a while.
+
+    Raises
+    ------
+    HnnViRosError
+        No method holds the budget, or the scene cannot be built.
+
+    """
+    if isinstance(scene.integrator, AutoChoice):
+        budget = scene.integrator.budget
+        logger.info(
+            f'scene {scene.source}: calibrating for {budget.kind} {budget.error:g} up to '
+            f'{budget.horizon:g} s; some seconds once, longer where methods are to be compiled')
+    scene = scene.resolved(largest_step)
+    return scene, told(*scene.chosen, real_time_factor) if scene.chosen else []
+
+
+def told(budget: Budget, choice: Choice, real_time_factor: float) -> list[Event]:
+    """Return what is to be told of a choice at a pace."""
+    events = [Event(choice.explain(budget), 'INFO')]
+    cost = choice.seconds_per_simulated_second
+    if cost * real_time_factor > 1.0:
+        events.append(Event(
+            f'no method holds {budget.kind} {budget.error:g} up to {budget.horizon:g} s at '
+            f'real_time_factor {real_time_factor:g} on this machine: the cheapest takes '
+            f'{cost:.3g} s for each simulated second; use a real_time_factor of at most about '
+            f'{1.0 / cost:.2g}, or allow a larger error', 'WARN'))
+    return events

@@ -1,0 +1,71 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The health of a run on /diagnostics, for the tools that every robot has."""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+DIAGNOSTICS_TOPIC: tuple[str, type] = ('/diagnostics', DiagnosticArray)
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class Status(NamedTuple):
+    """
+    How one component does.
+
+    Parameters
+    ----------
+    component : str
+        Which one.
+    level : bytes
+        OK, WARN or ERROR.
+    message : str
+        One plain line.
+    values : mapping of str to object
+        Figures; units are in the keys.
+
+    """
+
+    component: str
+    level: bytes
+    message: str
+    values: Mapping[str, object]
+
+
+class DiagnosticsPublisher:
+    """
+    Publish statuses, stamped with the node's clock.
+
+    Parameters
+    ----------
+    node : Node
+        The simulator, whose name each status begins with.
+    publisher : Publisher
+        Of diagnostic_msgs/DiagnosticArray.
+    hardware_id : str
+        What the statuses are about: the scene.
+
+    """
+
+    def __init__(self, node: Node, publisher: Publisher, hardware_id: str):
+        self._node, self._publisher, self._hardware_id = node, publisher, hardware_id
+
+    def publish(self, statuses: Iterable[Status]) -> None:
+        """Publish one message that holds all the statuses."""
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [DiagnosticStatus(
+            level=status.level, name=f'{self._node.get_name()}: {status.component}',
+            message=status.message, hardware_id=self._hardware_id,
+            values=[KeyValue(key=key, value=_shown(value))
+                    for key, value in status.values.items()])
+            for status in statuses]
+        self._publisher.publish(message)
+
+
+def _shown(value: object) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -1,0 +1,82 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is measured of a run while it goes on: its timing, its energy, its budget of error."""
+
+from collections.abc import Callable
+import time
+
+from hnn_vi_ros.ros.energy_record import EnergyRecord
+from hnn_vi_ros.ros.timing import Timing
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.trials import Budget
+
+# Wall time between two warnings of the same thing [s].
+_REPEATED = 10.0
+
+
+class Monitor:
+    """
+    Measure a run.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    every : int
+        Steps from sample to sample.
+    tick : float
+        Simulated time from sample to sample [s].
+    budget : Budget, optional
+        What the scene allows, if it does so.
+    warn : callable
+        Told when the budget is exceeded, now and then while it is: the text, and whether it is
+        the first time.
+
+    Attributes
+    ----------
+    timing : Timing
+        What steps and samples cost.
+    energy : EnergyRecord
+        What the energy has done.
+    newest : Sample or None
+        The newest one.
+
+    """
+
+    def __init__(self, simulation: Simulation, every: int, tick: float,
+                 budget: Budget | None, warn: Callable[[str, bool], None]):
+        self.timing = Timing(every, tick)
+        self.energy = EnergyRecord(simulation, tick, budget)
+        self.newest: Sample | None = None
+        self._simulation, self._warn = simulation, warn
+        self._warned, self._due = False, 0.0
+
+    def advance(self, n: int) -> float:
+        """Take n steps of the simulation, with its errors; return the wall time it took [s]."""
+        simulation = self._simulation
+        gradients, begin = simulation.gradients, time.perf_counter()
+        simulation.advance(n)
+        seconds = time.perf_counter() - begin
+        self.timing.add_batch(n, seconds, simulation.gradients - gradients)
+        return seconds
+
+    def add(self, sample: Sample) -> bool:
+        """Look at the next sample; tell whether the figures were evaluated anew."""
+        self.newest = sample
+        if self.energy.add(sample) and time.monotonic() >= self._due:
+            self._due = time.monotonic() + _REPEATED
+            self._warn(self.over_budget(), not self._warned)
+            self._warned = True
+        evaluated = self.timing.evaluate()
+        if evaluated:
+            self.energy.evaluate()
+        return evaluated
+
+    def over_budget(self) -> str:
+        """Say by how much the budget is exceeded, and what to do about it."""
+        budget = self.energy.budget
+        least = 'at least ' if budget.kind == 'path_error' else ''
+        return (f'the budget is exceeded: {budget.kind} {least}{self.energy.spent:.3g}, allowed '
+                f'is {budget.error:g} up to {budget.horizon:g} s; use a smaller step_size, or '
+                'ask for a smaller error or a longer horizon')

@@ -1,0 +1,125 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""How a run does, component by component, in plain words and figures."""
+
+import math
+
+from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
+from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
+
+
+class RunStatus:
+    """
+    Tell the statuses of timing, integrator, energy, recorder and model.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is simulated, resolved.
+    simulation : Simulation
+        Made of it.
+    monitor : Monitor
+        What is measured.
+    recording : Recording
+        The files.
+    real_time_factor : float
+        The pace that is asked for; 0 for as fast as possible.
+
+    """
+
+    def __init__(self, scene: Scene, simulation: Simulation, monitor: Monitor,
+                 recording: Recording, real_time_factor: float):
+        self._scene, self._simulation, self._monitor = scene, simulation, monitor
+        self._recording, self._asked = recording, real_time_factor
+        self._model = _model(scene, simulation)
+        # When the last statuses were told.
+        self._overruns, self._rescued = 0, 0
+
+    def statuses(self, overruns: int, failure: str = '') -> list[Status]:
+        """Return a status of each component; ``failure`` says why a step failed."""
+        return [self._timing(overruns), self._integrator(failure), self._energy(),
+                self._recorder(), self._model]
+
+    def _timing(self, overruns: int) -> Status:
+        figures, asked = self._monitor.timing.figures, self._asked
+        late, self._overruns = overruns - self._overruns, overruns
+        level, message = OK, f'holds {asked:g} x real time' if asked else 'as fast as possible'
+        if late:
+            level, message = WARN, (
+                f'{late} overruns since the last report: slower than {asked:g} x real time')
+        elif asked and figures.largest_real_time_factor < asked:
+            level, message = WARN, (
+                f'cannot hold {asked:g} x real time, at most '
+                f'{figures.largest_real_time_factor:.3g}; use a larger step_size, a cheaper '
+                'integrator or a lower publish_rate')
+        return Status('timing', level, message, {
+            'microseconds_per_step_median [us]': figures.microseconds_per_step_median,
+            'microseconds_per_step_p99 [us]': figures.microseconds_per_step_p99,
+            'microseconds_per_sample [us]': figures.microseconds_per_sample,
+            'real_time_factor [1]': figures.real_time_factor,
+            'real_time_factor_asked_for [1]': asked,
+            'largest_real_time_factor [1]': figures.largest_real_time_factor,
+            'overruns [1]': overruns})
+
+    def _integrator(self, failure: str) -> Status:
+        scene, simulation = self._scene, self._simulation
+        rescued, self._rescued = simulation.rescued - self._rescued, simulation.rescued
+        level, message = OK, f'{scene.integrator.kind}: no step failed'
+        if failure:
+            level, message = ERROR, failure
+        elif rescued:
+            level, message = WARN, (f'{rescued} steps since the last report converged only in '
+                                    'parts; use a smaller step_size')
+        return Status('integrator', level, message, {
+            'integrator': scene.integrator.kind, 'step_size [s]': simulation.step_size,
+            'steps [1]': simulation.steps, 'simulated_time [s]': simulation.time,
+            'gradients_per_step [1]': self._monitor.timing.figures.gradients_per_step,
+            'residual [1]': simulation.residual, 'rescued_steps [1]': simulation.rescued})
+
+    def _energy(self) -> Status:
+        record, sample, budget = (
+            self._monitor.energy, self._monitor.newest, self._monitor.energy.budget)
+        level, message, allowed = OK, 'conservative', {}
+        if not self._simulation.conservative:
+            message = 'not conservative: the error is what the work does not account for'
+        if budget is not None:
+            allowed = {f'budget_of_{budget.kind}': budget.error, 'budget_spent': record.spent}
+            message = f'{budget.kind} within its budget'
+            if record.spent > budget.error:
+                level, message = WARN, self._monitor.over_budget()
+        return Status('energy', level, message, {
+            **_energies(sample), f'energy_error [{record.unit}]': _of(sample, 'energy_error'),
+            'modified_energy_band [J]': record.band,
+            f'drift_per_hour [{record.unit}/h]': record.drift_per_hour, **allowed})
+
+    def _recorder(self) -> Status:
+        recording = self._recording
+        level, message = OK, 'recording' if recording.targets else 'nothing is recorded, as asked'
+        if recording.problem:
+            level, message = ERROR, recording.problem
+        return Status('recorder', level, message, {
+            **recording.targets, 'samples [1]': recording.samples})
+
+
+def _energies(sample: Sample | None) -> dict[str, float]:
+    return {'H [J]': _of(sample, 'energy'), 'modified_H [J]': _of(sample, 'modified_energy'),
+            'work [J]': _of(sample, 'work')}
+
+
+def _of(sample: Sample | None, field: str) -> float:
+    return math.nan if sample is None else getattr(sample, field)
+
+
+def _model(scene: Scene, simulation: Simulation) -> Status:
+    hamiltonian = simulation.hamiltonian
+    learned = getattr(scene.hamiltonian, 'model', '')
+    message = f'learned: {learned}' if learned else f'exact: {scene.hamiltonian.kind}'
+    return Status('model', OK, message, {
+        'hamiltonian': scene.hamiltonian.kind,
+        'coordinates': ','.join(c.name for c in hamiltonian.coordinates),
+        'effects': ','.join(effect.kind for effect in scene.effects) or 'none',
+        **hamiltonian.provenance})

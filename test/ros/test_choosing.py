@@ -1,0 +1,95 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the integrator auto chose is told, watched, and reported when it does not do."""
+
+from pathlib import Path
+
+from hnn_vi_ros import calibration, load_scene
+from hnn_vi_ros.calibration import Choice
+from hnn_vi_ros.ros.choosing import told
+from hnn_vi_ros.ros.scene_report import scene_report
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trials import Budget
+from processes import finish, start
+import pytest
+from rerun.chunk import RrdReader
+import yaml
+
+AUTO = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: auto, energy_error: 1.0e-3, horizon: 10.0}
+initial_state: {q: [1.0], p: [0.0]}
+"""
+BUDGET = Budget('energy_error', 1e-3, 10.0)
+
+
+@pytest.fixture
+def choose(tmp_path: Path, monkeypatch):
+    """Give what writes a scene for which a choice was made before."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+
+    def plant(choice: Choice) -> None:
+        (tmp_path / 'auto.yaml').write_text(AUTO)
+        with monkeypatch.context() as patch:
+            patch.setattr(calibration, 'calibrate', lambda *_: choice)
+            load_scene(tmp_path / 'auto.yaml').resolved(1.0 / 100.0)
+    return plant
+
+
+def events_of(recording: Path) -> list[tuple[str, str]]:
+    """Return level and text of each event that a recording shows."""
+    events = []
+    for chunk in RrdReader(recording).stream():
+        if chunk.entity_path == '/events':
+            columns = chunk.to_record_batch().to_pydict()
+            events += zip((row[0] for row in columns['TextLog:level']),
+                          (row[0] for row in columns['TextLog:text']), strict=True)
+    return events
+
+
+def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
+    choose(Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3))
+    status, _, error = finish(start(
+        tmp_path, scene='auto.yaml', duration=1, real_time_factor=0, record='false',
+        rerun_path='picture.rrd'))
+    assert status == 0
+    assert 'calibrating for energy_error 0.001 up to 10 s' in error
+    explained = Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3).explain(BUDGET)
+    assert explained in error
+    assert 'WARN' not in error
+    events = events_of(tmp_path / 'picture.rrd')
+    assert ('INFO', explained) in events
+    assert any('gauss4, h = 0.005 s' in text for _, text in events)
+
+
+def test_scene_report_carries_budget_and_choice(tmp_path, choose):
+    choose(Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3))
+    scene = load_scene(tmp_path / 'auto.yaml').resolved(1.0 / 100.0)
+    report = yaml.safe_load(scene_report(scene, Simulation.from_scene(scene), None, False))
+    assert report['budget'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0}
+    assert report['choice'] == {'method': 'gauss4', 'step_size': 0.005, 'error': 1e-4,
+                                'checked': 10.0, 'seconds_per_simulated_second': 1e-3}
+    assert (report['integrator']['kind'], report['step_size']) == ('gauss4', 0.005)
+
+
+def test_budget_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose):
+    # The paper's scheme errs by h / 2 = 5e-3.
+    choose(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3))
+    status, _, error = finish(start(
+        tmp_path, scene='auto.yaml', duration=9, real_time_factor=0, record='false',
+        rerun_path='picture.rrd'))
+    assert status == 0
+    line, = [line for line in error.splitlines() if 'WARN' in line]
+    assert 'the budget is exceeded: energy_error 0.001' in line and 'allowed is 0.001' in line
+    warnings = [text for level, text in events_of(tmp_path / 'picture.rrd') if level == 'WARN']
+    assert len(warnings) == 1 and warnings[0] in line
+
+
+def test_choice_that_cannot_keep_the_pace_is_warned_of_before_the_run():
+    choice = Choice('gauss16', 0.01, 1e-4, 10.0, 0.25)
+    assert [event.level for event in told(BUDGET, choice, 0.0)] == ['INFO']
+    assert [event.level for event in told(BUDGET, choice, 3.9)] == ['INFO']
+    _, warning = told(BUDGET, choice, 4.1)
+    assert warning.level == 'WARN'
+    assert 'no method holds energy_error 0.001 up to 10 s at real_time_factor 4.1' in warning.text
+    assert 'at most about 4,' in warning.text

@@ -1,0 +1,217 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The statuses on /diagnostics reach other nodes, and are right when something is wrong."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from subprocess import Popen
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
+from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.run_status import RunStatus
+from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trials import Budget
+from processes import finish, start
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import Float64MultiArray
+
+SCENE = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: variational_euler}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+# The paper's iteration does not converge in its 17th step.
+FAILING = """\
+hamiltonian: {kind: tao}
+integrator: {kind: variational_euler, solver: fixed_point}
+step_size: 0.4
+initial_state: {q: [1.0], p: [-1.0]}
+"""
+COMPONENTS = ['timing', 'integrator', 'energy', 'recorder', 'model']
+
+
+@pytest.fixture
+def received() -> Iterator[tuple[list[DiagnosticArray], SingleThreadedExecutor]]:
+    """Give what another node hears on /diagnostics, and its executor."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('subscriber', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    messages: list[DiagnosticArray] = []
+    node.create_subscription(DiagnosticArray, '/diagnostics', messages.append, 10)
+    try:
+        yield messages, executor
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def listen(process: Popen, executor: SingleThreadedExecutor) -> int:
+    while process.poll() is None:
+        executor.spin_once(timeout_sec=0.05)
+    for _ in range(50):
+        executor.spin_once(timeout_sec=0.0)
+    return finish(process)[0]
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    return {value.key: value.value for value in status.values}
+
+
+def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_path, received):
+    messages, executor = received
+    node, = executor.get_nodes()
+    accuracy: list[Float64MultiArray] = []
+    node.create_subscription(Float64MultiArray, '/hnn_simulator/accuracy', accuracy.append, 10)
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    process = start(tmp_path, duration=25, real_time_factor=5, discovery_time=5,
+                    record_path='bag', rerun_sink='none', publish_accuracy='true')
+    assert listen(process, executor) == 0
+    # 5 s of wall time, and one at the end; a late timer may cost some.
+    assert 3 <= len(messages) <= 7
+    for message in messages:
+        assert [status.name for status in message.status] == [
+            f'hnn_simulator: {component}' for component in COMPONENTS]
+        assert {status.hardware_id for status in message.status} == {'oscillator'}
+        assert message.header.stamp.sec > 0
+    timing, integrator, energy, recorder, model = map(values_of, messages[-1].status)
+    median, p99 = (float(timing[f'microseconds_per_step_{name} [us]'])
+                   for name in ('median', 'p99'))
+    assert 0.0 < median <= p99 < 1e6
+    assert float(timing['microseconds_per_sample [us]']) > 0.0
+    assert 0.0 < float(timing['real_time_factor [1]']) < 100.0
+    assert float(timing['largest_real_time_factor [1]']) > 0.0
+    assert timing['real_time_factor_asked_for [1]'] == '5'
+    assert int(timing['overruns [1]']) >= 0
+    assert integrator['integrator'] == 'variational_euler'
+    assert (integrator['steps [1]'], integrator['step_size [s]']) == ('2500', '0.01')
+    # One gradient a step: H separates.
+    assert 1.0 <= float(integrator['gradients_per_step [1]']) <= 3.0
+    # H is off by h / 2 at most, H~ by h^2 / 8 relative to it; rounded to six digits.
+    assert abs(float(energy['energy_error [1]'])) <= 5.1e-3
+    assert 0.0 < float(energy['modified_energy_band [J]']) <= 0.01 ** 2
+    # What an oscillation of 5e-3 may leave in a slope over 25 s, 12 A / (w T^2), twice.
+    assert abs(float(energy['drift_per_hour [1/h]'])) <= 3600.0 * 24.0 * 5e-3 / (2.0 * 25.0 ** 2)
+    assert recorder == {'bag': 'bag', 'samples [1]': '2500'}
+    assert model['hamiltonian'] == 'harmonic_oscillator' and model['coordinates'] == 'x'
+    assert len(accuracy) > 2400
+    labels = accuracy[-1].layout.dim[0].label.split(',')
+    figures = dict(zip(labels, accuracy[-1].data, strict=True))
+    # Of the same sample and the same window; rounded to six digits there.
+    told = {key.partition(' ')[0]: float(value) for status in (timing, integrator, energy)
+            for key, value in status.items() if key.partition(' ')[0] in figures}
+    assert told.keys() == {
+        'H', 'modified_H', 'work', 'energy_error', 'residual', 'modified_energy_band',
+        'drift_per_hour', 'microseconds_per_step_median', 'microseconds_per_step_p99',
+        'gradients_per_step', 'largest_real_time_factor'}
+    assert told == pytest.approx({name: figures[name] for name in told}, rel=1e-5)
+
+
+def test_diagnostics_of_a_step_that_fails_say_so_at_once(tmp_path, received):
+    messages, executor = received
+    (tmp_path / 'failing.yaml').write_text(FAILING)
+    process = start(tmp_path, scene='failing.yaml', discovery_time=3, record='false',
+                    rerun_sink='none', real_time_factor=10)
+    assert listen(process, executor) == 1
+    integrator = messages[-1].status[COMPONENTS.index('integrator')]
+    assert integrator.level == ERROR
+    assert 'step failed at t =' in integrator.message and 'use a smaller' in integrator.message
+    assert values_of(integrator)['steps [1]'] == '16'
+
+
+class Run:
+    """The parts of a run, without a node."""
+
+    def __init__(self, folder: Path, budget: Budget | None = None, factor: float = 1.0):
+        (folder / 'scene.yaml').write_text(SCENE)
+        scene = load_scene(folder / 'scene.yaml')
+        self.simulation = Simulation.from_scene(scene)
+        self.sampler = Sampler(self.simulation, 100.0)
+        self.warnings: list[tuple[str, bool]] = []
+        self.monitor = Monitor(
+            self.simulation, self.sampler.every, self.sampler.tick, budget,
+            lambda text, first: self.warnings.append((text, first)))
+        values = {'record': False, 'record_path': '', 'rerun_sink': 'none', 'rerun_path': ''}
+        self.recording = Recording(
+            rclpy.logging.get_logger('test'), scene, self.simulation, values, [], None)
+        self.status = RunStatus(scene, self.simulation, self.monitor, self.recording, factor)
+
+    def advance(self, count: int) -> None:
+        for _ in range(count):
+            self.monitor.advance(1)
+            self.monitor.add(self.sampler.sample())
+
+    def told(self, component: str, overruns: int = 0) -> tuple[bytes, str]:
+        status = self.status.statuses(overruns)[COMPONENTS.index(component)]
+        return status.level, status.message
+
+
+def test_statuses_before_the_first_step_are_well(tmp_path):
+    run = Run(tmp_path)
+    assert [status.level for status in run.status.statuses(0)] == [OK] * 5
+    assert run.told('recorder') == (OK, 'nothing is recorded, as asked')
+    assert run.told('model') == (OK, 'exact: harmonic_oscillator')
+
+
+def test_timing_warns_of_new_overruns_once(tmp_path):
+    run = Run(tmp_path)
+    assert run.told('timing', overruns=2)[0] == WARN
+    assert run.told('timing', overruns=2)[0] == OK
+
+
+def test_timing_warns_of_a_pace_that_cannot_be_held(tmp_path):
+    run = Run(tmp_path, factor=1e6)
+    run.monitor.timing.add_sample(1e-3)
+    run.advance(1)
+    level, message = run.told('timing')
+    assert level == WARN and 'cannot hold 1e+06 x real time' in message
+    run.advance(1)
+
+
+def test_integrator_warns_of_steps_in_parts_since_the_last_report(tmp_path):
+    run = Run(tmp_path)
+    run.simulation.rescued = 3
+    level, message = run.told('integrator')
+    assert level == WARN and message.startswith('3 steps')
+    assert run.told('integrator')[0] == OK
+
+
+def test_energy_warns_of_a_budget_that_is_exceeded_and_the_run_once(tmp_path):
+    run = Run(tmp_path, Budget('energy_error', 1e-3, 10.0))
+    run.advance(5)
+    assert run.told('energy') == (OK, 'energy_error within its budget')
+    run.advance(95)
+    level, message = run.told('energy')
+    assert level == WARN and 'energy_error 0.005' in message and 'allowed is 0.001' in message
+    (_, first), = run.warnings
+    assert first
+
+
+def test_recorder_says_what_is_missing(tmp_path):
+    run = Run(tmp_path)
+    run.recording._give_up(RecordingError('disk full'))
+    assert run.told('recorder') == (ERROR, 'disk full')
+
+
+def test_largest_real_time_factor_is_about_what_a_run_without_limit_reaches(tmp_path, received):
+    messages, executor = received
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    process = start(tmp_path, duration=250, real_time_factor=0, record='false',
+                    rerun_sink='none', discovery_time=2)
+    assert listen(process, executor) == 0
+    timing = values_of(messages[-1].status[0])
+    reached, largest = (float(timing[key]) for key in (
+        'real_time_factor [1]', 'largest_real_time_factor [1]'))
+    # The executor has a share of the time as well, and others may be at work on the machine.
+    assert 0.3 * largest < reached < 1.5 * largest
