@@ -57,6 +57,27 @@ def test_sample_exact_follows_the_hamiltonian_and_stays_in_its_box():
     assert 'mass=2' in sampled.description
 
 
+def test_sample_exact_keeps_to_the_bounds_of_radius_and_energy():
+    data = ExactData.model_validate({
+        'kind': 'exact', 'hamiltonian': {'kind': 'kepler'}, 'samples': 200,
+        'box': {'q': [[-2.0, 2.0]] * 2, 'p': [[-2.0, 2.0]] * 2}, 'radius': [0.5, 1.5],
+        'energy': [-0.6, -0.4]})
+    sampled = sample_exact(data, 1)
+    radius = np.linalg.norm(sampled.q, axis=1)
+    energy = 0.5 * (sampled.p ** 2).sum(axis=1) - 1.0 / radius
+    assert 0.5 <= radius.min() and radius.max() <= 1.5
+    assert -0.6 <= energy.min() and energy.max() <= -0.4
+
+
+@pytest.mark.parametrize('bounds, error, expected', [
+    ({'radius': [1.5, 0.5]}, ValidationError, 'low < high'),
+    ({'energy': [50.0, 60.0]}, DataError, 'too little of data.box'),
+])
+def test_bounds_that_cannot_be_kept_are_refused(bounds, error, expected):
+    with pytest.raises(error, match=expected):
+        sample_exact(ExactData.model_validate({**EXACT, **bounds}), 1)
+
+
 def test_sample_exact_puts_the_share_asked_for_on_the_bounds():
     data = ExactData.model_validate({**EXACT, 'edge_share': 0.2, 'samples': 10_000})
     sampled = sample_exact(data, 1)

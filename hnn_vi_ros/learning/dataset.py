@@ -9,12 +9,13 @@ from typing import Annotated, Literal
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import Box
+from hnn_vi_ros.hamiltonians.checkpoint import Box, Interval
 from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 MIN_ROWS = 10
+_MOST_DRAWS = 10_000
 
 Names = list[Annotated[str, Field(min_length=1)]]
 
@@ -50,6 +51,18 @@ class ExactData(StrictModel):
     samples: int = Field(1000, ge=MIN_ROWS, le=1_000_000)
     edge_share: float = Field(0.0, ge=0.0, lt=1.0, description=(
         'chance of each value to lie on a bound: corners of many dimensions are else left empty'))
+    radius: Interval | None = Field(None, description=(
+        'bounds of the length of q: an annulus of the box, for an H that is singular at q = 0'))
+    energy: Interval | None = Field(None, description=(
+        'bounds of H: the part of the box that motions of these energies visit'))
+
+    @model_validator(mode='after')
+    def _check(self) -> 'ExactData':
+        for name in ('radius', 'energy'):
+            bounds = getattr(self, name)
+            if bounds is not None and not bounds[0] < bounds[1]:
+                raise ValueError(f'{name} = {bounds} must be [low, high] with low < high')
+        return self
 
 
 class SavitzkyGolay(StrictModel):
@@ -190,12 +203,43 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
         raise DataError(f'data.box has {len(data.box.q)} coordinates, but {data.hamiltonian.kind} '
                         f'has {hamiltonian.dimension}; give one interval of q and of p for each')
     rng = np.random.default_rng(seed)
-    q, p = (_draw(bounds, data, rng) for bounds in (data.box.q, data.box.p))
+    q, p = _draw_states(data, hamiltonian, rng)
     dH_dq, dH_dp = hamiltonian.gradient(q, p)
     kind, parameters = data.hamiltonian.kind, data.hamiltonian.__pydantic_extra__
     described = ', '.join(f'{key}={value:g}' for key, value in parameters.items())
     return Dataset(q, p, dH_dp, -dH_dq, np.arange(data.samples),
                    f'{data.samples} exact samples of {kind}({described})').checked()
+
+
+def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and p of shape (samples, d), drawn anew until all are within the bounds."""
+    q, p = _draw(data.box.q, data, rng), _draw(data.box.p, data, rng)
+    bad = ~_is_within(data, hamiltonian, q, p)
+    for _ in range(_MOST_DRAWS):
+        if not bad.any():
+            return q, p
+        again = np.flatnonzero(bad)
+        q[again] = _draw(data.box.q, data, rng)[again]
+        p[again] = _draw(data.box.p, data, rng)[again]
+        bad[again] = ~_is_within(data, hamiltonian, q[again], p[again])
+    raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too little of '
+                    'data.box is within these bounds; give wider ones or a smaller box')
+
+
+def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray
+               ) -> np.ndarray:
+    """Tell which states are within the bounds of radius and energy."""
+    within = np.ones(len(q), dtype=bool)
+    if data.radius is not None:
+        low, high = data.radius
+        length = np.linalg.norm(q, axis=1)
+        within &= (low <= length) & (length <= high)
+    if data.energy is not None:
+        low, high = data.energy
+        energy = hamiltonian.energy(q, p)
+        within &= (low <= energy) & (energy <= high)
+    return within
 
 
 def _draw(bounds: list[list[float]], data: ExactData, rng: np.random.Generator) -> np.ndarray:
