@@ -438,3 +438,11 @@ def test_snapshot_carries_the_energy_that_the_budget_starts_from():
     first.advance(5)
     other.restore(first.snapshot())
     assert other.budget == first.budget
+
+
+def test_body_that_friction_brought_to_rest_needs_no_rescue():
+    friction = EFFECTS['dry_friction']('angle', force=0.1)
+    simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()),
+                            INTEGRATORS['variational_euler'](), 0.01, [1e-320], [0.0], [friction])
+    simulation.advance(50)
+    assert simulation.rescued == 0 and simulation.gradients <= 50 * 5

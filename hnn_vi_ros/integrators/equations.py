@@ -12,6 +12,10 @@ from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 import numpy as np
 
 
+# Unknowns smaller than this are as good as zero: eps times it is the smallest normal number.
+_LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
+
+
 class _Problem(NamedTuple):
     """x = base + factor H_x(...), with the other variable held; each array of shape (n,)."""
 
@@ -134,6 +138,9 @@ def set_scale(scale: np.ndarray, base: np.ndarray, slope: np.ndarray, h: float, 
         middle = end - kernel.channels
         size = max(largest(base[start:middle]), abs(h) * largest(slope[start:middle]),
                    abs(h) * kernel.gradient_scale[which])
+        if 0.0 < size < _LEAST_SCALE:
+            # What friction has brought to rest decays until its digits run out.
+            size = _LEAST_SCALE
         for i in range(start, middle):
             scale[i] = size
         for i in range(middle, end):
