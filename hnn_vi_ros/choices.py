@@ -31,6 +31,9 @@ class LearnedChoice(StrictModel):
     model: str = Field(min_length=1, max_length=4096, description=(
         'a shipped model, one trained into models/ of the working directory, or the path of a '
         '.safetensors file'))
+    confine: bool | None = Field(None, description=(
+        'whether H continues as a smooth convex wall outside of the box that the model was '
+        'trained in, where a network holds no state; default: as the model card says'))
 
 
 class PythonChoice(StrictModel):

@@ -160,7 +160,9 @@ def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Cal
     foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
     function.__module__ = [*foreign, base.py_func.__module__][0]
     function.__qualname__ = f'{names}({base.py_func.__qualname__})'
-    return numba.njit(function, error_model='numpy')
+    # Inlined like what it calls; see the network's gradient.
+    inline = base.targetoptions.get('forceinline', False)
+    return numba.njit(function, error_model='numpy', forceinline=inline)
 
 
 def _give_identity(dispatcher: Callable, name: str) -> None:

@@ -122,7 +122,7 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
             block = slice(first, first + size)
             if simulation is None:
                 simulation = Simulation(hamiltonian.twin(), integrator, scene.step_size,
-                                        q0[block], p0[block], effects)
+                                        q0[block], p0[block], effects, scene.on_failure)
             # Each trajectory has noise of its own.
             simulation.restart(q0[block], p0[block], stream=first)
             q_block, p_block = simulation.record(samples, every)

@@ -16,11 +16,11 @@ from hnn_vi_ros.effects.base import Effect, EffectError
 from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians.confined import load_learned
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
+from hnn_vi_ros.rescue import ON_FAILURE
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.trials import Budget, Problem
 from hnn_vi_ros.yaml_file import Places, read_yaml, StrictModel
@@ -41,6 +41,9 @@ class Scene(StrictModel):
     step_size: float | None = Field(None, gt=0.0, le=1e6, description=(
         'h [s]; with the integrator auto, which chooses it, a time that it must divide'))
     initial_state: InitialState = Field(description='(q, p) at t = 0 s')
+    on_failure: Literal[ON_FAILURE] = Field('substep', description=(  # type: ignore[valid-type]
+        'what is done about a step that fails: it is taken in sub-steps; or by implicit_midpoint, '
+        'as are all steps beyond the limit of stability of an explicit method; or the run stops'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='how the mechanism is drawn; without it only states are shown')
 
@@ -171,7 +174,7 @@ class Scene(StrictModel):
         if isinstance(choice, LearnedChoice):
             file = self._model_file(choice.model, 'hamiltonian')
             with self.placed('hamiltonian'):
-                hamiltonian = NeuralHamiltonian(load_checkpoint(file))
+                hamiltonian = load_learned(file, choice.confine)
         elif isinstance(choice, PythonChoice):
             # A module beside the scene is found like one that is installed.
             hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),

@@ -11,18 +11,16 @@ from hnn_vi_ros.compilation import entry_point
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.arithmetic import copy_point, is_finite
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, REASONS
-from hnn_vi_ros.loops import advance, assemble, take_substeps
+from hnn_vi_ros.integrators.arithmetic import is_finite
+from hnn_vi_ros.integrators.base import BEYOND, Integrator, NOT_FINITE, OK, Point, REASONS
+from hnn_vi_ros.loops import advance, assemble
 from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.rescue import Rescue
 from hnn_vi_ros.system import System
 import numpy as np
 
 if TYPE_CHECKING:
     from hnn_vi_ros.scene import Scene
-
-# A step that fails is tried again in at most 2^6 = 64 sub-steps.
-_HALVINGS = 6
 
 
 class Simulation:
@@ -44,6 +42,9 @@ class Simulation:
         Initial state, or those of m trajectories that step together.
     effects : sequence of Effect
         What acts on the system beside H.
+    on_failure : str
+        What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``; see
+        Rescue.
 
     Attributes
     ----------
@@ -58,7 +59,8 @@ class Simulation:
     dH_dq, dH_dp : np.ndarray, of the shape of q
         -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
     rescued : int
-        Steps that converged only as sub-steps of ``integrator.substep()``.
+        Steps that were taken otherwise than by the integrator: in parts, or by the implicit
+        midpoint rule.
     residual : float
         Relative residual of the last implicit step [1].
     gradients : int
@@ -76,7 +78,8 @@ class Simulation:
     """
 
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
-                 q: Sequence[float], p: Sequence[float], effects: Sequence[Effect] = ()):
+                 q: Sequence[float], p: Sequence[float], effects: Sequence[Effect] = (),
+                 on_failure: str = 'substep'):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
         self._system = System(hamiltonian, effects, integrator)
@@ -84,13 +87,13 @@ class Simulation:
         self.conservative, self.takes_commands = (
             self._system.conservative, self._system.takes_commands)
         self.step_size = float(step_size)
-        self._kernel, self._method = self._system.kernel, self._system.integrator
+        self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
         if not self._kernel.compiled:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
                 'from plain Python or autograd in every step, which is slower', stacklevel=2)
-        self._advance, self._step, self._options = assemble(advance, self._kernel, self._method)
-        self._entry: Callable | None = None
+        self._loops = [assemble(advance, self._kernel, way) for way in self._rescue.ways]
+        self._entries: dict[int, Callable] = {}
         self.restart(q, p)
 
     def restart(self, q: Sequence[float], p: Sequence[float], stream: int = 0) -> None:
@@ -101,7 +104,7 @@ class Simulation:
         self.steps, self.rescued, self.gradients, self.residual = 0, 0, 0, 0.0
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
-        self._memory = self._method.memory(n)
+        self._way, self._memories = 0, self._rescue.memories(n)
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)
         self.q[:], self.p[:] = q.reshape(self.q.shape), p.reshape(self.q.shape)
         # Not the point's own: what a step finds there must not depend on when it was looked at.
@@ -137,7 +140,7 @@ class Simulation:
         parts = scene.create_hamiltonian(), scene.create_integrator(), scene.step_size
         effects, state = scene.create_effects(), scene.initial_state
         with scene.placed('initial_state'):
-            return cls(*parts, state.q, state.p, effects)
+            return cls(*parts, state.q, state.p, effects, scene.on_failure)
 
     @property
     def time(self) -> float:
@@ -170,7 +173,7 @@ class Simulation:
     @property
     def modified_energy(self) -> float | None:
         """Return the energy that the integrator nearly conserves [J], None if none is known."""
-        if self._method is not self.integrator:
+        if self._system.integrator is not self.integrator:
             return None
         value = self.integrator.modified_energy(
             self.step_size, self.energy, self.dH_dq, self.dH_dp)
@@ -185,13 +188,15 @@ class Simulation:
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return, by name, all arrays that the next steps depend on."""
         stores = {'point': self._z, 'live': self._system.live} | {
-            f'memory{k}': store for k, store in enumerate(self._memory)}
+            f'memory{way}.{k}': store for way, memory in enumerate(self._memories)
+            for k, store in enumerate(memory)}
         return {f'{name}.{field}': array for name, store in stores.items()
                 for field, array in store._asdict().items()}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Return copies of all that the next steps depend on; see ``restore``."""
-        return {'steps': np.array(self.steps), 'energy0': np.array(self._energy0)} | {
+        counts = {'steps': self.steps, 'energy0': self._energy0, 'way': self._way}
+        return {name: np.array(value) for name, value in counts.items()} | {
             name: array.copy() for name, array in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
@@ -205,13 +210,14 @@ class Simulation:
 
         """
         self.steps, self._energy0 = int(snapshot['steps']), float(snapshot['energy0'])
+        self._way = int(snapshot['way'])
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         self._update_gradient()
 
     def _update_gradient(self) -> None:
         """Make the public gradient that of the state."""
-        if self._method.keeps_gradient:
+        if self._rescue.ways[self._way].keeps_gradient:
             self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
         else:
             self._kernel.gradient(
@@ -238,63 +244,54 @@ class Simulation:
         """
         q_out = np.empty((samples, self._z.q.size))
         p_out = np.empty_like(q_out)
-        done, outcome = 0, OK
+        done, changed, outcome = 0, -1, OK
         while True:
-            before = done
-            arguments = (self._step, self._kernel, self.step_size, self._options, done, every,
-                         self._z, self._z1, self._memory, q_out, p_out)
-            if self._entry is None:
-                self._entry = entry_point(self._advance, *arguments)
-            outcome, done, gradients, residual, spent = self._entry(*arguments)
-            self.residual = residual
-            self.steps += done - before
-            self.gradients += gradients
-            if outcome == OK or not (self._step_by_other_solvers() or self._step_in_parts()):
+            outcome, done, residual, spent = self._run(done, every, q_out, p_out)
+            if outcome == BEYOND and (self._way == 0 or done > changed):
+                self._change_way()
+                changed = done
+            elif outcome == OK or not self._take_failed_step():
                 break
-            self.steps += 1
-            done += 1
-            if done % every == 0:
-                q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
+            else:
+                self.steps += 1
+                done += 1
+                if done % every == 0:
+                    q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
         self._update_gradient()
         if outcome != OK:
             raise StepFailure(REASONS[outcome], self.time, self.step_size, residual, spent)
         keep = self._state(np.arange(self._z.q.size)).ravel()
         return (q_out[:, keep], p_out[:, keep]) if self._kernel.channels else (q_out, p_out)
 
-    def _step_by_other_solvers(self) -> bool:
-        """Take one step with the later links of the chain; False if none converges."""
-        for link in range(1, self._method.links):
-            loop, step, options = assemble(advance, self._kernel, self._method, link)
-            q, p = np.empty((2, 1, self._z.q.size))
-            outcome, _, gradients, self.residual, _ = loop(
-                step, self._kernel, self.step_size, options, 0, 1, self._z, self._z1,
-                self._memory, q, p)
-            self.gradients += gradients
-            if outcome == OK:
-                return True
-        return False
+    def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
+             ) -> tuple[int, int, float, int]:
+        """Run the loop; return outcome, steps done, residual and gradients of the last step."""
+        loop, step, options = self._loops[self._way]
+        arguments = (step, self._kernel, self.step_size, options, done, every,
+                     self._z, self._z1, self._memories[self._way], q_out, p_out)
+        if self._way not in self._entries:
+            self._entries[self._way] = entry_point(loop, *arguments)
+        outcome, now, gradients, self.residual, spent = self._entries[self._way](*arguments)
+        self.steps += now - done
+        self.gradients += gradients
+        if self._way != 0:
+            self.rescued += now - done
+        return outcome, now, self.residual, spent
 
-    def _step_in_parts(self) -> bool:
-        """Take one step as 2, 4, ... sub-steps of a symmetric method; False if none will do."""
-        method = self._method.substep()
-        if method is None:
-            return False
-        loop, substep, options = assemble(take_substeps, self._kernel, method)
-        live = [array.copy() for array in self._system.live]
-        for k in range(1, _HALVINGS + 1):
-            z = Point(*[array.copy() for array in self._z])
-            recovered, gradients = loop(
-                substep, self._kernel, self.step_size, options, 2 ** k, z, self._z1,
-                method.memory(self._z.q.size))
-            self.gradients += gradients
-            if recovered:
-                copy_point(z, self._z)
-                # What came before is no guide to the next start.
-                for store in self._memory:
-                    store.count[0] = 0
-                self.rescued += 1
-                return True
-            # Parts of the step may have been taken, and their time and work counted.
-            for array, before in zip(self._system.live, live, strict=True):
-                array[...] = before
-        return False
+    def _change_way(self) -> None:
+        """Go on by the other way of taking steps, from a state like an initial one."""
+        self._way = 1 - self._way
+        for store in self._memories[self._way]:
+            store.count[0] = 0
+        self._evaluate_gradient()
+        self.gradients += 1
+
+    def _take_failed_step(self) -> bool:
+        """Take one step in another way; False if none will do."""
+        taken = self._rescue.take_step(
+            self._way, self.step_size, self._z, self._z1, self._memories[self._way])
+        self.gradients += taken.gradients
+        self.rescued += taken.rescued or (taken.ok and self._way != 0)
+        if not np.isnan(taken.residual):
+            self.residual = taken.residual
+        return taken.ok

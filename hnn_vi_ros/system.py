@@ -89,8 +89,8 @@ class System:
         H with the potentials joined.
     kernel : Kernel
         That of H, with the forces.
-    integrator : Integrator
-        The method, with what acts around its steps.
+    method, integrator : Integrator
+        The method, by itself and with what acts around its steps.
     live : Live
         What the effects keep from step to step.
     labels : list of str
@@ -111,7 +111,7 @@ class System:
 
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator):
-        self._effects = list(effects)
+        self._effects, self.method = list(effects), integrator
         self.live = Live.empty(len(effects), hamiltonian.dimension)
         # An effect of the user's own goes by the name of its class.
         kinds = [_KINDS.get(type(effect), type(effect).__name__) for effect in effects]
@@ -191,26 +191,47 @@ class System:
         except ValueError as problem:
             raise EffectError(index, str(problem)) from problem
 
+    def around(self, integrator: Integrator) -> Integrator:
+        """
+        Return another method with the same effects in its steps and around them.
+
+        Raises
+        ------
+        UnsupportedSystem
+            It cannot take one of them; names it.
+
+        """
+        for effect, label in zip(self._effects, self.labels, strict=True):
+            if not effect.accepts(integrator):
+                raise UnsupportedSystem(f'on_failure: {type(integrator).__name__} cannot take the '
+                                        f'effect {label}; use on_failure: substep or stop')
+        return self._wrapped(integrator)
+
     def _assemble(self, integrator: Integrator, forces: list[int], around: list[int]) -> None:
-        """Make kernel and method: bath inside, then flows, rods, walls, and the account."""
-        self.kernel, self.integrator = self.hamiltonian.kernel, integrator
+        """Make the kernel and the method."""
+        self.kernel, self._taken, self._around = self.hamiltonian.kernel, forces, around
         if forces:
             self.kernel = add_forces(self.kernel, [self._effects[i] for i in forces],
                                      [self._parameters[i] for i in forces], self.live)
-        rods = self._all(HolonomicConstraint)
-        walls = self._all(Impact)
-        flows = [i for i in around if i not in rods + walls + self._all(Thermostat)]
+        self.integrator = self._wrapped(integrator)
+
+    def _wrapped(self, integrator: Integrator) -> Integrator:
+        """Wrap a method: bath inside, then flows, rods, walls, and the account."""
+        rods, walls = self._all(HolonomicConstraint), self._all(Impact)
+        flows = [i for i in self._around if i not in rods + walls + self._all(Thermostat)]
+
+        def wrap(i: int, settings: tuple) -> None:
+            nonlocal integrator
+            integrator = Wrapped(integrator, type(self._effects[i]), (settings, self.live, i))
+
         for i in self._all(Thermostat) + flows:
-            self._wrap(i, self._parameters[i])
+            wrap(i, self._parameters[i])
         if rods:
             stacked = stack([self._parameters[i] for i in rods])
-            self._wrap(rods[0], Rods.of(stacked, self.kernel.dimension, len(self._effects)))
+            wrap(rods[0], Rods.of(stacked, self.kernel.dimension, len(self._effects)))
         for i in walls:
-            self._wrap(i, self._parameters[i])
-        if forces or around:
-            self.integrator = Wrapped(
-                self.integrator, Account, (self.live, np.array(forces, dtype=np.int64)))
-
-    def _wrap(self, index: int, settings: tuple) -> None:
-        self.integrator = Wrapped(
-            self.integrator, type(self._effects[index]), (settings, self.live, index))
+            wrap(i, self._parameters[i])
+        if self._taken or self._around:
+            integrator = Wrapped(
+                integrator, Account, (self.live, np.array(self._taken, dtype=np.int64)))
+        return integrator

@@ -68,6 +68,11 @@ class Hamiltonian(ABC):
         return None
 
     @property
+    def barrier(self) -> tuple[str, float] | None:
+        """Return the name and the energy [J] of what confines low motions; None if unknown."""
+        return None
+
+    @property
     def provenance(self) -> dict[str, str]:
         """Return what identifies the data behind H, for recordings; may be empty."""
         return {}

@@ -75,6 +75,8 @@ class ModelCard(StrictModel):
     losses: dict[str, float]
     training_command: str
     package_version: str
+    confine: bool = Field(False, description=(
+        'whether H holds states near the box, unless a scene says otherwise'))
 
     @model_validator(mode='after')
     def _check(self) -> 'ModelCard':

@@ -29,6 +29,11 @@ class HenonHeiles(Hamiltonian):
     coordinates = (Coordinate('x'), Coordinate('y'))
     separable = True
 
+    @property
+    def barrier(self) -> tuple[str, float]:
+        """Return what stars escape over, and its energy."""
+        return 'escape barrier', 1.0 / 6.0
+
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""

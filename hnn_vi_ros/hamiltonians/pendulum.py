@@ -47,6 +47,11 @@ class Pendulum(Hamiltonian):
         check_positive(inertia=mass * length * length, torque=mass * gravity * length)
         self.mass, self.length, self.gravity = float(mass), float(length), float(gravity)
 
+    @property
+    def barrier(self) -> tuple[str, float]:
+        """Return the separatrix and its energy [J]."""
+        return 'separatrix', 2.0 * self.mass * self.gravity * self.length
+
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""

@@ -11,8 +11,9 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.
-OK, NO_CONVERGENCE, NOT_FINITE = 0, 1, 2
-REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite'}
+OK, NO_CONVERGENCE, NOT_FINITE, BEYOND = 0, 1, 2, 3
+REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
+           BEYOND: 'beyond the limit of stability'}
 
 
 class Point(NamedTuple):
@@ -120,7 +121,7 @@ class Integrator(ABC):
     """
 
     order: int
-    explicit: ClassVar[bool]
+    explicit: bool
     symmetric: ClassVar[bool]
     symplectic: ClassVar[bool]
     keeps_gradient: ClassVar[bool] = False

@@ -50,7 +50,7 @@ class Composition(Integrator):
             raise ValueError(f'base = {base!r}; valid: {", ".join(BASES)}')
         self.base = BASES[base]()
         self.step = _compose(self.base.step, self.fractions)
-        self.separable_only = self.base.separable_only
+        self.separable_only, self.explicit = self.base.separable_only, self.base.explicit
 
     @property
     def kernel_name(self) -> str:

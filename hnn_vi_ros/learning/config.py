@@ -41,6 +41,8 @@ class TrainingConfig(StrictModel):
     linearity: float = Field(0.0, ge=0.0, description=(
         'weight of a preference for a linear field where the data leave H open'))
     reference: Reference | None = Field(None, description='default: H = 0 in the box centre')
+    confine: bool = Field(False, description=(
+        'whether scenes hold states near the box of the data, unless they say otherwise'))
 
     @model_validator(mode='after')
     def _check(self) -> 'TrainingConfig':

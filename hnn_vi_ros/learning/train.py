@@ -214,7 +214,8 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str
     card = ModelCard(
         name=name, widths=problem.network.widths, coordinates=config.coordinates,
         box=dataset.box, dataset=dataset.description, seed=config.seed,
-        losses=problem.final_losses(), training_command=command, package_version=__version__)
+        losses=problem.final_losses(), training_command=command, package_version=__version__,
+        confine=config.confine)
     return Checkpoint(card, weights, biases), history
 
 

@@ -1,0 +1,193 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Steps that fail, or would grow: what each word of on_failure does about them."""
+
+from helpers import Uncompiled
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.ensemble import simulate_many
+from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.rescue import ON_FAILURE, stability_limit
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+OMEGA = 50.0
+SCENE = """\
+hamiltonian: {kind: harmonic_oscillator, stiffness: 4.84, mass: 1.0}
+integrator: {kind: stormer_verlet}
+step_size: 1.0
+initial_state: {q: [1.0], p: [0.0]}
+"""
+
+
+def stiff_chain(h_omega: float, on_failure: str) -> Simulation:
+    """Return case 8 of the hard cases: springs of h omega, with every mode excited."""
+    chain = HAMILTONIANS['fput_chain'](omega=OMEGA)
+    d = chain.dimension
+    return Simulation(chain, INTEGRATORS['stormer_verlet'](), h_omega / OMEGA,
+                      [*[0.3] * (d - 1), 0.02], [1.0] * d, on_failure=on_failure)
+
+
+def bounce(on_failure: str, speed: float, spring: float = 0.0) -> Simulation:
+    """Return a mass that meets a wall, where h omega is 2.25; a spring may bring it back."""
+    effects = [EFFECTS['soft_wall']('x', 0.0, 'above', 2500.0, 0.5)]
+    if spring:
+        effects.append(EFFECTS['spring'](['x'], anchor=[3.0], stiffness=spring))
+    return Simulation(HAMILTONIANS['free_particle'](names=['x']), INTEGRATORS['stormer_verlet'](),
+                      0.045, [3.0], [-speed], effects, on_failure)
+
+
+def band(simulation: Simulation, steps: int) -> float:
+    """Return the range of H over some steps, over its size at their start."""
+    before = simulation.energy
+    energies = simulation.hamiltonian.energy(*simulation.record(steps, 1))
+    return float(np.ptp(np.append(energies, before)) / abs(before))
+
+
+@pytest.mark.parametrize('name, arguments, limit', [
+    ('stormer_verlet', (), 2.0),
+    ('yoshida4', ('stormer_verlet',), 1.5734),
+    # (1 - x^2/2 + x^4/24)^2 + (x - x^3/6)^2 = 1 at x^2 = 8.
+    ('rk4', (), np.sqrt(8.0)),
+    ('explicit_euler', (), np.inf),
+    ('yoshida4', ('generalized_leapfrog',), np.inf),
+    ('gauss4', (), np.inf),
+    ('dop853', (), np.inf)])
+def test_stability_limit_is_that_of_the_literature(name, arguments, limit):
+    assert stability_limit(INTEGRATORS[name](*arguments)) == pytest.approx(limit, rel=1e-4)
+
+
+def test_stop_takes_no_sub_steps():
+    arguments = (HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), 3.0, [2.0], [2.0])
+    Simulation(*arguments).advance(1)
+    with pytest.raises(StepFailure, match='no convergence'):
+        Simulation(*arguments, on_failure='stop').advance(1)
+
+
+def test_stop_still_tries_every_solver_of_the_chain():
+    # The first link does not converge here within three iterations, Newton's method does.
+    simulation = Simulation(
+        HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](max_iterations=3), 0.05,
+        [0.0], [-3.0], on_failure='stop')
+    simulation.advance(100)
+    assert simulation.rescued == 0
+
+
+def test_implicit_takes_explicit_steps_that_would_overflow_and_counts_them():
+    arguments = (HAMILTONIANS['harmonic_oscillator'](), INTEGRATORS['rk4'](), 1e3, [1.0], [0.0])
+    for how in set(ON_FAILURE) - {'implicit'}:
+        with pytest.raises(StepFailure, match='not finite'):
+            Simulation(*arguments, on_failure=how).advance(1000)
+    simulation = Simulation(*arguments, on_failure='implicit')
+    simulation.advance(1000)
+    assert simulation.steps == simulation.rescued == 1000
+    # The midpoint rule conserves a quadratic energy, up to the solver's residual.
+    assert simulation.energy == pytest.approx(0.5, rel=1e-9)
+
+
+def test_implicit_step_that_fails_is_taken_by_the_midpoint_rule():
+    simulation = Simulation(
+        HAMILTONIANS['tao'](), INTEGRATORS['variational_euler']('fixed_point'), 0.4, [1.0], [-1.0],
+        on_failure='implicit')
+    simulation.advance(200)
+    assert 0 < simulation.rescued < 200
+
+
+@pytest.mark.parametrize('h_omega', [1.0, 1.8])
+def test_implicit_leaves_explicit_steps_below_the_limit_alone_to_the_last_bit(h_omega):
+    watched, plain = stiff_chain(h_omega, 'implicit'), stiff_chain(h_omega, 'stop')
+    assert np.array_equal(watched.record(2000, 1), plain.record(2000, 1))
+    assert watched.rescued == 0
+
+
+def test_implicit_holds_the_energy_of_stiff_springs_beyond_the_explicit_limit():
+    with pytest.raises(StepFailure, match='not finite'):
+        stiff_chain(2.2, 'stop').advance(10)
+    simulation = stiff_chain(2.2, 'implicit')
+    # Measured: 1.7e-3.
+    assert band(simulation, 20_000) <= 4e-3
+    assert simulation.rescued == simulation.steps == 20_000
+    assert simulation.residual <= 1e-14
+
+
+def test_implicit_takes_the_stiff_stretch_and_gives_back():
+    simulation = bounce('implicit', 40.0)
+    simulation.record(200, 1)
+    # It has left the wall. Measured: with 0.28 of its energy lost, at h omega = 2.25; Störmer-
+    # Verlet alone may gain any amount there.
+    assert simulation.q[0] > 10.0
+    assert simulation.energy == pytest.approx(800.0, rel=0.8)
+    # At least one step at the wall, and the 16 calm ones after that.
+    assert 16 < simulation.rescued < 40
+    rescued = simulation.rescued
+    simulation.advance(1000)
+    assert simulation.rescued == rescued
+
+
+def test_implicit_stays_where_stretches_come_again_and_again():
+    """Each change of method may change the energy: they become fewer, and it stays bounded."""
+    with pytest.raises(StepFailure, match='not finite'):
+        bounce('substep', 20.0, 4.0).advance(100_000)
+    simulation = bounce('implicit', 20.0, 4.0)
+    simulation.advance(10_000)
+    # Measured: a factor of 8, at h omega = 2.25 in every bounce; and flat from there on.
+    assert simulation.energy < 20.0 * 200.0
+    rescued = simulation.rescued
+    assert band(simulation, 10_000) < 1.0
+    assert simulation.rescued - rescued > 9_500
+
+
+def test_rescue_in_a_stiff_stretch_is_bit_identical_when_resumed():
+    whole, resumed = bounce('implicit', 20.0, 4.0), bounce('implicit', 20.0, 4.0)
+    while whole.rescued == 0:
+        whole.advance(1)
+    snapshot = whole.snapshot()
+    resumed.restore(snapshot)
+    assert np.array_equal(whole.record(500, 1), resumed.record(500, 1))
+
+
+def test_rescue_by_the_midpoint_rule_counts_time_and_work_once():
+    """What a drive does to stiff springs, against the same run at a hundredth of the step."""
+    chain = Uncompiled(HAMILTONIANS['harmonic_oscillator'](stiffness=4.84))
+    drive = EFFECTS['periodic_drive'](chain.coordinates[0].name, 0.1, 0.02)
+    coarse = Simulation(chain, INTEGRATORS['stormer_verlet'](), 1.0, [1.0], [0.0], [drive],
+                        on_failure='implicit')
+    coarse.advance(20)
+    assert coarse.rescued == 20
+    assert coarse.snapshot()['live.clock'].sum() == 20.0
+    # Of order 2, at h omega = 2.2: of the energy of 2.42 J it closes to a few hundredths.
+    assert abs(coarse.budget) <= 0.2
+
+
+def test_implicit_refuses_an_effect_that_the_midpoint_rule_cannot_take():
+    with pytest.raises(UnsupportedSystem, match='thermostat; use on_failure: substep or stop'):
+        Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['stormer_verlet'](), 0.01, [1.0], [0.0],
+                   [EFFECTS['thermostat'](0.1, 1.0)], on_failure='implicit')
+
+
+def test_unknown_on_failure_names_the_valid_ones():
+    with pytest.raises(ValueError, match='valid: substep, implicit, stop'):
+        Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['rk4'](), 0.01, [1.0], [0.0],
+                   on_failure='hope')
+
+
+def test_scene_says_what_is_done_about_a_step_that_fails(tmp_path):
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(SCENE)
+    assert load_scene(scene).on_failure == 'substep'
+    # h omega = 2.2: |H| grows by 5.9 a step, and after 500 of them is no number.
+    with pytest.raises(StepFailure, match='not finite'):
+        Simulation.from_scene(load_scene(scene)).advance(1000)
+    scene.write_text(f'{SCENE}on_failure: implicit\n')
+    simulation = Simulation.from_scene(load_scene(scene))
+    simulation.advance(1000)
+    # The midpoint rule conserves a quadratic energy.
+    assert simulation.energy == pytest.approx(2.42, rel=1e-12)
+    many = simulate_many(load_scene(scene), [[1.0], [2.0]], [[0.0], [0.0]], 10.0)
+    assert many.energy[-1] == pytest.approx([2.42, 9.68], rel=1e-12)
+    scene.write_text(f'{SCENE}on_failure: hope\n')
+    with pytest.raises(SceneError, match=r'scene.yaml:5: on_failure: .*substep.*implicit.*stop'):
+        load_scene(scene)
