@@ -74,6 +74,7 @@ setup(
     options=script_options(),
     entry_points={
         'console_scripts': [
+            'hard_cases = hnn_vi_ros.cli:hard_cases',
             'listener = hnn_vi_ros.cli:listener',
             'paper_figures = hnn_vi_ros.cli:paper_figures',
             'scene = hnn_vi_ros.cli:scene',

@@ -48,6 +48,11 @@ def work_precision() -> NoReturn:
     _run('hnn_vi_ros.studies.work_precision')
 
 
+def hard_cases() -> NoReturn:
+    """Run the fourteen hard cases."""
+    _run('hnn_vi_ros.studies.hard_cases')
+
+
 def scene() -> NoReturn:
     """Check, list or explain scenes."""
     _run('hnn_vi_ros.scene_tool')

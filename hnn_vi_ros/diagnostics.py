@@ -125,8 +125,8 @@ def symplectic_defect(hamiltonian: Hamiltonian, integrator: Integrator, h: float
     Return the largest entry of M^T W(z') M - W(z), M the derivative of the step z -> z'.
 
     W is the matrix of the 2-form that the method keeps: dq ^ dp, but for VariationalEuler
-    dq ^ d(p + h H_q). Derivatives are central differences, extrapolated once; entries are
-    in units of the sizes of q and p, so that 1 is the size of W itself.
+    dq ^ d(p + h H_q). Derivatives are central differences, extrapolated once; entries are in
+    units over which H changes, so that 1 is the size of W itself.
 
     Raises
     ------
@@ -139,9 +139,7 @@ def symplectic_defect(hamiltonian: Hamiltonian, integrator: Integrator, h: float
 
     """
     d, z = q.size, np.concatenate([q, p])
-    # An angle that has turned over many times is no larger for that.
-    angles = np.array([c.q_unit == 'rad' for c in hamiltonian.coordinates])
-    scales = np.repeat([_size(np.where(angles, np.clip(q, -1.0, 1.0), q)), _size(p)], d)
+    scales = _scales(hamiltonian, q, p)
 
     def step(z: np.ndarray) -> np.ndarray:
         return np.concatenate(take_step(hamiltonian.kernel, integrator, h, z[:d], z[d:]))
@@ -153,8 +151,8 @@ def symplectic_defect(hamiltonian: Hamiltonian, integrator: Integrator, h: float
         columns.append((4.0 * fine - coarse) / 3.0)
     M = np.array(columns).T
     before, after = (two_form(hamiltonian, integrator, h, x) for x in (z, step(z)))
-    defect = (M.T @ after @ M - before) * np.outer(scales, scales) / (scales[0] * scales[-1])
-    return float(np.abs(defect).max())
+    defect = (M.T @ after @ M - before) * np.outer(scales, scales)
+    return float(np.abs(defect).max() / (scales[:d] * scales[d:]).max())
 
 
 def two_form(hamiltonian: Hamiltonian, integrator: Integrator, h: float, z: np.ndarray
@@ -220,8 +218,14 @@ def stationary_energy(hamiltonian: Hamiltonian, q: Sequence[float], p: Sequence[
     raise ValueError(f'no stationary state of H next to q = {list(q)}, p = {list(p)}')
 
 
-def _size(values: np.ndarray) -> float:
-    return float(np.abs(values).max()) or 1.0
+def _scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return over what H changes, for each entry of (q, p): its box, or the size of the state."""
+    if hamiltonian.box is not None:
+        return 0.5 * np.ptp(np.concatenate(hamiltonian.box), axis=1)
+    # An angle that has turned over many times is no larger for that.
+    angles = np.array([c.q_unit == 'rad' for c in hamiltonian.coordinates])
+    sizes = [float(np.abs(x).max()) or 1.0 for x in (np.where(angles, np.clip(q, -1, 1), q), p)]
+    return np.repeat(sizes, q.size)
 
 
 def _difference(step, z: np.ndarray, i: int, spacing: float) -> np.ndarray:

@@ -99,6 +99,32 @@ def test_bag_reads_in_rosbags_with_types_counts_stamps_and_values(tmp_path, star
         assert seen[name] == [(stamp, function(tick)) for tick, stamp in enumerate(stamps)]
 
 
+def test_message_that_comes_now_and_then_reads_in_rosbags_at_its_stamp(tmp_path):
+    other = Topic('/alarms', NUMBER, TOPICS[2].definition, TOPICS[2].type_hash,
+                  TOPICS[2].offered_qos_profiles)
+    sink = McapSink(tmp_path / 'bag', TOPICS, {})
+    for tick in range(25):
+        sink.write(tick * PERIOD, payloads(tick))
+        if tick in (7, 19):
+            sink.write_other(other, tick * PERIOD, payloads(100 + tick)[2])
+    sink.close()
+    with pytest.raises(RecordingError, match='closed'):
+        sink.write_other(other, 0, b'')
+    with AnyReader([tmp_path / 'bag']) as reader:
+        assert {c.topic: c.msgcount for c in reader.connections} == dict.fromkeys(NAMES, 25) | {
+            '/alarms': 2}
+        found = [(stamp, reader.deserialize(raw, connection.msgtype).data)
+                 for connection, stamp, raw in reader.messages() if connection.topic == '/alarms']
+    assert found == [(7 * PERIOD, 107.5), (19 * PERIOD, 119.5)]
+    metadata = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
+    counts = {entry['topic_metadata']['name']: entry['message_count'] for entry
+              in metadata['rosbag2_bagfile_information']['topics_with_message_count']}
+    assert counts == dict.fromkeys(NAMES, 25) | {'/alarms': 2}
+    # A type that is known already is not described again.
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
+        assert make_reader(stream).get_summary().statistics.schema_count == 2
+
+
 def test_qos_reads_in_rosbags_as_offered(tmp_path):
     record(tmp_path / 'bag', 1)
     with AnyReader([tmp_path / 'bag']) as reader:

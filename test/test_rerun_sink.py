@@ -9,10 +9,12 @@ import socket
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.sinks import rerun_sink
 from hnn_vi_ros.sinks.rerun_layout import series_labels
 from hnn_vi_ros.sinks.rerun_sink import RerunSink
 from hnn_vi_ros.sinks.sample import Sample
@@ -269,6 +271,24 @@ def test_close_says_soon_that_the_viewer_is_gone(viewer: tuple[str, subprocess.P
         sink.close()
     sink.close()
     assert time.monotonic() - started < 1.0
+
+
+def test_file_of_an_hour_is_sent_in_few_pieces_and_none_waits_long(tmp_path, monkeypatch):
+    """Each piece costs memory until the file is closed: every half a second, 125 MB an hour."""
+    clock, path = [0.0], tmp_path / 'recording.rrd'
+    monkeypatch.setattr(rerun_sink, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
+    sink = open_sink(path, interval=1)
+    for n, sample in enumerate(oscillate(36_000)):
+        clock[0] = 0.1 * n
+        sink.write(replace(sample, stamp=n * 100_000_000))
+    sink.close()
+    sizes = [chunk.num_rows for chunk in RrdReader(path).stream()
+             if chunk.entity_path == '/state/q' and not chunk.is_static]
+    assert sum(sizes) == 36_000
+    # 100 in the first 50 s, ln(1500 / 50) / 0.01 while they grow to 15 s, 140 more.
+    assert len(sizes) <= 600
+    assert max(sizes[:50]) <= 6
+    assert max(sizes) <= 151
 
 
 def test_close_twice_is_quick_and_harmless(tmp_path: Path):

@@ -6,8 +6,10 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hnn_vi_ros.ros.messages import describe_topic
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 
 DIAGNOSTICS_TOPIC: tuple[str, type] = ('/diagnostics', DiagnosticArray)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -49,13 +51,20 @@ class DiagnosticsPublisher:
     hardware_id : str
         What the statuses are about: the scene.
 
+    Attributes
+    ----------
+    topic : Topic
+        What the log says of the topic.
+
     """
 
     def __init__(self, node: Node, publisher: Publisher, hardware_id: str):
         self._node, self._publisher, self._hardware_id = node, publisher, hardware_id
+        self.topic = describe_topic(
+            publisher.topic_name, DiagnosticArray, publisher.qos_profile)
 
-    def publish(self, statuses: Iterable[Status]) -> None:
-        """Publish one message that holds all the statuses."""
+    def publish(self, statuses: Iterable[Status]) -> bytes:
+        """Publish one message that holds all the statuses; return it as it was sent."""
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [DiagnosticStatus(
@@ -64,7 +73,9 @@ class DiagnosticsPublisher:
             values=[KeyValue(key=key, value=_shown(value))
                     for key, value in status.values.items()])
             for status in statuses]
-        self._publisher.publish(message)
+        payload = serialize_message(message)
+        self._publisher.publish(payload)
+        return payload
 
 
 def _shown(value: object) -> str:

@@ -1,10 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of a run while it goes on: its timing, its energy, its budget of error."""
+"""What is measured and watched of a run: its timing, its energy, its budget of error, guards."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 import time
 
+from hnn_vi_ros.guards import Alarm, Guard
 from hnn_vi_ros.ros.energy_record import EnergyRecord
 from hnn_vi_ros.ros.timing import Timing
 from hnn_vi_ros.simulation import Simulation
@@ -17,7 +18,7 @@ _REPEATED = 10.0
 
 class Monitor:
     """
-    Measure a run.
+    Measure a run, and watch it.
 
     Parameters
     ----------
@@ -32,9 +33,13 @@ class Monitor:
     warn : callable
         Told when the budget is exceeded, now and then while it is: the text, and whether it is
         the first time.
+    guards : iterable of Guard, optional
+        What must hold.
 
     Attributes
     ----------
+    guards : list of Guard
+        What must hold; more can be appended.
     timing : Timing
         What steps and samples cost.
     energy : EnergyRecord
@@ -45,10 +50,12 @@ class Monitor:
     """
 
     def __init__(self, simulation: Simulation, every: int, tick: float,
-                 budget: Budget | None, warn: Callable[[str, bool], None]):
+                 budget: Budget | None, warn: Callable[[str, bool], None],
+                 guards: Iterable[Guard] = ()):
         self.timing = Timing(every, tick)
         self.energy = EnergyRecord(simulation, tick, budget)
         self.newest: Sample | None = None
+        self.guards = list(guards)
         self._simulation, self._warn = simulation, warn
         self._warned, self._due = False, 0.0
 
@@ -60,6 +67,16 @@ class Monitor:
         seconds = time.perf_counter() - begin
         self.timing.add_batch(n, seconds, simulation.gradients - gradients)
         return seconds
+
+    def watch(self, sample: Sample) -> list[Alarm]:
+        """Let the guards look at the next sample, the initial one first; return alarms."""
+        alarms = []
+        # No comprehension, which costs as much as one of the guards.
+        for guard in self.guards:
+            alarm = guard.update(sample)
+            if alarm is not None:
+                alarms.append(alarm)
+        return alarms
 
     def add(self, sample: Sample) -> bool:
         """Look at the next sample; tell whether the figures were evaluated anew."""

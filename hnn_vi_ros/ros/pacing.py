@@ -1,9 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How many ticks of simulated time a run owes to the wall clock."""
+"""How many ticks of simulated time a run owes to the wall clock, and when it cannot pay them."""
 
 from collections.abc import Callable
 import time
+
+from hnn_vi_ros.guards import Alarm, Guard, Observed
 
 # More debt than this is given up: the run is then slower than asked, but loses no step.
 LARGEST_DEBT = 1.0
@@ -53,3 +55,31 @@ class Pacer:
                 self.overruns += 1
         self._done += 1
         return True
+
+
+class OverrunGuard(Guard):
+    """
+    The run keeps up with the clock.
+
+    Parameters
+    ----------
+    pacer : Pacer
+        Which counts the overruns.
+
+    """
+
+    kind = 'real-time overrun'
+
+    def __init__(self, pacer: Pacer):
+        self._pacer, self._seen = pacer, pacer.overruns
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        overruns = self._pacer.overruns
+        if overruns == self._seen:
+            return None
+        self._seen = overruns
+        return Alarm(self.kind, sample.step, float(overruns), 0.0,
+                     f'{overruns} overruns: more than {LARGEST_DEBT:g} s behind the clock, which '
+                     'is given up; use a lower real_time_factor or publish_rate, a larger '
+                     'step_size or a cheaper integrator')

@@ -103,6 +103,14 @@ PARAMETERS = (
                   '`runs/<scene>-<UTC time>/recording.rrd`. connect: URL of the viewer; '
                   'empty takes the local one'),
     Specification('publish_accuracy', False, 'publish and record `~/accuracy`'),
+    Specification('stop_outside_box', False, 'end the run, with status 1, at the first sample '
+                  'outside of the box that the model was trained in; else it is only told'),
+    Specification('energy_band_limit', 0.05, 'band of the modified energy, over the energies in '
+                  'play, from which on a conservative run counts as under-resolved', '1',
+                  1e-15, 1e6),
+    Specification('energy_change_limit', 0.02, 'lasting change of the energy, over the energies '
+                  'in play, that no work accounts for, from which on energy counts as lost or '
+                  'gained', '1', 1e-15, 1e6),
     Specification('explain', False, 'measure what each effect adds before the first step; '
                   'compiles one kernel for each effect'),
     Specification('frame_id', 'world', 'frame that `~/markers` are drawn in'),

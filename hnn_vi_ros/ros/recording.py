@@ -97,6 +97,15 @@ class Recording:
                 self._picture_sink = None
                 self._give_up(problem)
 
+    def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
+        """Record a message that does not come with each sample."""
+        if self._bag_sink is not None:
+            try:
+                self._bag_sink.write_other(topic, stamp, payload)
+            except RecordingError as problem:
+                self._bag_sink = None
+                self._give_up(problem)
+
     def event(self, text: str, level: str) -> None:
         """Show an event beside the samples; level is INFO, WARN or ERROR."""
         if self._picture_sink is not None:

@@ -5,6 +5,7 @@
 import math
 
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
+from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.scene import Scene
@@ -14,7 +15,7 @@ from hnn_vi_ros.sinks.sample import Sample
 
 class RunStatus:
     """
-    Tell the statuses of timing, integrator, energy, recorder and model.
+    Tell the statuses of timing, integrator, energy, recorder, model and health.
 
     Parameters
     ----------
@@ -26,23 +27,25 @@ class RunStatus:
         What is measured.
     recording : Recording
         The files.
+    health : Health
+        The alarms.
     real_time_factor : float
         The pace that is asked for; 0 for as fast as possible.
 
     """
 
     def __init__(self, scene: Scene, simulation: Simulation, monitor: Monitor,
-                 recording: Recording, real_time_factor: float):
+                 recording: Recording, health: Health, real_time_factor: float):
         self._scene, self._simulation, self._monitor = scene, simulation, monitor
-        self._recording, self._asked = recording, real_time_factor
+        self._recording, self._health, self._asked = recording, health, real_time_factor
         self._model = _model(scene, simulation)
         # When the last statuses were told.
         self._overruns, self._rescued = 0, 0
 
-    def statuses(self, overruns: int, failure: str = '') -> list[Status]:
-        """Return a status of each component; ``failure`` says why a step failed."""
-        return [self._timing(overruns), self._integrator(failure), self._energy(),
-                self._recorder(), self._model]
+    def statuses(self, overruns: int) -> list[Status]:
+        """Return a status of each component."""
+        return [self._timing(overruns), self._integrator(), self._energy(), self._recorder(),
+                self._model, self._health.status()]
 
     def _timing(self, overruns: int) -> Status:
         figures, asked = self._monitor.timing.figures, self._asked
@@ -65,12 +68,13 @@ class RunStatus:
             'largest_real_time_factor [1]': figures.largest_real_time_factor,
             'overruns [1]': overruns})
 
-    def _integrator(self, failure: str) -> Status:
+    def _integrator(self) -> Status:
         scene, simulation = self._scene, self._simulation
         rescued, self._rescued = simulation.rescued - self._rescued, simulation.rescued
         level, message = OK, f'{scene.integrator.kind}: no step failed'
-        if failure:
-            level, message = ERROR, failure
+        failure = self._health.find(STEP_FAILED)
+        if failure is not None:
+            level, message = ERROR, failure.message
         elif rescued:
             level, message = WARN, (f'{rescued} steps since the last report converged only in '
                                     'parts; use a smaller step_size')

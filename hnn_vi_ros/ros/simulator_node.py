@@ -7,11 +7,13 @@ import time
 import warnings
 
 from hnn_vi_ros.errors import ParameterError, StepFailure
+from hnn_vi_ros.guards import BoxGuard, EnergyGuard
 from hnn_vi_ros.ros.choosing import resolve
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from hnn_vi_ros.ros.health import Health, make_guards, STEP_FAILED
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
-from hnn_vi_ros.ros.pacing import Pacer
+from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.ros.parameters import declare_parameters
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run_status import RunStatus
@@ -21,6 +23,7 @@ from hnn_vi_ros.ros.status_line import StatusLine
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
@@ -95,7 +98,7 @@ class SimulatorNode(Node):
             self.exit_status = status
             self._tell(reason, 'ERROR' if status else 'INFO')
             if self._pacer is not None:
-                self._publish_diagnostics(reason if status else '')
+                self._publish_diagnostics()
 
     def finish(self) -> None:
         """Close the files and say where they are; makes no ROS call but to the log."""
@@ -130,7 +133,9 @@ class SimulatorNode(Node):
         report = scene_report(scene, simulation, cost, values['explain'])
         self._monitor = Monitor(
             simulation, self._sampler.every, self._sampler.tick,
-            scene.chosen and scene.chosen[0], lambda text, first: self._tell(text, 'WARN', first))
+            scene.chosen and scene.chosen[0], lambda text, first: self._tell(text, 'WARN', first),
+            make_guards(simulation, box, values['energy_band_limit'],
+                        values['energy_change_limit']))
         self.topics.open(simulation, self._monitor, scene.mechanism, box, values['frame_id'])
         self._recording = Recording(
             self.get_logger(), scene, simulation, values, self.topics.descriptions, box)
@@ -140,8 +145,14 @@ class SimulatorNode(Node):
             'conservative' if simulation.conservative else 'not conservative']), 'INFO')
         self.topics.publish_scene(report)
         self._diagnostics = DiagnosticsPublisher(self, self.topics.diagnostics, scene.name)
+        self._stop_outside_box = values['stop_outside_box']
+        self._health = Health(
+            simulation, self._monitor.guards, self._diagnostics, self._recording,
+            lambda text, level: self._tell(text, level, show=False),
+            [STEP_FAILED, EnergyGuard.kind, *[BoxGuard.kind] * self._stop_outside_box])
         self._run_status = RunStatus(
-            scene, simulation, self._monitor, self._recording, values['real_time_factor'])
+            scene, simulation, self._monitor, self._recording, self._health,
+            values['real_time_factor'])
 
     def _compile(self, scene: Scene) -> Simulation:
         with warnings.catch_warnings(record=True) as caught:
@@ -164,6 +175,9 @@ class SimulatorNode(Node):
             self._discovery.cancel()
             self._status = StatusLine(self.get_logger())
             self._pacer = Pacer(self._sampler.tick, self._real_time_factor)
+            if self._real_time_factor:
+                self._monitor.guards.append(OverrunGuard(self._pacer))
+            self._watch(self._sampler.sample())
             self.create_timer(
                 _DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=self._steady_clock)
             self.create_timer(self._pacer.timer_period, self._on_timer, clock=self._steady_clock)
@@ -189,7 +203,9 @@ class SimulatorNode(Node):
         try:
             seconds = self._monitor.advance(n)
         except StepFailure as failure:
-            self.stop(1, str(failure))
+            newest = self._monitor.newest
+            self._health.add_failure(failure, newest.stamp if newest else 0)
+            self.stop(1, f'stopped at the last good state, t = {simulation.time:.9g} s')
             return False
         self._steps_left -= n
         if n == self._batch:
@@ -209,15 +225,23 @@ class SimulatorNode(Node):
         self._recording.write(sample, self.topics.publish(sample))
         if evaluated:
             self._recording.timing(self._monitor.timing.figures)
+        self._watch(sample)
         self._status.show(sample, self._pacer.overruns)
         self._monitor.timing.add_sample(time.perf_counter() - begin)
 
-    def _publish_diagnostics(self, failure: str = '') -> None:
-        self._diagnostics.publish(self._run_status.statuses(self._pacer.overruns, failure))
+    def _watch(self, sample: Sample) -> None:
+        """Tell what the guards find in a sample, and stop if that was asked for."""
+        for alarm in self._monitor.watch(sample):
+            self._health.add(alarm, sample.stamp)
+            if alarm.kind == BoxGuard.kind and self._stop_outside_box:
+                self.stop(1, f'stopped by stop_outside_box at t = {sample.stamp * 1e-9:.9g} s')
+
+    def _publish_diagnostics(self) -> None:
+        self._diagnostics.publish(self._run_status.statuses(self._pacer.overruns))
 
 
 def main(argv: list[str]) -> int:
-    """Run the node until its duration is over, a step fails, or SIGINT or SIGTERM arrives."""
+    """Run the node until its duration is over, a guard stops it, or SIGINT or SIGTERM arrives."""
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as problem:

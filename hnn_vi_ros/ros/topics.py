@@ -131,7 +131,7 @@ class Topics:
     def wait_for_delivery(self) -> None:
         """Let matched subscribers receive what is still on its way, for at most a second."""
         deadline = time.monotonic() + 1.0
-        for publisher in self._publishers:
+        for publisher in (*self._publishers, self.diagnostics):
             publisher.wait_for_all_acked(
                 Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 

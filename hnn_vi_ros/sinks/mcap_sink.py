@@ -21,7 +21,7 @@ FLUSH_INTERVAL = 0.9
 @final
 class McapSink:
     """
-    Write the messages of each tick to ``<folder>/<folder name>_0.mcap``.
+    Write the messages of each tick, and others, to ``<folder>/<folder name>_0.mcap``.
 
     Whatever is older than a second is with the operating system and outlives a killed process.
     Nothing here calls ROS, so a recording can be closed after ROS was shut down.
@@ -31,7 +31,7 @@ class McapSink:
     folder : Path
         The bag. It must not exist; its parents are created.
     topics : sequence of Topic
-        What is recorded, in the order of the payloads of a tick.
+        What is recorded at each tick, in the order of its payloads.
     attachments : mapping of str to bytes
         Files that explain the recording, by name: the scene, the parameters.
     ros_distro : str
@@ -48,6 +48,9 @@ class McapSink:
                  ros_distro: str = 'jazzy'):
         self._topics, self._ros_distro = tuple(topics), ros_distro
         self._ticks = 0
+        # Of topics that have no message each tick: their channel, and how many they have.
+        self._others: dict[Topic, list[int]] = {}
+        self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
         self._path = Path(folder) / f'{Path(folder).name}_0.mcap'
         self._stream: BinaryIO | None = _create(self._path)
@@ -57,7 +60,7 @@ class McapSink:
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
             self._attach(attachments)
             self._add_metadata()
-            self._channels = self._register()
+            self._channels = [self._register(topic) for topic in self._topics]
             self._flush()
         except OSError as problem:
             raise self._abandon(problem) from problem
@@ -79,18 +82,46 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        if self._stream is None:
-            raise RecordingError(f'{self._path}: the recording is closed; start a new one')
+        self._check_open()
         # The format holds the sequence in 32 bits.
         sequence = self._ticks & 0xFFFFFFFF
         try:
             for channel, payload in zip(self._channels, payloads, strict=True):
                 self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
             self._ticks += 1
-            self._first = min(self._first, stamp_ns)
-            self._last = max(self._last, stamp_ns)
+            self._extend_to(stamp_ns)
             if time.monotonic() >= self._next_flush:
                 self._flush()
+        except OSError as problem:
+            raise self._abandon(problem) from problem
+
+    def write_other(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
+        """
+        Record a message that does not come each tick.
+
+        Parameters
+        ----------
+        topic : Topic
+            Which the bag holds only if something is written to it.
+        stamp_ns : int
+            Time of the message [ns], not negative.
+        payload : bytes
+            The serialised message.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be written any more; the recording is closed.
+
+        """
+        self._check_open()
+        try:
+            if topic not in self._others:
+                self._others[topic] = [self._register(topic), 0]
+            channel, count = self._others[topic]
+            self._writer.add_message(channel, stamp_ns, payload, stamp_ns, count & 0xFFFFFFFF)
+            self._others[topic][1] += 1
+            self._extend_to(stamp_ns)
         except OSError as problem:
             raise self._abandon(problem) from problem
 
@@ -140,23 +171,28 @@ class McapSink:
             media = 'application/yaml' if name.endswith('.yaml') else 'application/octet-stream'
             self._writer.add_attachment(time.time_ns(), 0, name, media, data)
 
-    def _register(self) -> list[int]:
-        """Describe each type once and each topic; return the topics' channels."""
-        schemas: dict[str, int] = {}
-        channels = []
-        for topic in self._topics:
-            if topic.type not in schemas:
-                schemas[topic.type] = self._writer.register_schema(
-                    topic.type, 'ros2msg', topic.definition.encode())
-            channels.append(self._writer.register_channel(
-                topic.name, 'cdr', schemas[topic.type],
-                {'offered_qos_profiles': topic.offered_qos_profiles,
-                 'topic_type_hash': topic.type_hash}))
-        return channels
+    def _register(self, topic: Topic) -> int:
+        """Describe a topic, and its type once; return its channel."""
+        if topic.type not in self._schemas:
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, 'ros2msg', topic.definition.encode())
+        return self._writer.register_channel(
+            topic.name, 'cdr', self._schemas[topic.type],
+            {'offered_qos_profiles': topic.offered_qos_profiles,
+             'topic_type_hash': topic.type_hash})
+
+    def _extend_to(self, stamp_ns: int) -> None:
+        self._first = min(self._first, stamp_ns)
+        self._last = max(self._last, stamp_ns)
 
     def _metadata(self) -> dict[str, Any]:
-        return bag_metadata(self._path.name, self._topics, [self._ticks] * len(self._topics),
+        counts = [self._ticks] * len(self._topics) + [count for _, count in self._others.values()]
+        return bag_metadata(self._path.name, [*self._topics, *self._others], counts,
                             self._first, self._last, self._ros_distro)
+
+    def _check_open(self) -> None:
+        if self._stream is None:
+            raise RecordingError(f'{self._path}: the recording is closed; start a new one')
 
     def _add_metadata(self) -> None:
         # As rosbag2 does: once at the start for a file that is cut off, once at the end.

@@ -5,11 +5,13 @@
 from collections.abc import Iterator
 from pathlib import Path
 from subprocess import Popen
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
+from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run_status import RunStatus
@@ -36,7 +38,7 @@ integrator: {kind: variational_euler, solver: fixed_point}
 step_size: 0.4
 initial_state: {q: [1.0], p: [-1.0]}
 """
-COMPONENTS = ['timing', 'integrator', 'energy', 'recorder', 'model']
+COMPONENTS = ['timing', 'integrator', 'energy', 'recorder', 'model', 'health']
 
 
 @pytest.fixture
@@ -85,7 +87,7 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
             f'hnn_simulator: {component}' for component in COMPONENTS]
         assert {status.hardware_id for status in message.status} == {'oscillator'}
         assert message.header.stamp.sec > 0
-    timing, integrator, energy, recorder, model = map(values_of, messages[-1].status)
+    timing, integrator, energy, recorder, model, health = map(values_of, messages[-1].status)
     median, p99 = (float(timing[f'microseconds_per_step_{name} [us]'])
                    for name in ('median', 'p99'))
     assert 0.0 < median <= p99 < 1e6
@@ -103,6 +105,8 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     assert 0.0 < float(energy['modified_energy_band [J]']) <= 0.01 ** 2
     # What an oscillation of 5e-3 may leave in a slope over 25 s, 12 A / (w T^2), twice.
     assert abs(float(energy['drift_per_hour [1/h]'])) <= 3600.0 * 24.0 * 5e-3 / (2.0 * 25.0 ** 2)
+    assert health['watched'] == ('step failed, energy not accounted for, under-resolved, '
+                                 'real-time overrun')
     assert recorder == {'bag': 'bag', 'samples [1]': '2500'}
     assert model['hamiltonian'] == 'harmonic_oscillator' and model['coordinates'] == 'x'
     assert len(accuracy) > 2400
@@ -145,7 +149,10 @@ class Run:
         values = {'record': False, 'record_path': '', 'rerun_sink': 'none', 'rerun_path': ''}
         self.recording = Recording(
             rclpy.logging.get_logger('test'), scene, self.simulation, values, [], None)
-        self.status = RunStatus(scene, self.simulation, self.monitor, self.recording, factor)
+        self.health = Health(self.simulation, [], SimpleNamespace(
+            topic=None, publish=lambda statuses: b''), self.recording, lambda *line: None)
+        self.status = RunStatus(
+            scene, self.simulation, self.monitor, self.recording, self.health, factor)
 
     def advance(self, count: int) -> None:
         for _ in range(count):
@@ -159,7 +166,7 @@ class Run:
 
 def test_statuses_before_the_first_step_are_well(tmp_path):
     run = Run(tmp_path)
-    assert [status.level for status in run.status.statuses(0)] == [OK] * 5
+    assert [status.level for status in run.status.statuses(0)] == [OK] * 6
     assert run.told('recorder') == (OK, 'nothing is recorded, as asked')
     assert run.told('model') == (OK, 'exact: harmonic_oscillator')
 
@@ -185,6 +192,16 @@ def test_integrator_warns_of_steps_in_parts_since_the_last_report(tmp_path):
     level, message = run.told('integrator')
     assert level == WARN and message.startswith('3 steps')
     assert run.told('integrator')[0] == OK
+
+
+def test_integrator_and_health_keep_saying_that_a_step_failed(tmp_path):
+    run = Run(tmp_path)
+    run.health.add_failure(StepFailure('not finite', 0.5, 0.01, 1.0, 3), 0)
+    for component in ('integrator', 'health'):
+        for _ in range(2):
+            level, message = run.told(component)
+            assert level == ERROR and 'step failed at t = 0.5 s (not finite)' in message
+    assert run.health.find(STEP_FAILED).value == 1.0
 
 
 def test_energy_warns_of_a_budget_that_is_exceeded_and_the_run_once(tmp_path):

@@ -1,0 +1,145 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The guards that a run calls for, and what becomes of their alarms."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+import math
+import time
+
+from hnn_vi_ros.diagnostics import energy_scale
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards import (
+    Alarm, BarrierGuard, BoxGuard, EnergyGuard, Guard, ResolutionGuard)
+from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status, WARN
+from hnn_vi_ros.ros.pacing import OverrunGuard
+from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+STEP_FAILED = 'step failed'
+# Of the energies in play: a change at once that is no oscillation any more.
+LARGEST_JUMP = 10.0
+# Wall time between two log lines of the same kind [s].
+_REPEATED = 10.0
+_UNITS = {BoxGuard.kind: 'half-widths', OverrunGuard.kind: '1', STEP_FAILED: '1'}
+
+
+def make_guards(simulation: Simulation, box: tuple[np.ndarray, np.ndarray], band_limit: float,
+                change_limit: float) -> Iterator[Guard]:
+    """
+    Yield the guards that apply to a simulation.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p of the motion, for the energies in play where the initial
+        state shows none: at rest at H = 0.
+    band_limit, change_limit : float
+        See ResolutionGuard and EnergyGuard.
+
+    """
+    hamiltonian, method = simulation.hamiltonian, simulation.integrator
+    if hamiltonian.box is not None:
+        yield BoxGuard(hamiltonian.box)
+    scale = _energies_in_play(simulation, simulation.q, simulation.p) \
+        or _energies_in_play(simulation, box[0][:, 1], box[1][:, 1])
+    if scale > 0.0:
+        yield EnergyGuard(change_limit, LARGEST_JUMP, scale)
+    if not simulation.conservative:
+        return
+    if scale > 0.0:
+        order = method.order if simulation.modified_energy is None else 2
+        yield ResolutionGuard(band_limit, scale, simulation.step_size, order)
+    if hamiltonian.barrier is not None:
+        name, energy = hamiltonian.barrier
+        yield BarrierGuard(name, energy - simulation.energy)
+
+
+def _energies_in_play(simulation: Simulation, q: np.ndarray, p: np.ndarray) -> float:
+    hamiltonian = simulation.hamiltonian
+    return energy_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
+
+
+class Health:
+    """
+    Keep the alarms of a run; tell each on /diagnostics, in the bag, the log and the picture.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Which is watched.
+    guards : sequence of Guard
+        What watches it.
+    diagnostics : DiagnosticsPublisher
+        Of /diagnostics.
+    recording : Recording
+        The files.
+    log : callable
+        Takes a line for the log and its level, INFO, WARN or ERROR.
+    errors : sequence of str
+        Kinds of alarms that are errors; the others are warnings.
+
+    """
+
+    def __init__(self, simulation: Simulation, guards: Sequence[Guard],
+                 diagnostics: DiagnosticsPublisher, recording: Recording,
+                 log: Callable[[str, str], None],
+                 errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
+        self._simulation, self._guards, self._errors = simulation, guards, errors
+        self._diagnostics, self._recording, self._log = diagnostics, recording, log
+        # The newest alarm of each kind, how many there were, and when the log takes the next.
+        self._alarms: dict[str, Alarm] = {}
+        self._counts: Counter[str] = Counter()
+        self._due: dict[str, float] = {}
+
+    def add(self, alarm: Alarm, stamp: int) -> None:
+        """Tell an alarm that belongs to a sample, the newest one, of that stamp [ns]."""
+        self._alarms.pop(alarm.kind, None)
+        self._alarms[alarm.kind] = alarm
+        self._counts[alarm.kind] += 1
+        level = self._level(alarm)
+        payload = self._diagnostics.publish([Status('health', level, alarm.message, {
+            'alarm': alarm.kind, **self._figures(alarm)})])
+        self._recording.write_other(self._diagnostics.topic, stamp, payload)
+        word = 'ERROR' if level == ERROR else 'WARN'
+        self._recording.event(f'{alarm.kind}: {alarm.message}', word)
+        if time.monotonic() >= self._due.get(alarm.kind, -math.inf):
+            self._due[alarm.kind] = time.monotonic() + _REPEATED
+            self._log(f't = {alarm.step * self._simulation.step_size:.9g} s: {alarm.message}',
+                      word)
+
+    def add_failure(self, failure: StepFailure, stamp: int) -> None:
+        """Tell that a step failed after the sample of that stamp."""
+        self.add(Alarm(STEP_FAILED, self._simulation.steps, failure.residual, math.nan,
+                       str(failure)), stamp)
+
+    def find(self, kind: str) -> Alarm | None:
+        """Return the newest alarm of a kind, None if there was none."""
+        return self._alarms.get(kind)
+
+    def status(self) -> Status:
+        """Return the worst that has happened so far, and the figures of each kind of alarm."""
+        # Of several the newest.
+        worst = max(reversed(self._alarms.values()), key=self._level, default=None)
+        level, message = OK, 'no alarm'
+        if worst is not None:
+            level, message = self._level(worst), worst.message
+        figures = {f'{alarm.kind}: {key}': value for alarm in self._alarms.values()
+                   for key, value in self._figures(alarm).items()}
+        # Results are as good after an overrun as before: it is told once.
+        self._alarms.pop(OverrunGuard.kind, None)
+        return Status('health', level, message, {
+            'watched': ', '.join([STEP_FAILED, *(guard.kind for guard in self._guards)]),
+            **figures})
+
+    def _level(self, alarm: Alarm) -> bytes:
+        return ERROR if alarm.kind in self._errors else WARN
+
+    def _figures(self, alarm: Alarm) -> dict[str, object]:
+        unit = _UNITS.get(alarm.kind, 'J')
+        return {'step [1]': alarm.step, 't [s]': alarm.step * self._simulation.step_size,
+                f'value [{unit}]': alarm.value, f'limit [{unit}]': alarm.limit,
+                'times [1]': self._counts[alarm.kind]}

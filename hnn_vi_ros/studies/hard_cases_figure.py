@@ -1,0 +1,99 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of a hard case: how far the energy is off, over the run, one panel a set-up."""
+
+from collections.abc import Sequence
+import math
+from pathlib import Path
+
+from hnn_vi_ros.studies.hard_cases_plan import Case
+from hnn_vi_ros.studies.hard_cases_results import Row
+from hnn_vi_ros.studies.work_precision_figure import FAINT, INK, STYLES
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+import numpy as np
+
+_OTHER = ('#555555', '*')
+_MARKS, _DPI, _COLUMNS = 6, 110, 2
+# What is drawn of an error that is beyond all bounds.
+_CEILING = 1e6
+_LABELS = {
+    'dissipation': 'largest H of a block [J]',
+    'motion': 'largest abs(H - H0) of a block [J]',
+    'constraint': 'largest abs(H - H0) of a block [J]',
+    'repeatability': 'abs(H - H0) [J]',
+}
+
+
+def draw_case(path: Path, case: Case, rows: Sequence[Row]) -> Path:
+    """
+    Draw the energy of a case's rows into a PNG file.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    case : Case
+        Whose set-ups are the panels.
+    rows : sequence of Row
+        All of this case.
+
+    """
+    panels = list(dict.fromkeys((row.hamiltonian, row.set_up) for row in rows))
+    columns = min(_COLUMNS, len(panels))
+    lines = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(6.2 * columns + 2.0, 3.1 * lines + 0.9), dpi=_DPI,
+                    facecolor='white', layout='constrained')
+    FigureCanvasAgg(figure)
+    figure.suptitle(f'Case {case.number}: {case.title}', fontsize=13, color=INK)
+    grid = np.atleast_1d(figure.subplots(lines, columns, squeeze=False)).ravel()
+    for ax in grid[len(panels):]:
+        ax.set_visible(False)
+    for ax, (hamiltonian, set_up) in zip(grid, panels, strict=False):
+        title = ', '.join(part for part in (f'{hamiltonian} H', set_up) if part)
+        _draw_panel(ax, case, title, [row for row in rows if (row.hamiltonian, row.set_up)
+                                      == (hamiltonian, set_up)])
+    methods = list(dict.fromkeys(row.method for row in rows))
+    figure.legend(handles=[_handle(method) for method in methods], loc='outside right upper',
+                  frameon=False, fontsize=8.5)
+    figure.savefig(path, dpi=_DPI)
+    return path
+
+
+def _style(method: str) -> dict[str, object]:
+    base, _, variant = method.partition('@')
+    color, marker = STYLES.get(base, _OTHER)
+    return {'color': color, 'marker': marker, 'markersize': 5.0, 'linewidth': 1.1,
+            'linestyle': ':' if variant else '-',
+            'markerfacecolor': 'white' if variant else color}
+
+
+def _handle(method: str) -> Line2D:
+    return Line2D([], [], label=method, **_style(method))
+
+
+def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[Row]) -> None:
+    ax.set_title(title, fontsize=10, color=INK)
+    ax.set(yscale='log', xlabel='t [s]', ylabel=_LABELS[case.check])
+    ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
+    ax.spines[['top', 'right']].set_visible(False)
+    ends = []
+    for k, row in enumerate(rows):
+        if not row.t:
+            continue
+        t, error = np.array(row.t), np.minimum(np.array(row.error), _CEILING)
+        # No error at all has no place on a logarithmic axis.
+        error[error == 0.0] = math.nan
+        # Markers at other places on each line, so that lines on one another can be told apart.
+        step = max(1, t.size // _MARKS)
+        ax.plot(t, error, markevery=(k * step // max(len(rows), 1), step), **_style(row.method))
+        ends.append(float(t[-1]))
+        if row.verdict == 'stopped':
+            ax.plot(t[-1], error[-1], marker='X', color=INK, markersize=9, linestyle='')
+    if not ends:
+        ax.text(0.5, 0.5, 'every run stopped at once', transform=ax.transAxes, ha='center',
+                color=FAINT)
+    elif max(ends) > 100.0 * min(ends):
+        ax.set_xscale('log')

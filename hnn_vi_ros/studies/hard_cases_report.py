@@ -1,0 +1,168 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the hard cases came out as: Markdown, CSV and pictures, and the page of the docs."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+import math
+from pathlib import Path
+import shutil
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.studies.hard_cases_figure import draw_case
+from hnn_vi_ros.studies.hard_cases_plan import Case
+from hnn_vi_ros.studies.hard_cases_results import (
+    CSV, differences, Expectation, Folder, Key, Row)
+
+MARKDOWN = 'hard_cases.md'
+PAGE, PICTURES = 'hard-cases.md', 'hard_cases'
+_PAGE = """\
+# Hard cases
+
+Written by `ros2 run hnn_vi_ros hard_cases --docs docs`, from a full run on {machine}.
+
+Fourteen cases in which integrators are known to fail, with H from a formula and from a trained
+network. Each row must come out as it is committed in
+[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, where every gate
+holds and no measured value exceeds its limit; *alarm*, where a guard said that the run is not to
+be trusted; *stopped*, where a step failed with a typed error and the last good state was kept; or
+*unstable*, where a gate fails and nothing was said, which only methods that are neither
+symplectic nor energy-conserving may do.
+
+| gate | holds when |
+|---|---|
+| G1 | all states are finite and below 1e10 |
+| G2 | every implicit step is solved to max(8, n) eps of its scale |
+| G3 | over 100 blocks the energy's drift is at most 10 % of its band, and its range in the last \
+tenth at most 1.5 times that in the first; or the band is one of rounding |
+| G4 | a step forward and one back end within 2e-8 of their start, for symmetric methods |
+| G5 | the symplectic defect of a step is at most 1e-9 in the method's own 2-form |
+
+A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the value that was
+measured when it was committed; that value stands beside it. `make hard-cases` runs everything
+again and fails when a verdict differs.
+
+"""
+
+
+def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[Row],
+                 expected: Mapping[Key, Expectation]) -> list[Path]:
+    """
+    Write tables and pictures into the folder of a run; return the files.
+
+    Raises
+    ------
+    ParameterError
+        A file cannot be written.
+
+    """
+    try:
+        pictures = [draw_case(folder.path / picture_name(case), case, _of(case, rows))
+                    for case in cases]
+        page = folder.path / MARKDOWN
+        page.write_text('# Hard cases\n\n' + as_markdown(cases, rows, expected, ''),
+                        encoding='utf-8')
+        return [page, folder.write_csv(rows), *pictures]
+    except OSError as problem:
+        raise ParameterError(f'--out {folder.path}: cannot be written ({problem.strerror}); '
+                             'give a folder that can be written') from problem
+
+
+def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[Row],
+               expected: Mapping[Key, Expectation], machine: str) -> list[Path]:
+    """
+    Write the page of the docs, its pictures and its table.
+
+    Parameters
+    ----------
+    docs, source : Path
+        Folder of the page, and the one that ``write_report`` wrote to.
+    cases, rows, expected
+        See write_report.
+    machine : str
+        On which they were run.
+
+    Raises
+    ------
+    ParameterError
+        A file cannot be written.
+
+    """
+    try:
+        (docs / PICTURES).mkdir(parents=True, exist_ok=True)
+        names = [CSV, *(picture_name(case) for case in cases)]
+        copies = [Path(shutil.copyfile(source / name, docs / PICTURES / name)) for name in names]
+        (docs / PAGE).write_text(
+            _PAGE.format(machine=machine) + as_markdown(cases, rows, expected, f'{PICTURES}/'),
+            encoding='utf-8')
+    except OSError as problem:
+        raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
+                             'folder that can be written') from problem
+    return [docs / PAGE, *copies]
+
+
+def picture_name(case: Case) -> str:
+    """Return the file name of a case's picture."""
+    return f'case_{case.number:02d}.png'
+
+
+def as_markdown(cases: Sequence[Case], rows: Sequence[Row], expected: Mapping[Key, Expectation],
+                pictures: str) -> str:
+    """Return summary and tables; the pictures lie in a folder."""
+    parts = [*_summary(cases, rows, expected), '']
+    for case in cases:
+        parts += _section(case, _of(case, rows), expected, pictures)
+    return '\n'.join(parts)
+
+
+def _of(case: Case, rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.case == case.number]
+
+
+def _summary(cases: Sequence[Case], rows: Sequence[Row], expected: Mapping[Key, Expectation]
+             ) -> Iterator[str]:
+    yield '| case | | rows | stable | alarm | stopped | unstable | as expected |'
+    yield '|---' * 8 + '|'
+    for case in cases:
+        own = _of(case, rows)
+        counts = Counter(row.verdict for row in own)
+        wrong = len(differences(own, dict(expected)))
+        numbers = ' | '.join(str(counts[word]) for word in (
+            'stable', 'alarm', 'stopped', 'unstable'))
+        yield (f'| {case.number} | {case.title} | {len(own)} | {numbers} | '
+               f'{"yes" if wrong == 0 else f"{wrong} are not"} |')
+
+
+def _section(case: Case, rows: Sequence[Row], expected: Mapping[Key, Expectation], pictures: str
+             ) -> Iterator[str]:
+    yield f'## Case {case.number}: {case.title}\n'
+    yield f'Claim: {case.claim}. {case.without}'.rstrip() + '\n'
+    yield f'![case {case.number}]({pictures}{picture_name(case)})\n'
+    yield ('| set-up | H | method | steps | band [J] (limit) | slope / band | H~ band [J] (limit) '
+           '| residual | other (limit) | alarm | fails | verdict |')
+    yield '|---' * 12 + '|'
+    for row in rows:
+        yield f'| {" | ".join(_cells(row, expected.get(row.key)))} |'
+    yield ''
+
+
+def _cells(row: Row, expectation: Expectation | None) -> list[str]:
+    limits = expectation.limits if expectation is not None else {}
+
+    def limited(name: str, value: float) -> str:
+        if math.isnan(value):
+            return ''
+        return f'{value:.2g} ({limits[name]:g})' if name in limits else f'{value:.2g}'
+
+    other = '; '.join(f'{name} {limited(name, value)}' for name, value in row.measures.items())
+    verdict = row.verdict
+    if expectation is None or expectation.verdict != verdict:
+        verdict += f', expected {expectation.verdict if expectation else "nothing"}'
+    return [row.set_up, row.hamiltonian, row.method, f'{row.steps:.0e}'.replace('e+0', 'e'),
+            limited('band', row.band), _number(row.slope),
+            limited('modified band', row.modified_band), _number(row.residual), other, row.alarm,
+            row.failed, verdict]
+
+
+def _number(value: float) -> str:
+    return '' if math.isnan(value) else f'{value:.1g}'

@@ -1,0 +1,342 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each guard, provoked in a running simulator: other nodes hear its alarm, the files hold it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+import time
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.guards import Alarm, BarrierGuard, BoxGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
+from hnn_vi_ros.ros.health import Health, LARGEST_JUMP, make_guards
+from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
+from hnn_vi_ros.ros.parameters import PARAMETERS
+from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.studies.hard_cases_plan import load_plan
+import numpy as np
+from processes import finish, read_bag, start
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rerun.chunk import RrdReader
+from std_msgs.msg import Float64
+
+TOPIC = '/diagnostics'
+BOX = (np.array([[-1.0, 1.0]]), np.array([[-1.0, 1.0]]))
+
+
+class Provocation(NamedTuple):
+    """A scene that one guard is made for, and what is to be said of it."""
+
+    scene: str
+    parameters: dict[str, object]
+    kind: str
+    level: bytes
+    text: str
+    status: int = 0
+
+
+def scene(hamiltonian: str, integrator: str, h: float, q: list[float], p: list[float]) -> str:
+    return (f'hamiltonian: {{{hamiltonian}}}\nintegrator: {{{integrator}}}\nstep_size: {h}\n'
+            f'initial_state: {{q: {q}, p: {p}}}\n')
+
+
+LEAVING = scene('kind: hnn, model: pendulum', 'kind: variational_euler', 0.01, [0.0], [7.5])
+KEPLER = scene('kind: kepler, mu: 1.0', 'kind: variational_euler', 0.01, [1.9, 0.0],
+               [0.0, 0.22941573387056177])
+PROVOCATIONS = {
+    # The paper's iteration does not converge in its 17th step.
+    'unconverged': Provocation(
+        scene('kind: tao', 'kind: variational_euler, solver: fixed_point', 0.4, [1.0], [-1.0]),
+        {'publish_rate': 2.5}, 'step failed', ERROR, 'no convergence', 1),
+    # y'' = y^2 reaches infinity in finite time.
+    'not finite': Provocation(
+        scene('kind: henon_heiles', 'kind: rk4', 0.05, [0.0, 1.5], [0.0, 0.0]),
+        {'publish_rate': 20}, 'step failed', ERROR, 'not finite', 1),
+    # 7.5 is close to the edge of the box, and the momentum of a pendulum grows nowhere beyond.
+    'outside': Provocation(LEAVING, {'duration': 2}, 'out of the training box', WARN,
+                           'outside of the box'),
+    'outside at the start': Provocation(
+        scene('kind: hnn, model: harmonic_oscillator', 'kind: variational_euler', 0.01, [3.0],
+              [0.0]), {'duration': 1}, 'out of the training box', WARN, 'of its half-width'),
+    'outside, to stop': Provocation(LEAVING, {'stop_outside_box': 'true'},
+                                    'out of the training box', ERROR, 'outside of the box', 1),
+    # A close encounter at h = 0.01; see case 4 of the hard cases.
+    'under-resolved': Provocation(KEPLER, {'duration': 7}, 'under-resolved', WARN,
+                                  'use step_size <= 0.00'),
+    # Explicit Euler multiplies the energy of an oscillator by 1 + h^2 in each step.
+    'gain': Provocation(
+        scene('kind: harmonic_oscillator', 'kind: explicit_euler', 0.01, [1.0], [0.0]),
+        {'duration': 200}, 'energy not accounted for', ERROR, 'beyond the work that was done'),
+    # 9e-4 J below it, which h = 0.1 does not resolve.
+    'separatrix': Provocation(
+        scene('kind: pendulum, gravity: 1.0', 'kind: variational_euler', 0.1,
+              [3.1], [0.0]), {'duration': 50, 'publish_rate': 10},
+        'separatrix not resolved', WARN, 'use a smaller step_size'),
+    # 1e-4 below the escape energy; see case 6.
+    'escape barrier': Provocation(
+        scene('kind: henon_heiles', 'kind: generalized_leapfrog', 0.2, [0.0, -0.1],
+              [0.5678614854580883, 0.0]), {'duration': 50, 'publish_rate': 5},
+        'escape barrier not resolved', WARN, 'use a smaller step_size'),
+    # More samples per second than any machine hands out.
+    'overrun': Provocation(
+        scene('kind: harmonic_oscillator', 'kind: variational_euler', 0.01, [1.0], [0.0]),
+        {'duration': 150, 'real_time_factor': 1e6}, 'real-time overrun', WARN, 'behind the clock'),
+}
+
+
+@pytest.fixture
+def heard() -> Iterator[tuple[list[DiagnosticArray], SingleThreadedExecutor]]:
+    """Give what another node hears on /diagnostics, and its executor."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('subscriber', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    messages: list[DiagnosticArray] = []
+    node.create_subscription(DiagnosticArray, TOPIC, messages.append, 10)
+    # For this one the first step waits.
+    node.create_subscription(Float64, '/hnn_simulator/energy', lambda message: None, 10)
+    try:
+        yield messages, executor
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def values_of(status) -> dict[str, str]:
+    return {item.key: item.value for item in status.values}
+
+
+def events_of(file: Path) -> list[tuple[int, str, str]]:
+    """Return (simulated time [ns], level, text) of the events of a recording."""
+    found = []
+    for chunk in RrdReader(file).stream():
+        if chunk.entity_path == '/events':
+            batch = chunk.to_record_batch()
+            times = batch.column('sim_time').cast('int64').to_pylist()
+            texts, levels = (batch.column(f'TextLog:{name}').to_pylist()
+                             for name in ('text', 'level'))
+            found += [(time, level, text) for time, (level,), (text,) in zip(
+                times, levels, texts, strict=True)]
+    return found
+
+
+@pytest.mark.parametrize('name', PROVOCATIONS)
+def test_guard_raises_an_alarm_that_is_heard_and_logged(tmp_path, heard, name):
+    found, (messages, executor) = PROVOCATIONS[name], heard
+    (tmp_path / 'scene.yaml').write_text(found.scene)
+    process = start(tmp_path, **{'scene': 'scene.yaml', 'record_path': 'bag', 'rerun_sink': 'none',
+                                 'real_time_factor': 0, 'discovery_time': 30} | found.parameters)
+    while process.poll() is None:
+        executor.spin_once(timeout_sec=0.05)
+    for _ in range(50):
+        executor.spin_once(timeout_sec=0.0)
+    status, _, error = finish(process)
+    assert status == found.status
+    # Over DDS. Some messages may be missed, but each alarm but an overrun is told again.
+    told = [s for message in messages for s in message.status
+            if s.name == 'hnn_simulator: health' and s.level != OK]
+    assert any(found.kind in (values_of(s).get('alarm'), *(
+        key.partition(':')[0] for key in values_of(s))) for s in told)
+    assert {s.hardware_id for s in told} == {'scene'}
+    # In the files, which are closed, alone.
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
+    bag = read_bag(tmp_path / 'bag')
+    assert all(np.isfinite(message.data).all() for _, message in bag['/hnn_simulator/q'])
+    alarms = [(stamp, *message.status) for stamp, message in bag[TOPIC]]
+    stamp, alarm = next((s, a) for s, a in alarms if values_of(a)['alarm'] == found.kind)
+    assert alarm.name == 'hnn_simulator: health' and bytes([alarm.level]) == found.level
+    assert found.text in alarm.message
+    assert {'step [1]', 't [s]', 'times [1]'} < values_of(alarm).keys()
+    assert stamp in {0, *(stamp for stamp, _ in bag['/hnn_simulator/q'])}
+    # In the log, once in a while.
+    assert 1 <= error.count(found.text) <= 2
+    assert ('[ERROR]' in error) == (b'\x02' in {bytes([a.level]) for _, a in alarms})
+
+
+def test_alarm_is_logged_at_the_first_sample_outside_the_box(tmp_path):
+    (tmp_path / 'scene.yaml').write_text(LEAVING)
+    status, _, error = finish(start(
+        tmp_path, scene='scene.yaml', record_path='bag', rerun_path='picture.rrd',
+        real_time_factor=0, stop_outside_box='true'))
+    assert status == 1 and 'stopped by stop_outside_box' in error
+    bag, box = read_bag(tmp_path / 'bag'), load_scene('pendulum').create_hamiltonian().box
+    z = np.hstack([[message.data for _, message in bag[f'/hnn_simulator/{x}']] for x in 'qp'])
+    low, high = np.concatenate(box).T
+    outside = np.maximum(z - high, low - z).max(axis=1) > 0.0
+    # Nothing comes after it.
+    assert outside.tolist() == [False] * (len(z) - 1) + [True]
+    (stamp, message), = bag[TOPIC]
+    assert stamp == bag['/hnn_simulator/q'][-1][0] > 0
+    excess = (2.0 * np.maximum(z[-1] - high, low - z[-1]) / (high - low)).max()
+    values = values_of(message.status[0])
+    assert float(values['value [half-widths]']) == pytest.approx(excess, rel=1e-5)
+    assert float(values['t [s]']) == pytest.approx(stamp * 1e-9)
+    shown = [(when, text) for when, level, text in events_of(tmp_path / 'picture.rrd')
+             if level == 'ERROR']
+    assert shown[0] == (stamp, f'out of the training box: {message.status[0].message}')
+
+
+def test_bag_of_a_run_without_alarm_holds_no_diagnostics(tmp_path):
+    (tmp_path / 'scene.yaml').write_text(
+        scene('kind: harmonic_oscillator', 'kind: variational_euler', 0.01, [1.0], [0.0]))
+    assert finish(start(tmp_path, scene='scene.yaml', record_path='bag', rerun_sink='none',
+                        real_time_factor=0, duration=1))[0] == 0
+    assert TOPIC not in read_bag(tmp_path / 'bag')
+
+
+def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'variational_euler',
+                  q: tuple = (1.0,), p: tuple = (0.0,), effects: tuple = ()) -> Simulation:
+    return Simulation(
+        HAMILTONIANS[hamiltonian](), INTEGRATORS[method](), 0.01, q, p, effects)
+
+
+@pytest.mark.parametrize('simulation, expected', [
+    (simulation_of(), [EnergyGuard, ResolutionGuard]),
+    (simulation_of('pendulum'), [EnergyGuard, ResolutionGuard, BarrierGuard]),
+    (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)),
+     [EnergyGuard, ResolutionGuard, BarrierGuard]),
+    (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]), [EnergyGuard]),
+    # Gravity beside a pendulum's own moves its separatrix.
+    (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]),
+     [EnergyGuard, ResolutionGuard]),
+    (Simulation.from_scene(load_scene('pendulum')), [BoxGuard, EnergyGuard, ResolutionGuard]),
+    # At rest at H = 0, energies are those of the motion's extent.
+    (simulation_of(q=(0.0,)), [EnergyGuard, ResolutionGuard]),
+], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned', 'at rest'])
+def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
+    assert [type(guard) for guard in make_guards(simulation, BOX, 0.05, 0.02)] == expected
+
+
+@pytest.mark.parametrize('hamiltonian, q', [('pendulum', [np.pi]), ('henon_heiles', [0.0, 1.0])])
+def test_barrier_has_the_energy_of_its_saddle(hamiltonian, q):
+    H = HAMILTONIANS[hamiltonian]()
+    q, p = np.array(q), np.zeros(len(q))
+    assert np.abs(H.gradient(q, p)).max() < 1e-14
+    assert H.barrier[1] == pytest.approx(float(H.energy(q, p)), rel=1e-15)
+
+
+def test_guards_of_the_node_have_the_limits_of_the_study():
+    defaults = {item.name: item.default for item in PARAMETERS}
+    limits = load_plan().guards
+    assert (defaults['energy_band_limit'], defaults['energy_change_limit'], LARGEST_JUMP) == (
+        limits.under_resolved, limits.drift, limits.jump)
+
+
+@pytest.mark.parametrize('effect', [
+    EFFECTS['damping'](0.5), EFFECTS['periodic_drive']('x', 1.0, 0.2, 0.0),
+    EFFECTS['periodic_drive']('x', 1.0, 1.0 / (2.0 * np.pi), 0.0)],
+    ids=['damped', 'driven', 'in resonance'])
+@pytest.mark.parametrize('method', ['variational_euler', 'generalized_leapfrog'])
+@pytest.mark.parametrize('q', [1.0, 0.0])
+def test_energy_that_work_accounts_for_raises_no_alarm(effect, method, q):
+    simulation = simulation_of(method=method, q=(q,), effects=[effect])
+    sampler = Sampler(simulation, 100.0)
+    monitor = Monitor(simulation, 1, 0.01, None, pytest.fail,
+                      make_guards(simulation, BOX, 0.05, 0.02))
+    for _ in range(6000):
+        assert monitor.watch(sampler.sample()) == []
+        monitor.advance(1)
+
+
+def test_energy_guard_measures_a_loss_by_the_work_that_was_turned_over():
+    simulation = simulation_of()
+    sample = Sampler(simulation, 100.0).sample()
+    guard, found = EnergyGuard(0.02, 10.0, 1.0), []
+    for n in range(10_000):
+        # 100 J go in and out; the account is short of 1 J, a hundredth of that.
+        work = 50.0 if n % 2 else 0.0
+        found.append(guard.update(replace(
+            sample, modified_energy=0.5 + work - min(1.0, 1e-3 * n), work=work)))
+    assert found == [None] * 10_000
+
+
+class Parts:
+    """A Health whose outlets only note what they are told."""
+
+    topic = 'topic'
+
+    def __init__(self):
+        self.published: list[Status] = []
+        self.recorded: list[tuple] = []
+        self.events: list[tuple[str, str]] = []
+        self.lines: list[tuple[str, str]] = []
+        self.health = Health(simulation_of(), [], self, self,
+                             lambda *line: self.lines.append(line))
+
+    def publish(self, statuses: list[Status]) -> bytes:
+        self.published += statuses
+        return b'payload'
+
+    def write_other(self, *message: object) -> None:
+        self.recorded.append(message)
+
+    def event(self, *event: str) -> None:
+        self.events.append(event)
+
+
+def alarm(kind: str, step: int = 1) -> Alarm:
+    return Alarm(kind, step, 0.5, 0.25, f'{kind} at {step}')
+
+
+def test_health_without_alarm_is_well():
+    assert Parts().health.status()[1:3] == (OK, 'no alarm')
+
+
+def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch):
+    parts, now = Parts(), 100.0
+    monkeypatch.setattr(time, 'monotonic', lambda: now)
+    for step in range(1, 6):
+        parts.health.add(alarm('under-resolved', step), 10_000_000 * step)
+    parts.health.add(alarm('separatrix not resolved'), 60_000_000)
+    assert len(parts.published) == len(parts.recorded) == len(parts.events) == 6
+    assert parts.recorded[-1] == ('topic', 60_000_000, b'payload')
+    assert [text for text, _ in parts.lines] == [
+        't = 0.01 s: under-resolved at 1', 't = 0.01 s: separatrix not resolved at 1']
+    now = 111.0
+    parts.health.add(alarm('under-resolved', 7), 70_000_000)
+    assert len(parts.lines) == 3
+
+
+def test_health_stays_as_bad_as_the_worst_alarm_and_says_its_newest():
+    parts = Parts()
+    for kind, step in (('under-resolved', 1), (EnergyGuard.kind, 2), ('under-resolved', 3)):
+        parts.health.add(alarm(kind, step), 0)
+    status = parts.health.status()
+    assert (status.level, status.message) == (ERROR, f'{EnergyGuard.kind} at 2')
+    assert status.values['under-resolved: times [1]'] == 2
+    assert status.values['under-resolved: step [1]'] == 3
+    assert status.values[f'{EnergyGuard.kind}: value [J]'] == 0.5
+    assert [told.level for told in parts.published] == [WARN, ERROR, WARN]
+
+
+def test_health_forgets_an_overrun_once_it_is_reported():
+    parts = Parts()
+    parts.health.add(alarm(OverrunGuard.kind), 0)
+    assert parts.health.status().level == WARN
+    assert parts.health.status().level == OK
+
+
+def test_overrun_guard_speaks_once_for_each_overrun():
+    now = 0.0
+    pacer = Pacer(0.01, 1.0, lambda: now)
+    guard = OverrunGuard(pacer)
+    sample = Sampler(simulation_of(), 100.0).sample()
+    said = []
+    for now in (0.5, 1.5, 1.51, 1.52, 3.5, 3.51):
+        pacer.due()
+        found = guard.update(sample)
+        said.append(None if found is None else found.value)
+    assert said == [None, 1.0, None, None, 2.0, None]

@@ -1,0 +1,143 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""An hour of simulated time: memory, samples and repeatability; and a run that is resumed."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+from processes import finish, start
+import pytest
+from rosbags.highlevel import AnyReader
+
+HOUR, STEP, RATE = 3600, 0.001, 10
+SAMPLES = HOUR * RATE
+# The process is warm once this share of the samples is in the bag.
+WARM = 1.0 / 3.0
+TOPICS = ['/hnn_simulator/energy', '/hnn_simulator/p', '/hnn_simulator/q', '/joint_states']
+NOISY = """\
+hamiltonian: {kind: hnn, model: pendulum}
+effects:
+  - {kind: periodic_drive, coordinate: angle, amplitude: 1.0, frequency: 0.5}
+  - {kind: thermostat, temperature: 0.1, rate: 1.0, seed: 7}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+CHAOTIC = """\
+hamiltonian: {kind: hnn, model: double_pendulum}
+integrator: {kind: gauss8}
+step_size: 0.01
+initial_state: {q: [1.0, 0.5], p: [0.0, 0.0]}
+"""
+RESUME = """
+import sys
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+simulation = Simulation.from_scene(load_scene(sys.argv[1]))
+with np.load('halfway.npz') as snapshot:
+    simulation.restore(snapshot)
+q, p = simulation.record(int(sys.argv[2]), 1)
+np.savez('rest.npz', q=q, p=p, time=simulation.time, work=simulation.work)
+"""
+
+
+def resident(pid: int) -> float:
+    """Return the memory that a process holds [MB]; 0 once it has ended."""
+    try:
+        pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+    except (OSError, IndexError):
+        return 0.0
+    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
+
+
+def size_of_log(folder: Path) -> int:
+    """Return how many bytes the bag has so far; it is flushed once a second."""
+    return sum(path.stat().st_size for path in folder.glob('runs/*/bag/*.mcap'))
+
+
+@pytest.fixture(scope='module')
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, list[tuple[int, float]]]]:
+    """Run an hour twice, side by side; return each folder and its (log size, memory) over time."""
+    folders = [tmp_path_factory.mktemp('soak') for _ in range(2)]
+    processes = [start(folder, scene='pendulum', step_size=STEP, publish_rate=RATE,
+                       duration=HOUR, real_time_factor=0) for folder in folders]
+    seen: list[list[tuple[int, float]]] = [[], []]
+    try:
+        while any(process.poll() is None for process in processes):
+            for process, folder, rows in zip(processes, folders, seen, strict=True):
+                rows.append((size_of_log(folder), resident(process.pid)))
+            time.sleep(0.2)
+        for process in processes:
+            assert finish(process)[0] == 0
+    finally:
+        for process in processes:
+            process.kill()
+    return list(zip(folders, seen, strict=True))
+
+
+def numbers(message: object) -> tuple[float, ...]:
+    """Return every number in a message that is recorded at each tick."""
+    if hasattr(message, 'position'):
+        return (message.header.stamp.sec, message.header.stamp.nanosec,
+                *message.position, *message.velocity, *message.effort)
+    return tuple(np.atleast_1d(message.data).tolist())
+
+
+def recorded(folder: Path) -> dict[str, list[tuple[int, tuple[float, ...]]]]:
+    """Return the log time and the numbers of each message of the topics of every tick."""
+    (bag,) = folder.glob('runs/*/bag')
+    found: dict[str, list] = {topic: [] for topic in TOPICS}
+    with AnyReader([bag]) as reader:
+        connections = [each for each in reader.connections if each.topic in TOPICS]
+        for connection, stamp, raw in reader.messages(connections):
+            # Not the raw bytes: what pads them to the next double is whatever was in memory.
+            message = reader.deserialize(raw, connection.msgtype)
+            found[connection.topic].append((stamp, numbers(message)))
+    return found
+
+
+def test_hour_of_the_node_takes_no_more_memory_as_it_goes(runs, measured):
+    """Less than 5 MB more than when it was warm, with the bag and the picture being written."""
+    for number, (folder, seen) in enumerate(runs, start=1):
+        whole = size_of_log(folder)
+        warm = [memory for size, memory in seen if size > WARM * whole and memory > 0.0]
+        assert len(warm) >= 10
+        growth = max(warm) - warm[0]
+        measured('memory is flat over an hour of simulated time: growth [MB]',
+                 f'pendulum, run {number}', growth, '5')
+        assert growth < 5.0
+        assert list(folder.glob('runs/*/recording.rrd'))
+
+
+def test_hour_of_the_node_loses_no_sample_and_repeats_bit_by_bit(runs):
+    first, second = (recorded(folder) for folder, _ in runs)
+    due = [round(1e9 / RATE) * tick for tick in range(1, SAMPLES + 1)]
+    for topic in TOPICS:
+        assert [stamp for stamp, _ in first[topic]] == due
+        # Equal as floats are: no number here is NaN, and the signs of zeros are nobody's matter.
+        assert first[topic] == second[topic]
+
+
+@pytest.mark.parametrize('text', [NOISY, CHAOTIC], ids=['noisy', 'chaotic'])
+def test_run_resumed_from_a_file_is_bit_identical_with_the_uninterrupted(tmp_path, text):
+    """Saved halfway, and resumed by another process."""
+    scene, n = tmp_path / 'scene.yaml', 5000
+    scene.write_text(text)
+    whole = Simulation.from_scene(load_scene(scene))
+    q, p = whole.record(2 * n, 1)
+    half = Simulation.from_scene(load_scene(scene))
+    half.advance(n)
+    np.savez(tmp_path / 'halfway.npz', **half.snapshot())
+    subprocess.run([sys.executable, '-c', RESUME, scene, str(n)], cwd=tmp_path, check=True,
+                   timeout=120)
+    with np.load(tmp_path / 'rest.npz') as rest:
+        assert np.array_equal(rest['q'], q[n:])
+        assert np.array_equal(rest['p'], p[n:])
+        assert (rest['time'], rest['work']) == (whole.time, whole.work)

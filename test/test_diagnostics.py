@@ -1,0 +1,201 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostics measure what they say, and find steps that are planted wrong."""
+
+from helpers import GENERIC, Method, Uncompiled
+from hnn_vi_ros.diagnostics import (
+    block_maxima, energy_band, energy_scale, observed_order, reversal_defect, rounding_walk,
+    secular_change, stationary_energy, symplectic_defect, take_step, two_form)
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator, OK
+from hnn_vi_ros.integrators.composition import Composition, Yoshida4
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
+from hnn_vi_ros.studies.variants import Undersolved
+import numpy as np
+import pytest
+
+Q, P, H = np.array([0.7]), np.array([-1.2]), 0.05
+TAO = Uncompiled(HAMILTONIANS['tao']())
+
+
+@pytest.mark.parametrize('method', GENERIC, ids=lambda method: method.name)
+def test_defects_tell_what_each_method_claims(method: Method):
+    hamiltonian, integrator = Uncompiled(method.hamiltonian), method.integrator
+    reversal = reversal_defect(hamiltonian, integrator, H, Q, P)
+    symplectic = symplectic_defect(hamiltonian, integrator, H, Q, P)
+    # Round-off on one side; on the other, the smallest defect here is that of RK4, O(h^5).
+    assert (reversal <= 1e-14) == integrator.symmetric or reversal > 1e-9
+    assert (reversal <= 1e-14) == integrator.symmetric
+    assert (symplectic <= 1e-11) == integrator.symplectic
+
+
+def test_symplectic_defect_of_variational_euler_is_large_in_the_naive_two_form():
+    """In dq ^ dp it is abs(det - 1), predicted by (1 + h H_qp(z)) / (1 + h H_qp(z'))."""
+    class Naive(SymplecticEuler):
+        step = staticmethod(INTEGRATORS['variational_euler'].step)
+
+    q1, p1 = take_step(TAO.kernel, INTEGRATORS['variational_euler'](), H, Q, P)
+    predicted = (1.0 + 2.0 * H * Q[0] * P[0]) / (1.0 + 2.0 * H * q1[0] * p1[0]) - 1.0
+    assert symplectic_defect(TAO, Naive(), H, Q, P) == pytest.approx(abs(predicted), rel=1e-6)
+    assert abs(predicted) > 1e-4
+
+
+def test_two_form_of_variational_euler_is_that_of_its_staggered_momentum():
+    form = two_form(TAO, INTEGRATORS['variational_euler'](), H, np.array([0.7, -1.2]))
+    # H_qp = 2 q p, so that dq ^ d(p + h H_q) = (1 + h H_qp) dq ^ dp.
+    assert form[0, 1] == pytest.approx(1.0 + 2.0 * H * 0.7 * -1.2, rel=1e-14)
+
+
+def test_under_solved_steps_are_found_by_the_defects():
+    """Three iterations of a map that contracts by h H_qp leave a residual of its cube."""
+    worse = Undersolved(ImplicitMidpoint(), 0.0, 3)
+    worse.symmetric = worse.symplectic = True
+    assert symplectic_defect(TAO, worse, H, Q, P) > 1e-9
+    assert reversal_defect(TAO, worse, H, Q, P) > 1e-9
+
+
+def test_swapped_composition_is_found_by_the_defect_of_reversal():
+    class Swapped(Composition):
+        fractions = (Yoshida4.fractions[0], Yoshida4.fractions[0], Yoshida4.fractions[1])
+
+    assert reversal_defect(TAO, Yoshida4(), H, Q, P) <= 1e-14
+    assert reversal_defect(TAO, Swapped(), H, Q, P) > 2e-8
+
+
+class _Planted(Integrator):
+    """A one-step map written as plain formulas of the gradient."""
+
+    order, explicit, symmetric, symplectic = 2, True, True, True
+
+    def __init__(self, formula):
+        self._formula = formula
+
+    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+        """Return no options."""
+        return ()
+
+    def step(self, kernel, h, options, z, z1, memory):
+        """Take one step; see Integrator."""
+        def gradient(q, p):
+            dH_dq, dH_dp = np.empty_like(q), np.empty_like(p)
+            kernel.gradient(kernel.parameters, q, p, dH_dq, dH_dp)
+            return dH_dq, dH_dp
+        z1.q[:], z1.p[:] = self._formula(gradient, h, z.q, z.p)
+        z1.dH_dq[:], z1.dH_dp[:] = 0.0, 0.0
+        return OK, 0.0, 1
+
+
+def test_leapfrog_that_assumes_q_dot_is_p_is_found_by_its_defect():
+    def formula(gradient, h, q, p):
+        p = p - 0.5 * h * gradient(q, p)[0]
+        q = q + h * p
+        return q, p - 0.5 * h * gradient(q, p)[0]
+
+    assert symplectic_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
+
+
+def test_sign_flip_in_the_adjoint_is_found_by_both_defects():
+    def formula(gradient, h, q, p):
+        # The first half as it should be, by fixed point; the second with p + (h / 2) H_q.
+        half = p
+        for _ in range(100):
+            half = p - 0.5 * h * gradient(q, half)[0]
+        q = q + 0.5 * h * gradient(q, half)[1]
+        end = q
+        for _ in range(100):
+            end = q + 0.5 * h * gradient(end, half)[1]
+        return end, half + 0.5 * h * gradient(end, half)[0]
+
+    assert reversal_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
+    assert symplectic_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
+
+
+def test_rk4_with_its_last_stage_at_half_a_step_is_found_by_its_order():
+    def rk4(last: float):
+        def formula(gradient, h, q, p):
+            def field(q, p):
+                dH_dq, dH_dp = gradient(q, p)
+                return np.array([dH_dp, -dH_dq])
+            z = np.array([q, p])
+            a = field(*z)
+            b = field(*(z + 0.5 * h * a))
+            c = field(*(z + 0.5 * h * b))
+            d = field(*(z + last * h * c))
+            return z + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        return _Planted(formula)
+
+    def order(integrator: Integrator) -> float:
+        steps, ends = (0.1, 0.05, 0.025, 0.0125), []
+        for h in (*steps, 1e-3):
+            q, p = Q, P
+            for _ in range(round(1.0 / h)):
+                q, p = take_step(TAO.kernel, integrator, h, q, p)
+            ends.append(np.array([q[0], p[0]]))
+        return observed_order(steps, [np.abs(end - ends[-1]).max() for end in ends[:-1]])
+
+    assert order(rk4(1.0)) == pytest.approx(4.0, abs=0.35)
+    assert order(rk4(0.5)) < 2.0
+
+
+def test_take_step_raises_where_a_step_is_not_finite():
+    with pytest.raises(StepFailure, match='not finite'):
+        take_step(HAMILTONIANS['kepler']().kernel, INTEGRATORS['explicit_euler'](), 1.0,
+                  np.zeros(2), np.zeros(2))
+
+
+def test_secular_change_is_the_slope_over_the_run():
+    t = np.linspace(0.0, 1.0, 101)
+    assert secular_change(3.0 - 2.0 * t) == pytest.approx(-2.0, rel=1e-12)
+    assert secular_change(np.cos(20.0 * np.pi * t)) == pytest.approx(0.0, abs=1e-2)
+    assert np.isnan(secular_change(np.array([1.0, np.nan, 2.0])))
+    assert secular_change(np.array([1.0])) == 0.0
+
+
+def test_block_maxima_and_band_are_of_absolute_values():
+    error = np.array([1.0, -3.0, 2.0, 0.5, -0.1, 0.2])
+    assert block_maxima(error, 3).tolist() == [3.0, 2.0, 0.2]
+    assert energy_band(error) == 3.0
+    assert energy_band(np.empty(0)) == 0.0
+
+
+def test_observed_order_leaves_the_plateau_out():
+    steps = np.array([0.4, 0.2, 0.1, 0.05, 0.025])
+    errors = np.maximum(3.0 * steps ** 4, 1e-5)
+    assert observed_order(steps, errors, plateau=1.1e-5) == pytest.approx(4.0, rel=1e-9)
+    assert np.isnan(observed_order(steps[:2], errors[:2]))
+
+
+@pytest.mark.parametrize('name, arguments, z, energy', [
+    ('pendulum', (1.0, 1.0, 9.81), (3.0, 0.1), 2.0 * 9.81),
+    ('henon_heiles', (), (0.1, 0.9, 0.0, 0.0), 1.0 / 6.0),
+    ('henon_heiles', (), (0.8, -0.4, 0.0, 0.0), 1.0 / 6.0),
+])
+def test_stationary_energy_is_that_of_the_saddle(name, arguments, z, energy):
+    hamiltonian = Uncompiled(HAMILTONIANS[name](*arguments))
+    d = len(z) // 2
+    assert stationary_energy(hamiltonian, z[:d], z[d:]) == pytest.approx(energy, rel=1e-14)
+
+
+def test_stationary_energy_says_that_there_is_none():
+    # A free particle under gravity falls everywhere.
+    class Falling(Uncompiled):
+
+        def gradient(self, q, p):
+            return np.ones_like(q), p
+
+    with pytest.raises(ValueError, match='no stationary state'):
+        stationary_energy(Falling(HAMILTONIANS['free_particle']()), [0.0], [0.0])
+
+
+def test_energy_scale_is_not_zero_where_h_is():
+    """On the parabola of the Kepler problem H = 0, while both of its parts are 1 / r."""
+    q, p = np.array([1.0, 0.0]), np.array([0.0, np.sqrt(2.0)])
+    dH_dq, dH_dp = HAMILTONIANS['kepler']().gradient(q, p)
+    assert energy_scale(0.0, q, p, dH_dq, dH_dp) == pytest.approx(1.5)
+
+
+def test_rounding_walk_grows_with_the_root_of_the_steps():
+    assert rounding_walk(2.0, 400) == pytest.approx(20.0 * rounding_walk(2.0, 1))

@@ -1,0 +1,153 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Guards say what is wrong, once, at the first sample that shows it, and cost next to nothing."""
+
+import math
+import time
+
+from hnn_vi_ros.diagnostics import energy_scale
+from hnn_vi_ros.guards import (
+    accounted_energy, BarrierGuard, BoxGuard, EnergyGuard, Guard, ResolutionGuard)
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.sinks.sample import Sample
+import numpy as np
+import pytest
+
+BOX = np.array([[-1.0, 1.0], [0.0, 4.0]]), np.array([[-2.0, 2.0], [-2.0, 2.0]])
+
+
+def sample(step: int = 0, q: tuple = (0.0, 1.0), p: tuple = (0.0, 0.0), energy: float = 1.0,
+           modified_energy: float = math.nan, work: float = 0.0) -> Sample:
+    """Return a sample of two coordinates."""
+    nothing = np.empty(0)
+    return Sample(step, 0, np.array(q), np.array(p), nothing, nothing, energy, modified_energy,
+                  0.0, work)
+
+
+def alarms(guard: Guard, energies: np.ndarray) -> list:
+    """Show energies to a guard; return its alarms."""
+    found = (guard.update(sample(step, energy=energy)) for step, energy in enumerate(energies))
+    return [alarm for alarm in found if alarm is not None]
+
+
+@pytest.mark.parametrize('q, p, excess', [
+    ((1.5, 1.0), (0.0, 0.0), 0.5), ((0.0, 5.0), (0.0, 0.0), 0.5), ((0.0, -1.0), (0.0, 0.0), 0.5),
+    ((0.0, 1.0), (-3.0, 0.0), 0.5), ((2.0, 5.0), (0.0, 0.0), 1.0)])
+def test_box_guard_says_how_far_outside_the_state_is(q, p, excess):
+    guard = BoxGuard(BOX)
+    assert guard.update(sample(0)) is None
+    alarm = guard.update(sample(1, q, p))
+    assert (alarm.kind, alarm.step, alarm.limit) == ('out of the training box', 1, 0.0)
+    assert alarm.value == guard.excess == pytest.approx(excess)
+
+
+def test_box_guard_speaks_at_each_leaving_and_not_while_it_lasts():
+    guard = BoxGuard(BOX)
+    path = [0.0, 1.1, 1.2, 0.9, 1.3, 1.0]
+    said = [guard.update(sample(i, (x, 1.0))) is not None for i, x in enumerate(path)]
+    assert said == [False, True, False, False, True, False]
+    assert guard.excess == 0.0
+
+
+def test_box_guard_counts_the_edge_as_inside():
+    assert BoxGuard(BOX).update(sample(0, (1.0, 4.0), (2.0, -2.0))) is None
+
+
+def test_accounted_energy_is_the_modified_one_less_the_work():
+    assert accounted_energy(sample(energy=2.0, work=0.5)) == 1.5
+    assert accounted_energy(sample(energy=2.0, modified_energy=3.0, work=0.5)) == 2.5
+
+
+def test_resolution_guard_names_a_step_that_resolves_the_motion():
+    """At the step that it names, Kepler's e = 0.9 raises no alarm; at five times it, it does."""
+    q, p = np.array([1.9, 0.0]), np.array([0.0, 0.22941573387056177])
+    hamiltonian = HAMILTONIANS['kepler']()
+    scale = energy_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
+
+    def watch(h: float) -> list:
+        guard = ResolutionGuard(0.05, scale, h, order=2)
+        z, found = np.concatenate([q, p]), []
+        for step in range(round(7.0 / h)):
+            dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])
+            energy = float(hamiltonian.energy(z[:2], z[2:]))
+            modified = INTEGRATORS['variational_euler'].modified_energy(h, energy, dH_dq, dH_dp)
+            alarm = guard.update(sample(step, energy=energy, modified_energy=float(modified)))
+            found += [] if alarm is None else [alarm]
+            z[:2] += h * dH_dp
+            z[2:] -= h * hamiltonian.gradient(z[:2], z[2:])[0]
+        return found
+
+    (alarm,) = watch(0.01)
+    assert alarm.kind == 'under-resolved' and alarm.step < 628
+    named = float(alarm.message.rpartition('<= ')[2].removesuffix(' s'))
+    # It is named at the first sample beyond the limit; the whole encounter asks for less.
+    assert named < 0.01
+    while watch(named):
+        (alarm,) = watch(named)
+        shorter = float(alarm.message.rpartition('<= ')[2].removesuffix(' s'))
+        assert shorter < named
+        named = shorter
+    assert named > 0.001
+
+
+def test_barrier_guard_speaks_when_the_band_reaches_the_gap():
+    guard = BarrierGuard('separatrix', 0.5)
+    found = alarms(guard, np.array([1.0, 1.3, 0.9, 1.39, 1.41, 2.0]))
+    assert [(alarm.kind, alarm.step) for alarm in found] == [('separatrix not resolved', 4)]
+    assert guard.band == pytest.approx(1.1)
+
+
+def test_energy_guard_is_silent_while_the_energy_oscillates():
+    t = np.arange(20_000)
+    for period in (3.0, 50.0, 600.0):
+        for oscillation in (np.sin(t / period), 1.0 - np.cos(t / period)):
+            assert alarms(EnergyGuard(0.02, 10.0, 1.0), 1.0 + 0.5 * oscillation) == []
+
+
+@pytest.mark.parametrize('rate', [1e-5, -1e-5])
+def test_energy_guard_says_that_the_energy_drifts(rate: float):
+    t = np.arange(40_000)
+    found = alarms(EnergyGuard(0.02, 10.0, 1.0), 1.0 + rate * t + 0.01 * np.sin(t))
+    assert [alarm.kind for alarm in found] == ['energy not accounted for']
+    # The last third is beyond 0.02 when 2 / 3 of 1e-5 n is 0.03; that must last for five times.
+    assert found[0].step == pytest.approx(5 * 4500, rel=0.05)
+
+
+def test_energy_guard_says_that_energy_was_lost_once_and_for_all():
+    t = np.arange(20_000)
+    found = alarms(EnergyGuard(0.02, 10.0, 1.0), 1.0 - 0.6 * np.minimum(t / 500.0, 1.0))
+    assert [alarm.kind for alarm in found] == ['energy not accounted for']
+    assert found[0].value == pytest.approx(0.6)
+
+
+def test_energy_guard_says_at_once_that_the_energy_jumps():
+    found = alarms(EnergyGuard(0.02, 10.0, 1.0), np.array([1.0, 2.0, 11.5, 20.0]))
+    assert [alarm.step for alarm in found] == [2]
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
+def test_energy_guard_takes_an_energy_that_is_not_finite_for_a_jump(value: float):
+    assert [alarm.step for alarm in alarms(EnergyGuard(0.02, 10.0, 1.0),
+                                           np.array([1.0, value]))] == [1]
+
+
+def test_energy_guard_leaves_out_the_work_that_was_done():
+    guard = EnergyGuard(0.02, 10.0, 1.0)
+    assert all(guard.update(sample(i, energy=1.0 + 0.1 * i, work=0.1 * i)) is None
+               for i in range(3000))
+
+
+def test_guards_cost_less_than_a_few_microseconds_a_sample():
+    """Two per cent of a tick of 1 ms; ten times what they take on an idle machine."""
+    guards = [BoxGuard(BOX), ResolutionGuard(0.05, 1.0, 0.01, 2), EnergyGuard(0.02, 10.0, 1.0),
+              BarrierGuard('separatrix', 1.0)]
+    looks = [sample(i, energy=1.0 + 0.01 * (i % 7)) for i in range(1000)]
+    times = []
+    for _ in range(20):
+        start = time.perf_counter()
+        for look in looks:
+            for guard in guards:
+                guard.update(look)
+        times.append((time.perf_counter() - start) / len(looks))
+    assert min(times) < 20e-6
