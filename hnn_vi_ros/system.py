@@ -118,7 +118,8 @@ class System:
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
         self.conservative = all(effect.conservative for effect in effects)
-        self.lockstep = not self._all(Thermostat, HolonomicConstraint, Impact)
+        self.lockstep = integrator.goes_on_from_state and not self._all(
+            Thermostat, HolonomicConstraint, Impact)
         self._check(integrator)
         rods = self._all(HolonomicConstraint)
         if len(rods) > hamiltonian.dimension:
@@ -150,8 +151,9 @@ class System:
         Also for m > 1 trajectories together, where an effect takes only one.
         """
         if not self.lockstep and q.size > self.hamiltonian.dimension:
-            raise ValueError('q and p are several states, but thermostat, impact and '
-                             'holonomic_constraint take one at a time; use simulate_many')
+            raise ValueError('q and p are several states, but thermostat, impact, '
+                             'holonomic_constraint and time_transformed take one at a time; use '
+                             'simulate_many')
         for index in self._all(Impact):
             self._effects[index].check_state(self._parameters[index], q)
         for index in self._all(HolonomicConstraint):

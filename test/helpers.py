@@ -98,6 +98,7 @@ METHODS = [
     Method('suzuki4', identity, steps=40),
     Method('discrete_euler_lagrange', identity, 'pendulum',
            ('helpers:midpoint_lagrangian', 2), steps=100),
+    Method('time_transformed', None, steps=40),
     Method('discrete_gradient', None),
     Method('explicit_euler', None, steps=400),
     Method('rk4', None, steps=40),

@@ -49,7 +49,7 @@ class Damping(Force, StepEffect):
 
     def splits(self, integrator: Integrator) -> bool:
         """Tell whether the method takes the flow rather than the force."""
-        return integrator.order <= 2
+        return integrator.order <= 2 and integrator.goes_on_from_state
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method takes the flow, or the force."""

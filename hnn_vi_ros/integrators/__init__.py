@@ -14,6 +14,7 @@ from hnn_vi_ros.integrators.rk4 import RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
+from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 
 INTEGRATORS = {
@@ -26,6 +27,7 @@ INTEGRATORS = {
     **GAUSS_METHODS,
     'yoshida4': Yoshida4,
     'suzuki4': Suzuki4,
+    'time_transformed': TimeTransformed,
     'discrete_euler_lagrange': DiscreteEulerLagrange,
     'discrete_gradient': DiscreteGradient,
     'explicit_euler': ExplicitEuler,

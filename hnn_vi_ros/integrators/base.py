@@ -106,6 +106,9 @@ class Integrator(ABC):
         False if the map is made of something else than the kernel's H.
     takes_forces : bool
         True if the map stays right where the kernel's gradient holds forces as well.
+    goes_on_from_state : bool
+        False if the next step goes on from elsewhere than the state that the last one ended in:
+        nothing may change that state between them.
     separable_only : bool
         True if it needs H = T(p) + V(q), and forces that do not depend on p.
     halves : tuple of callable or None
@@ -128,6 +131,7 @@ class Integrator(ABC):
     compiled: ClassVar[bool] = True
     uses_hamiltonian: ClassVar[bool] = True
     takes_forces: ClassVar[bool] = True
+    goes_on_from_state: ClassVar[bool] = True
     separable_only: bool = False
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable

@@ -127,9 +127,11 @@ class Job:
     @cached_property
     def digest(self) -> str:
         """Return a checksum of what the row depends on beside the code, the model included."""
-        words = self.case.model_dump(exclude={'title', 'claim', 'without', 'set_ups'})
-        parts = (words, self.set_up.model_dump(), self.method, self.steps,
-                 self.guards.model_dump(), self.scene().create_hamiltonian().provenance)
+        others = {'title', 'claim', 'without', 'set_ups', 'steps', 'quick_steps', 'methods',
+                  'quick_methods'}
+        parts = (self.case.model_dump(exclude=others), self.set_up.model_dump(exclude=others),
+                 self.method, self.steps, self.guards.model_dump(),
+                 self.scene().create_hamiltonian().provenance)
         return sha256(repr(parts).encode()).hexdigest()
 
     @property

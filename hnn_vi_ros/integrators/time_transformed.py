@@ -1,0 +1,215 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Short steps where forces are strong, by a transformation of time that keeps the structure."""
+
+from collections.abc import Callable
+from functools import cache
+import math
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.integrators.arithmetic import copy_point, plus
+from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+import numpy as np
+
+BASES = {'implicit_midpoint': ImplicitMidpoint} | {
+    name: GAUSS_METHODS[name] for name in ('gauss4', 'gauss6', 'gauss8')}
+# Steps of its own in one step of the clock, beyond which it is given up.
+_MOST_STEPS = 100_000
+# Spacing of the difference of gradients that stands for the second derivatives of K.
+_SPACING = float(np.finfo(np.float64).eps) ** (1.0 / 3.0)
+
+
+class TimeTransformed(Integrator):
+    """
+    Equal steps of a symplectic method in a time s of its own, dt = g ds, for close encounters.
+
+    The method takes steps ds = h of
+
+        K = g (H - H_0),  g = (1 + abs(H_q)^2 / F^2)^(-a/2) <= 1,
+
+    with H_0 the energy at the start, and t as a further coordinate. Where H = H_0, which the
+    symplectic method nearly conserves, these are Hamilton's equations with dt = g ds: steps are
+    as long as h where the force is weak, and g h where it is not. A step size that followed the
+    state without being a part of a Hamiltonian would let the energy drift.
+
+    These states come at times of their own. A state at the end of a step of the clock is the next
+    of them, brought there by one step of the method in H; nothing goes on from it. So the states
+    that are seen are as close to the path as the method's order says, and their energy does not
+    drift; the map from one of them to the next is not itself symplectic.
+
+    Not with effects that change the state between steps, or do work.
+
+    Parameters
+    ----------
+    base : str
+        ``'implicit_midpoint'``, ``'gauss4'``, ``'gauss6'`` or ``'gauss8'``.
+    force : float
+        F, the size of H_q from which on steps are shortened [N, or N m for angles].
+    exponent : float
+        a >= 0 [1]. With 3/4, and H_q as r^-2, steps are as r^(3/2): as the time of a close orbit.
+
+    Raises
+    ------
+    ValueError
+        An unknown base, or a force or exponent that is not usable.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VIII.2.
+    S. Reich, Backward error analysis for numerical integrators, SIAM J. Numer. Anal. 36 (1999).
+
+    """
+
+    explicit, symmetric, symplectic = False, False, False
+    takes_forces, goes_on_from_state = False, False
+
+    def __init__(self, base: str = 'gauss4', force: float = 1.0, exponent: float = 0.75):
+        if base not in BASES:
+            raise ValueError(f'base = {base!r}; valid: {", ".join(BASES)}')
+        if not (math.isfinite(force) and force > 0.0):
+            raise ValueError(f'force = {force} must be a positive number of newtons')
+        if not 0.0 <= exponent <= 4.0:
+            raise ValueError(f'exponent = {exponent} must be from 0 to 4')
+        self.base, self._force, self._exponent = BASES[base](), float(force), float(exponent)
+        self.order, self.step = self.base.order, _transform(self.base.step)
+
+    @property
+    def kernel_name(self) -> str:
+        """Return the name of the method and of its base."""
+        return f'{type(self).__name__}({self.base.kernel_name})'
+
+    def check(self, hamiltonian: Hamiltonian) -> None:
+        """Refuse what the base refuses; see Integrator."""
+        self.base.check(hamiltonian)
+
+    @property
+    def links(self) -> int:
+        """Return how many solvers the chain of the base has."""
+        return self.base.links
+
+    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+        """Return the options of the base, the force and the exponent."""
+        return (self.base.options(link, dimension), self._force, self._exponent)
+
+    def unknowns(self, n: int) -> tuple[int, ...]:
+        """Return the equations of H and of K, space for their gradients, and for states."""
+        stages, = self.base.unknowns(1)
+        return (*self.base.unknowns(n), *self.base.unknowns(n + 1), stages * n, n + 1)
+
+
+@cache
+def _transform(base_step: Callable) -> Callable:
+    @inlined
+    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        inner, force, exponent = options
+        n, own, store = z.q.size, memory[1:2], memory[3]
+        ahead = Point(store.values[0], store.values[1], store.values[2], store.values[3],
+                      store.residuals[0], store.residuals[1])
+        at = Point(store.basis[0], store.basis[1], store.basis[2], store.basis[3],
+                   store.residuals[2], store.residuals[3])
+        after = Point(store.increments[0], store.increments[1], store.increments[2],
+                      store.unknowns, store.base, store.start)
+        # H_0, and how far the state is ahead of the clock, with what was rounded off that.
+        kept = store.triangle[0]
+        fresh = store.count[0] == 0
+        if fresh:
+            own[0].count[0] = 0
+            for i in range(n):
+                ahead.q[i], ahead.p[i] = z.q[i], z.p[i]
+                ahead.q_carry[i], ahead.p_carry[i] = z.q_carry[i], z.p_carry[i]
+            ahead.q[n], ahead.p[n], ahead.q_carry[n], ahead.p_carry[n] = 0.0, 0.0, 0.0, 0.0
+            kept[0], kept[1], kept[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
+        settings = (kept[0], force, exponent)
+        transformed = Kernel(kernel.energy, _gradient, _hessian_vector,
+                             (kernel, memory[2], settings), n + 1, kernel.gradient_scale,
+                             kernel.compiled, 1)
+        copy_point(ahead, at)
+        worst, gradients, time, carry = 0.0, 0, kept[1], kept[2]
+        if fresh:
+            transformed.gradient(transformed.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
+        for _ in range(_MOST_STEPS):
+            if time >= h:
+                break
+            outcome, residual, more = base_step(transformed, h, inner, at, after, own)
+            # Each evaluation takes a gradient of H and a product with its second derivatives.
+            worst, gradients = max(worst, residual), gradients + 2 * more
+            if outcome != OK:
+                return outcome, residual, gradients
+            if not after.q[n] > 0.0:
+                return NOT_FINITE, residual, gradients
+            time, carry = plus(time, carry, after.q[n])
+            copy_point(after, at)
+            at.q[n], at.p[n], at.q_carry[n], at.p_carry[n] = 0.0, 0.0, 0.0, 0.0
+        if time < h:
+            return NO_CONVERGENCE, worst, gradients
+        seen = Point(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
+                     after.dH_dq[:n], after.dH_dp[:n])
+        kernel.gradient(kernel.parameters, seen.q, seen.p, seen.dH_dq, seen.dH_dp)
+        memory[0].count[0] = 0
+        outcome, residual, more = base_step(
+            kernel, h - time, inner, seen, z1, memory[0:1])
+        worst, gradients = max(worst, residual), gradients + more + 1
+        if outcome == OK:
+            copy_point(at, ahead)
+            kept[1], kept[2], store.count[0] = time - h, carry, 1
+        return outcome, worst, gradients
+    return step
+
+
+@inlined
+def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+              dH_dp: np.ndarray) -> None:
+    """Fill the gradient of K at one or more stages, each d coordinates and then t."""
+    kernel, space, (start, force, exponent) = parameters
+    d = kernel.dimension
+    stages = q.size // (d + 1)
+    size = stages * d
+    at_q, at_p = space.values[0][:size], space.values[1][:size]
+    f_q, f_p = space.values[2][:size], space.values[3][:size]
+    zero = space.residuals[0][:size]
+    w_q, w_p = space.residuals[1][:size], space.residuals[2][:size]
+    for j in range(stages):
+        for i in range(d):
+            at_q[j * d + i], at_p[j * d + i] = q[j * (d + 1) + i], p[j * (d + 1) + i]
+    kernel.gradient(kernel.parameters, at_q, at_p, f_q, f_p)
+    # Half the derivatives of abs(H_q)^2.
+    kernel.hessian_vector(kernel.parameters, at_q, at_p, f_q, zero, w_q, w_p)
+    for j in range(stages):
+        a, b = j * d, j * (d + 1)
+        square = 1.0
+        for i in range(d):
+            square += (f_q[a + i] / force) ** 2
+        g = square ** (-0.5 * exponent)
+        excess = kernel.energy(kernel.parameters, at_q[a:a + d], at_p[a:a + d]) - start
+        slope = -exponent * g / (square * force * force) * excess
+        for i in range(d):
+            dH_dq[b + i] = g * f_q[a + i] + slope * w_q[a + i]
+            dH_dp[b + i] = g * f_p[a + i] + slope * w_p[a + i]
+        dH_dq[b + d], dH_dp[b + d] = 0.0, g
+
+
+@inlined
+def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    """Fill K'' v from a central difference: good enough for Newton's method to converge."""
+    space = parameters[1]
+    size = 0.0
+    for i in range(q.size):
+        size = max(size, abs(v_q[i]), abs(v_p[i]))
+    spacing = _SPACING / size if size > 0.0 else 1.0
+    back_q, back_p = space.basis[0][:q.size], space.basis[1][:q.size]
+    at_q, at_p = space.basis[2][:q.size], space.basis[3][:q.size]
+    for i in range(q.size):
+        at_q[i], at_p[i] = q[i] - spacing * v_q[i], p[i] - spacing * v_p[i]
+    _gradient(parameters, at_q, at_p, back_q, back_p)
+    for i in range(q.size):
+        at_q[i], at_p[i] = q[i] + spacing * v_q[i], p[i] + spacing * v_p[i]
+    _gradient(parameters, at_q, at_p, product_q, product_p)
+    for i in range(q.size):
+        product_q[i] = (product_q[i] - back_q[i]) / (2.0 * spacing)
+        product_p[i] = (product_p[i] - back_p[i]) / (2.0 * spacing)
