@@ -1,0 +1,119 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults that integrators are known to have had: planted in a copy, each turns a test red."""
+
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+import hnn_vi_ros
+from hnn_vi_ros.resources import share_folder
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True)
+class Fault:
+    """
+    A change of the sources, and where it must be found.
+
+    Parameters
+    ----------
+    name : str
+        What is wrong.
+    file : str
+        In the package.
+    changes : tuple of (str, str)
+        Each text, which stands there once, and what takes its place.
+    test, chosen : str
+        Of the test's folder, and pytest's -k: tests of which at least one must fail.
+
+    """
+
+    name: str
+    file: str
+    changes: tuple[tuple[str, str], ...]
+    test: str
+    chosen: str
+
+
+FAULTS = [
+    Fault('implicit solve stopped after three iterations', 'integrators/solvers.py',
+          (('    if residual <= _EPS or (residual <= max(8, x.size) * _EPS\n'
+            '                            and (residual >= previous or is_last)):\n',
+            '    if is_last:\n'),
+           ('    for k in range(1, max_iterations + 1):\n'
+            '        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect,'
+            ' previous,\n'
+            '                                   k == max_iterations)\n'
+            '        if outcome != _GO_ON:\n'
+            '            return outcome, residual, k\n'
+            '        if _is_hopeless(k, residual, previous):\n',
+            '    for k in range(1, 4):\n'
+            '        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect,'
+            ' previous,\n'
+            '                                   k == 3)\n'
+            '        if outcome != _GO_ON:\n'
+            '            return outcome, residual, k\n'
+            '        if _is_hopeless(k, residual, previous):\n')),
+          'verification/test_symplecticity.py', 'own_two_form and tao and variational_euler'),
+    Fault('composition with its factors swapped', 'integrators/composition.py',
+          (('fractions = (_w, 1.0 - 2.0 * _w, _w)', 'fractions = (1.0 - 2.0 * _w, _w, _w)'),),
+          'verification/test_order.py', 'local_error and yoshida4'),
+    Fault('k4 of RK4 taken at h / 2', 'integrators/rk4.py',
+          (('length = h if stage == 2 else 0.5 * h', 'length = 0.5 * h'),),
+          'verification/test_order.py', 'local_error and rk4'),
+    Fault("q' = p assumed by the paper's scheme", 'integrators/variational_euler.py',
+          (('h * z.dH_dp[i]', 'h * z.p[i]'),),
+          'verification/test_order.py', 'local_error and variational_euler'),
+    Fault("q' = p assumed by the leapfrog", 'integrators/stormer_verlet.py',
+          (('z.q_carry[i], h * z1.dH_dp[i])', 'z.q_carry[i], h * z1.p[i])'),),
+          'verification/test_structure.py', 'is_stormer_verlet'),
+    Fault('sign flipped in the adjoint', 'integrators/symplectic_euler_adjoint.py',
+          (('-h * z1.dH_dq[i]', 'h * z1.dH_dq[i]'),),
+          'verification/test_order.py', 'local_error and symplectic_euler_adjoint'),
+]
+
+
+def copy_of_the_project(folder: Path) -> Path:
+    """Copy the package and its tests, beside links to the files that it ships."""
+    ignored = shutil.ignore_patterns('__pycache__')
+    package = folder / 'hnn_vi_ros'
+    shutil.copytree(Path(hnn_vi_ros.__file__).parent, package, ignore=ignored)
+    shutil.copytree(TESTS, folder / 'test', ignore=ignored)
+    for name in ('config', 'resource'):
+        (folder / name).symlink_to(share_folder() / name)
+    return package
+
+
+def run_tests(folder: Path, test: str, chosen: str) -> subprocess.CompletedProcess:
+    """Run some tests of a copy on that copy."""
+    path = os.pathsep.join([str(folder), str(folder / 'test'), os.environ.get('PYTHONPATH', '')])
+    return subprocess.run(
+        [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', '-k', chosen,
+         str(folder / 'test' / test)], cwd=folder, env=os.environ | {'PYTHONPATH': path},
+        capture_output=True, text=True, timeout=250)
+
+
+def test_copy_without_a_fault_passes_what_finds_the_faults(tmp_path):
+    copy_of_the_project(tmp_path)
+    for fault in FAULTS:
+        done = run_tests(tmp_path, fault.test, fault.chosen)
+        assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize('fault', FAULTS, ids=lambda fault: fault.name)
+def test_planted_fault_is_found(tmp_path, fault):
+    file = copy_of_the_project(tmp_path) / fault.file
+    text = file.read_text(encoding='utf-8')
+    for before, after in fault.changes:
+        assert text.count(before) >= 1
+        text = text.replace(before, after)
+    file.write_text(text, encoding='utf-8')
+    done = run_tests(tmp_path, fault.test, fault.chosen)
+    # 1: tests failed; a copy that cannot be imported, or no test at all, is another number.
+    assert done.returncode == 1, done.stdout
