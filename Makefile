@@ -42,13 +42,14 @@ ifneq ($(shell find hnn_vi_ros config launch resource package.xml setup.py setup
 .PHONY: $(BUILT)
 endif
 
-.PHONY: help build run test bench accuracy clean distclean
+.PHONY: help build run test bench accuracy hard-cases clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
 	@echo 'make test [ARGS=...]                           run every test (ARGS go to pytest)'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
 	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure what accuracy costs; hours'
+	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
 	@echo 'make build                                     set up .venv and build the package'
 	@echo 'make clean                                     remove what was built'
 	@echo 'make distclean                                 remove .venv as well'
@@ -108,6 +109,11 @@ bench: $(BUILT) $(PEERS)
 accuracy: $(BUILT) $(PEERS)
 	@$(ENVIRONMENT); $(ONE_THREAD); \
 	exec $(RUNNABLE)/work_precision --all --peers --out work_precision --docs '$(OUT)' $(ARGS)
+
+# What is there already is kept in hard_cases/, so that it can be interrupted.
+hard-cases: $(BUILT)
+	@$(ENVIRONMENT); $(ONE_THREAD); \
+	exec $(RUNNABLE)/hard_cases --out hard_cases --docs '$(OUT)' $(ARGS)
 
 clean:
 	rm -rf build install log .pytest_cache .hypothesis
