@@ -23,8 +23,10 @@ Target = Path | str | int
 # More phase portraits would not fit into a window.
 MOST_PORTRAITS = 8
 # Wall time between sends [s]. A viewer should not lag; a file is half the size with longer
-# gathering, and still loses less than a second when the process is killed.
+# gathering, and still loses less than a second when the process is killed. It grows with a long
+# run, up to a bound: of each send the SDK keeps some 20 kB, for the index at the file's end.
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
+GATHER_SHARE, GATHER_MOST = 0.01, 15.0
 # What closing may take [s]: for the last samples to leave, for the connection to end.
 FLUSH, HANG_UP = 0.5, 0.3
 
@@ -87,7 +89,6 @@ class RerunSink:
         self._sent: Sample | None = None
         self._reach = 0.0
         self._live = not isinstance(target, Path)
-        self._gather = GATHER_LIVE if self._live else GATHER_FILE
         self._closed = False
         self._stream = rr.RecordingStream(f'hnn_vi_ros_{name}')
         _open(self._stream, target)
@@ -95,7 +96,7 @@ class RerunSink:
         self._labels = layout.series_labels(
             self._coordinates, relative, conservative, modified)
         self._draw_still(hamiltonian, q0, p0, box, pace)
-        self._sent_at = time.monotonic()
+        self._began = self._sent_at = time.monotonic()
 
     def write(self, sample: Sample) -> None:
         """Show a sample, unless it falls in the same interval as the one shown before it."""
@@ -106,7 +107,7 @@ class RerunSink:
         self._due = (sample.stamp // self._interval + 1) * self._interval
         self._kept = sample
         self._pending.append(sample)
-        if time.monotonic() - self._sent_at >= self._gather:
+        if self._sent_at + self._gather() <= time.monotonic():
             self._send()
 
     def event(self, text: str, level: str = 'INFO') -> None:
@@ -147,6 +148,13 @@ class RerunSink:
                 from problem
         finally:
             _hang_up(self._stream, self._live)
+
+    def _gather(self) -> float:
+        """Return the wall time from the last send to the next [s]."""
+        if self._live:
+            return GATHER_LIVE
+        share = GATHER_SHARE * (self._sent_at - self._began)
+        return min(max(GATHER_FILE, share), GATHER_MOST)
 
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
                     box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:

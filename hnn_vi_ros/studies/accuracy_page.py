@@ -24,8 +24,7 @@ _TEXT = """\
 # What accuracy costs in time
 
 Written by `ros2 run hnn_vi_ros work_precision --all`, from measurements on {machine}, commit
-{commit}. Every sentence with a number in it is computed from the tables; nothing is drawn by
-chance.
+{commit}. Every number in its sentences is computed from the tables.
 
 A row is a method at one step size, run from the scene's initial state to a horizon T. Its *path
 error* is the largest distance from the true path, at the instants T/10, ..., T; its *energy band*
