@@ -97,3 +97,7 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[Row]) -> None:
                 color=FAINT)
     elif max(ends) > 100.0 * min(ends):
         ax.set_xscale('log')
+    low, high = ax.get_ylim()
+    if high < 10.0 * low:
+        # Without a power of ten to stand at, the ticks of a logarithmic axis cannot be read.
+        ax.set_yscale('linear')
