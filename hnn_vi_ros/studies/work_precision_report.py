@@ -85,21 +85,41 @@ def as_markdown(results: Results, name: str) -> str:
     return '\n'.join(parts)
 
 
-def drift_table(results: Results) -> str:
-    """Return the energy bands of variants over the horizons, each beside the method itself."""
+def drift_table(results: Results, most: int | None = None) -> str:
+    """
+    Return the energy bands of variants over the horizons, each beside the method itself.
+
+    Parameters
+    ----------
+    results : Results
+        Of a scene.
+    most : int, optional
+        Step sizes of each variant, evenly among those that are there; all by default.
+
+    """
     bands = {row.key: row.energy_band for row in results.rows if row.finished}
     horizons = horizons_of(results)
     lines = ['| method | step [s] | ' + ' | '.join(
         f'energy band at T = {horizon:g} s [J]' for horizon in horizons) + ' |',
         '|---' * (2 + len(horizons)) + '|']
-    settings = dict.fromkeys((row.method, row.step_size) for row in results.rows
-                             if '@' in row.method)
-    for method, step in settings:
+    settings: dict[str, list[float]] = {}
+    for row in results.rows:
+        steps = settings.setdefault(row.method, []) if '@' in row.method else [row.step_size]
+        if row.step_size not in steps:
+            steps.append(row.step_size)
+    for method, step in [(method, step) for method, steps in settings.items()
+                         for step in _spread(steps, most or len(steps))]:
         for name in (method, method.partition('@')[0]):
             cells = [_number(bands.get((name, step, horizon), math.nan)) for horizon in horizons]
             if any(cells):
                 lines.append(f'| {" | ".join([name, f"{step:g}", *cells])} |')
     return '\n'.join(lines) + '\n' if settings else ''
+
+
+def _spread(items: Sequence, most: int) -> list:
+    """Return some of the items, evenly, the first and the last among them."""
+    n = min(most, len(items))
+    return [items[round(k * (len(items) - 1) / max(n - 1, 1))] for k in range(n)]
 
 
 def circumstances(results: Results, horizon: float) -> list[str]:
