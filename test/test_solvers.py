@@ -103,3 +103,16 @@ def test_under_solved_steps_drift_and_steps_to_round_off_do_not():
     simulation.advance(200_000)
     assert abs(simulation.modified_energy / start - 1.0) < 0.02
     assert simulation.gradients / simulation.steps <= 6.0
+
+
+@pytest.mark.parametrize('name', ['implicit_midpoint', 'gauss4'])
+def test_angle_of_many_turns_neither_fails_nor_changes_the_energy_band(name):
+    """An angle of 6e5 rad is rounded to 1e-10: the momenta beside it are not known better."""
+    bands = []
+    for turns in (0, 100_000):
+        simulation = Simulation(HAMILTONIANS['double_pendulum'](1.0, 1.0, 1.0, 1.0),
+                                INTEGRATORS[name](), 0.01, [1.0, 2.0 * np.pi * turns], [0.5, 0.5])
+        bands.append(np.ptp(simulation.hamiltonian.energy(*simulation.record(5000, 1))))
+        assert simulation.rescued == 0
+    # Rounding moves the energy by about 50 N m times 1e-10 a step, at random: sqrt(5000) of that.
+    assert bands[1] == pytest.approx(bands[0], abs=1e-6)

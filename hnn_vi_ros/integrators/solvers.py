@@ -123,7 +123,13 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
 @inlined
 def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
            memory: Memory, max_iterations: int) -> tuple[int, float, int]:
-    """Iterate (I - G'(x)) step = G(x) - x, the matrix built column by column; see the module."""
+    """
+    Iterate (I - G'(x)) step = G(x) - x, the matrix built column by column; see the module.
+
+    x_j is rounded to eps abs(x_j), and so G_i is known to eps sum_j abs(G'_ij x_j) at best: the
+    scale of an unknown is that sum where it is larger, as for the momenta beside an angle that
+    has turned over many times.
+    """
     n = x.size
     value, defect, unit = memory.values[0], memory.residuals[0], memory.values[1]
     column, step = memory.values[2], memory.residuals[1]
@@ -137,13 +143,18 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         if k == max_iterations or memory.matrix.shape[0] != n:
             break
         previous = residual
+        known = memory.residuals[2]
+        known[:] = 0.0
         for j in range(n):
             unit[:] = 0.0
             unit[j] = 1.0
             tangent(problem, x, unit, column)
             for i in range(n):
                 memory.matrix[i, j] = unit[i] - column[i]
+                known[i] += abs(column[i] * x[j])
             step[j] = value[j] - x[j]
+        for i in range(n):
+            memory.scale[i] = max(memory.scale[i], known[i])
         evaluations += n
         if not solve_linear(memory.matrix, step):
             break

@@ -9,7 +9,7 @@ from hnn_vi_ros.diagnostics import (
     block_maxima, energy_band, energy_scale, reversal_defect, rounding_walk, secular_change,
     stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import BarrierGuard, BoxGuard, EnergyGuard, Guard, ResolutionGuard
+from hnn_vi_ros.guards import Alarm, BarrierGuard, BoxGuard, EnergyGuard, Guard, ResolutionGuard
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.studies.hard_cases_gates import Measured
@@ -23,6 +23,7 @@ BLOCKS = 100
 _STATES, _WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.
 _JUDGED = 2
+_RESCUED = 'steps in parts'
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
 
@@ -100,6 +101,7 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
     energies, modified, seen = [], [], []
     try:
         for q, p in blocks(job, simulation):
+            _hear_of_rescue(simulation, measured)
             energy, others = _energies(simulation, q, p)
             energies.append(energy - start)
             modified.append(others)
@@ -124,6 +126,12 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
             measured.modified_band = energy_band(np.concatenate(modified) - modified_start)
     _finish(job, simulation, measured, energies if modified_start is None else modified)
     _judge_steps(simulation, job, seen, measured)
+
+
+def _hear_of_rescue(simulation: Simulation, measured: Measured) -> None:
+    """Note the first steps that were taken otherwise than by the method, as the node tells it."""
+    if simulation.rescued and all(alarm.kind != _RESCUED for alarm in measured.alarms):
+        measured.alarms.append(Alarm(_RESCUED, simulation.steps, simulation.rescued, 0.0, ''))
 
 
 def blocks(job: Job, simulation: Simulation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -239,7 +247,7 @@ def _finish(job: Job, simulation: Simulation, measured: Measured, judged: list[n
     elif name == 'Lyapunov time' and measured.failure is None:
         measured.measures[name] = lyapunov_time(job)
     if simulation.rescued:
-        measured.measures['steps in parts'] = simulation.rescued
+        measured.measures[_RESCUED] = simulation.rescued
     most = job.case.at_most
     if most is not None and measured.measures.get(name, 0.0) > most:
         measured.broken.append(f'{name} > {most:g}')
