@@ -26,14 +26,14 @@ _MISS = ('numba compiles the step, its solver and the Hamiltonian into one funct
          'once for each kind of Hamiltonian and method after the package was built, and later '
          'starts find the result on disk.')
 # A user's simulator and publisher are not kept to one thread.
-_OURS_ALONE = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
+OURS_ALONE = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 
 
 def rows(settings: Settings) -> Iterator[Row]:
     """Measure with the compiled kernel found on disk, and compiled anew."""
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     commands = {
-        'simulator': [str(_simulator()), '--ros-args', *[
+        'simulator': [str(simulator()), '--ros-args', *[
             word for parameter in _PARAMETERS for word in ('-p', parameter)]],
         'bare': [sys.executable, bare_publisher.__file__],
     }
@@ -61,7 +61,8 @@ def _row(name: str, seconds: np.ndarray, miss: str) -> Row:
                miss=miss)
 
 
-def _simulator() -> Path:
+def simulator() -> Path:
+    """Return the executable that was built."""
     path = Path('install/hnn_vi_ros/lib/hnn_vi_ros/simulator')
     if not path.is_file():
         raise SystemExit(f'error: there is no {path} here; run: make bench')
@@ -89,7 +90,7 @@ class _Listener:
 
     def seconds(self, name: str, command: list[str], **environment: str) -> float:
         """Return the time from starting a command to its first message here [s]."""
-        inherited = {key: value for key, value in os.environ.items() if key not in _OURS_ALONE}
+        inherited = {key: value for key, value in os.environ.items() if key not in OURS_ALONE}
         start = time.perf_counter()
         process = subprocess.Popen(
             command, env={**inherited, **environment}, stdout=subprocess.DEVNULL,
