@@ -16,9 +16,11 @@ _PIP_NAMES = {
     'ament_index_python': 'ros-jazzy-rclpy[fastrtps]',
     'rclpy': 'ros-jazzy-rclpy[fastrtps]',
     'rerun': 'rerun-sdk',
+    'lifecycle_msgs': 'ros-jazzy-rclpy[fastrtps]',
     'rosgraph_msgs': 'ros-jazzy-common-interfaces',
     'sensor_msgs': 'ros-jazzy-common-interfaces',
     'std_msgs': 'ros-jazzy-common-interfaces',
+    'std_srvs': 'ros-jazzy-common-interfaces',
     'yaml': 'pyyaml',
 }
 

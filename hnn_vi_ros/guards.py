@@ -162,6 +162,10 @@ class ResolutionGuard(BandGuard):
         super().__init__(share * scale)
         self._scale, self._step_size, self._order = scale, step_size, order
 
+    def allow(self, share: float) -> None:
+        """Change what is allowed."""
+        self.limit = share * self._scale
+
     def _alarm(self, step: int) -> Alarm:
         share = self.band / self._scale
         enough = self._step_size * (self.limit / self.band) ** (1.0 / self._order)
@@ -230,6 +234,10 @@ class EnergyGuard(Guard):
         self._count, self._length = 0, _BLOCK
         self._lowest, self._highest = math.inf, -math.inf
         self._since, self._sign = math.inf, 0
+
+    def allow(self, share: float) -> None:
+        """Change the lasting change that is allowed."""
+        self._share = share
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -88,7 +88,7 @@ class Health:
                  diagnostics: DiagnosticsPublisher, recording: Recording,
                  log: Callable[[str, str], None],
                  errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
-        self._simulation, self._guards, self._errors = simulation, guards, errors
+        self._simulation, self._guards, self.errors = simulation, guards, errors
         self._diagnostics, self._recording, self._log = diagnostics, recording, log
         # The newest alarm of each kind, how many there were, and when the log takes the next.
         self._alarms: dict[str, Alarm] = {}
@@ -136,7 +136,7 @@ class Health:
             **figures})
 
     def _level(self, alarm: Alarm) -> bytes:
-        return ERROR if alarm.kind in self._errors else WARN
+        return ERROR if alarm.kind in self.errors else WARN
 
     def _figures(self, alarm: Alarm) -> dict[str, object]:
         unit = _UNITS.get(alarm.kind, 'J')

@@ -33,11 +33,18 @@ class Pacer:
 
     def __init__(self, tick: float, real_time_factor: float,
                  now: Callable[[], float] = time.monotonic):
-        self._wall_per_tick = tick / real_time_factor if real_time_factor > 0.0 else 0.0
-        self._now = now
-        self._origin = now()
-        self._done = 0
+        self._tick, self._now = tick, now
         self.overruns = 0
+        self.set_pace(real_time_factor)
+
+    def set_pace(self, real_time_factor: float) -> None:
+        """Go on from now at another pace; see ``restart``."""
+        self._wall_per_tick = self._tick / real_time_factor if real_time_factor > 0.0 else 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Owe nothing as of now: what passed before, as in a pause, is not caught up with."""
+        self._origin, self._done = self._now(), 0
 
     @property
     def timer_period(self) -> float:

@@ -2,13 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the simulator node: one table that declares, checks and documents them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.errors import ParameterError
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+Value = str | bool | int | float
+
+# When a parameter can be changed.
+START, UNCONFIGURED, ALWAYS = 'at the start', 'unconfigured', 'always'
+# Characters of a string.
+_LONGEST = 4096
 
 
 @dataclass(frozen=True)
@@ -20,7 +30,7 @@ class Specification:
     ----------
     name : str
         Its ROS name.
-    default : str, bool or float
+    default : str, bool, int or float
         Its default, whose type is the parameter's.
     description : str
         What it does.
@@ -30,47 +40,59 @@ class Specification:
         Range of a number, both ends included.
     choices : tuple of str
         Valid values of a string; empty if any will do.
+    changes : str
+        When it can be set: when the node starts, while it is unconfigured, or always.
 
     """
 
     name: str
-    default: str | bool | float
+    default: Value
     description: str
     unit: str = ''
     smallest: float = -math.inf
     largest: float = math.inf
     choices: tuple[str, ...] = ()
+    changes: str = UNCONFIGURED
 
     def descriptor(self) -> ParameterDescriptor:
         """Return the ROS descriptor, which ``ros2 param describe`` shows."""
         unit = f' [{self.unit}]' if self.unit else ''
+        constraints = [f'one of: {", ".join(self.choices)}'] if self.choices else []
+        if self.changes == UNCONFIGURED:
+            constraints.append('can be set while the node is unconfigured')
         descriptor = ParameterDescriptor(
-            description=f'{self.description}{unit}', read_only=True,
-            additional_constraints=f'one of: {", ".join(self.choices)}' if self.choices else '')
-        if isinstance(self.default, float):
+            description=f'{self.description}{unit}', read_only=self.changes == START,
+            additional_constraints='; '.join(constraints))
+        if type(self.default) is int:
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(self.smallest), to_value=int(self.largest))]
+        elif isinstance(self.default, float):
             # An integer given for a double must work; the range is checked below.
             descriptor.dynamic_typing = True
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=self.smallest, to_value=self.largest)]
         return descriptor
 
-    def check(self, value: object) -> str | bool | float:
+    def check(self, value: object) -> Value:
         """Return the value in the parameter's type, or raise ParameterError."""
-        if isinstance(self.default, float):
-            numeric = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (numeric and self.smallest <= value <= self.largest):
-                raise ParameterError(f'parameter {self.name} = {value!r}: {self.expected}')
-            return float(value)
-        right_type = type(value) is type(self.default)
-        if not right_type or (self.choices and value not in self.choices):
-            raise ParameterError(f'parameter {self.name} = {value!r}: {self.expected}')
+        kind = type(self.default)
+        if kind is float and type(value) is int:
+            value = float(value)
+        good = type(value) is kind
+        if good and kind in (int, float):
+            good = self.smallest <= value <= self.largest
+        elif good and kind is str:
+            good = len(value) <= _LONGEST and (not self.choices or value in self.choices)
+        if not good:
+            raise ParameterError(f'parameter {self.name} = {repr(value)[:80]}: {self.expected}')
         return value
 
     @property
     def expected(self) -> str:
         """Say what a valid value is."""
-        if isinstance(self.default, float):
-            return (f'expected a number from {self.smallest:g} to {self.largest:g}'
+        if type(self.default) in (int, float):
+            kind = 'a whole number' if type(self.default) is int else 'a number'
+            return (f'expected {kind} from {self.smallest:g} to {self.largest:g}'
                     + (f' [{self.unit}]' if self.unit else ''))
         if self.choices:
             return f'expected one of {", ".join(self.choices)}'
@@ -78,11 +100,13 @@ class Specification:
 
 
 PARAMETERS = (
+    Specification('autostart', True, 'configure and activate without being asked to; false leaves '
+                  'that to a lifecycle manager', changes=START),
     Specification('scene', 'harmonic_oscillator',
                   'name of a shipped scene, or path of a scene file (.yaml)'),
     Specification('real_time_factor', 1.0,
                   'simulated seconds per wall second; 0 runs as fast as possible', '1',
-                  0.0, 1e6),
+                  0.0, 1e6, changes=ALWAYS),
     Specification('publish_rate', 100.0,
                   'samples per simulated second; a whole number of steps lies between two '
                   'samples, so it is rounded to what the step size allows', 'Hz', 1e-3, 1e6),
@@ -92,6 +116,12 @@ PARAMETERS = (
     Specification('discovery_time', 2.0,
                   'the first step waits at most this long for subscribers that are there already, '
                   'so that they miss no sample', 's', 0.0, 60.0),
+    Specification('start_paused', False, 'begin in a pause'),
+    Specification('step_count', 1, 'steps that one call of `~/step` takes', '1', 1, 1e9,
+                  changes=ALWAYS),
+    Specification('reset_time', False, '`~/reset` sets simulated time back to zero as well; else '
+                  'it goes on', changes=ALWAYS),
+    Specification('publish_clock', False, 'publish `/clock`'),
     Specification('step_size', 0.0, "step size h; 0 takes the scene's", 's', 0.0, 1e6),
     Specification('integrator', '', "name of the integrator; empty takes the scene's"),
     Specification('record', True, 'write an MCAP bag'),
@@ -104,20 +134,23 @@ PARAMETERS = (
                   'empty takes the local one'),
     Specification('publish_accuracy', False, 'publish and record `~/accuracy`'),
     Specification('stop_outside_box', False, 'end the run, with status 1, at the first sample '
-                  'outside of the box that the model was trained in; else it is only told'),
+                  'outside of the box that the model was trained in; else it is only told',
+                  changes=ALWAYS),
     Specification('energy_band_limit', 0.05, 'band of the modified energy, over the energies in '
                   'play, from which on a conservative run counts as under-resolved', '1',
-                  1e-15, 1e6),
+                  1e-15, 1e6, changes=ALWAYS),
     Specification('energy_change_limit', 0.02, 'lasting change of the energy, over the energies '
                   'in play, that no work accounts for, from which on energy counts as lost or '
-                  'gained', '1', 1e-15, 1e6),
+                  'gained', '1', 1e-15, 1e6, changes=ALWAYS),
     Specification('explain', False, 'measure what each effect adds before the first step; '
                   'compiles one kernel for each effect'),
     Specification('frame_id', 'world', 'frame that `~/markers` are drawn in'),
 )
+_BY_NAME = {item.name: item for item in PARAMETERS}
+_DOUBLES = {item.name for item in PARAMETERS if isinstance(item.default, float)}
 
 
-def declare_parameters(node: Node) -> dict[str, str | bool | float]:
+def declare_parameters(node: Node) -> dict[str, Value]:
     """
     Declare every parameter of the table and return the values, checked.
 
@@ -140,17 +173,87 @@ def declare_parameters(node: Node) -> dict[str, str | bool | float]:
     return values
 
 
+class Parameters:
+    """
+    The parameters of a node: declared, checked, and changed only where they may.
+
+    Changes that are asked for together are checked together: all of them or none are made.
+
+    Parameters
+    ----------
+    node : Node
+        Whose parameters they are.
+
+    Attributes
+    ----------
+    values : dict
+        Name and value of each.
+    configured : bool
+        Whether a configured run uses them.
+    run : object or None
+        Told of changes while it goes on: ``check(values)``, which may raise ParameterError, and
+        then ``apply(values)`` with all values.
+
+    Raises
+    ------
+    ParameterError
+        A value of the wrong type or out of its range; one line.
+
+    """
+
+    def __init__(self, node: Node):
+        self.values = declare_parameters(node)
+        self.configured, self.run = False, None
+        node.add_pre_set_parameters_callback(_with_doubles)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            values = self._changed(parameters)
+            if self.run is not None:
+                self.run.check(values)
+        except ParameterError as problem:
+            return SetParametersResult(successful=False, reason=str(problem))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: Sequence[Parameter]) -> None:
+        self.values = self._changed(parameters)
+        if self.run is not None:
+            self.run.apply(self.values)
+
+    def _changed(self, parameters: Sequence[Parameter]) -> dict[str, Value]:
+        """Return all values with changes, or raise ParameterError; other parameters are ROS's."""
+        changes = {}
+        for parameter in parameters:
+            specification = _BY_NAME.get(parameter.name)
+            if specification is not None:
+                if self.configured and specification.changes == UNCONFIGURED:
+                    raise ParameterError(
+                        f'parameter {parameter.name}: can only be set while the node is '
+                        'unconfigured; use the transition cleanup first')
+                changes[parameter.name] = specification.check(parameter.value)
+        return self.values | changes
+
+
+def _with_doubles(parameters: list[Parameter]) -> list[Parameter]:
+    """Return them with doubles where integers were given for them."""
+    return [Parameter(item.name, Parameter.Type.DOUBLE, float(item.value))
+            if item.type_ == Parameter.Type.INTEGER and item.name in _DOUBLES else item
+            for item in parameters]
+
+
 def markdown_table() -> str:
     """Return the parameters as the rows of the README's table."""
     rows = []
     for item in PARAMETERS:
         choices = f' ({", ".join(item.choices)})' if item.choices else ''
-        rows.append(f'| `{item.name}` | {_shown(item.default)} | {item.unit} '
+        rows.append(f'| `{item.name}` | {_shown(item.default)} | {item.unit} | {item.changes} '
                     f'| {item.description}{choices} |')
     return '\n'.join(rows)
 
 
-def _shown(value: str | bool | float) -> str:
+def _shown(value: Value) -> str:
     if isinstance(value, bool):
         return f'`{str(value).lower()}`'
     return f'`{value}`' if value != '' else 'empty'

@@ -54,7 +54,7 @@ class Recording:
     Attributes
     ----------
     samples : int
-        Samples that were handed in.
+        Samples that were handed in since the files were opened.
     problem : str
         Why something is missing; empty as long as nothing is.
 
@@ -68,18 +68,73 @@ class Recording:
     def __init__(self, logger: RcutilsLogger, scene: Scene, simulation: Simulation,
                  values: dict, topics: Sequence[Topic],
                  box: tuple[np.ndarray, np.ndarray]):
-        self._logger = logger
-        self.samples, self.problem = 0, ''
-        self._bag: Path | None = None
-        self._picture: Path | None = None
-        self._choose_files(scene.name, values)
-        self._bag_sink = self._open_bag(scene, simulation, values, topics)
+        self._logger, self._simulation = logger, simulation
+        self._values, self._topics, self._box = values, topics, box
+        self.problem = ''
+        self._bag_wanted = values['record']
+        self._folder: Path | None = None
+        self._used: set[Path] = set()
+        self._choose_files(scene)
         try:
-            self._picture_sink = self._open_picture(scene, simulation, values, box)
+            self._open_bag()
+            self._open_picture()
         except BaseException:
-            self._picture_sink = None
             self.close()
             raise
+
+    def renew(self, scene: Scene) -> None:
+        """
+        Close the files and go on in new ones, beside them; nothing is ever overwritten.
+
+        Parameters
+        ----------
+        scene : Scene
+            With the initial state from which the simulation goes on.
+
+        """
+        self.close()
+        self.report()
+        self._choose_files(scene)
+        for sink in (self._open_bag, self._open_picture):
+            try:
+                sink()
+            except RecordingError as problem:
+                self._give_up(problem)
+
+    def start_bag(self) -> str:
+        """Begin a new bag and return where it is, or raise RecordingError."""
+        if self._bag_sink is not None:
+            raise RecordingError(f'{self._bags[-1]}: is being recorded already')
+        self._bags.append(self._free_bag())
+        self._bag_wanted = True
+        try:
+            self._open_bag()
+        except RecordingError:
+            self._bags.pop()
+            self._bag_wanted = False
+            raise
+        return str(self._bags[-1])
+
+    def stop_bag(self) -> str:
+        """Complete the bag and return where it is, or raise RecordingError."""
+        if self._bag_sink is None:
+            raise RecordingError('no bag is being recorded')
+        sink, self._bag_sink, self._bag_wanted = self._bag_sink, None, False
+        try:
+            sink.close()
+        except RecordingError as problem:
+            self._give_up(problem)
+            raise
+        return str(self._bags[-1])
+
+    def flush(self) -> None:
+        """Hand the bag to the operating system, where no sample follows for a while."""
+        if self._bag_sink is not None:
+            try:
+                self._bag_sink.flush()
+            except RecordingError as problem:
+                self._bag_sink = None
+                self._give_up(problem)
 
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
         """Record and show one sample."""
@@ -121,8 +176,10 @@ class Recording:
     @property
     def targets(self) -> dict[str, str]:
         """Return where bag and picture go, as far as there are any."""
-        targets = {'bag': self._bag, 'rerun': self._target}
-        return {name: str(target) for name, target in targets.items() if target is not None}
+        bag = self._bags[-1] if self._bag_sink is not None else None
+        picture = self._target if self._picture_sink is not None else None
+        return {name: str(target) for name, target in {'bag': bag, 'rerun': picture}.items()
+                if target is not None}
 
     def close(self) -> bool:
         """Close what is open; tell whether everything was recorded."""
@@ -139,11 +196,11 @@ class Recording:
     def report(self) -> None:
         """Print where the files are, and the command that opens each."""
         lines = []
-        if self._bag is not None:
-            file = self._bag / f'{self._bag.name}_0.mcap'
-            lines.append(f'bag        {self._bag}')
+        for bag in self._bags:
+            file = bag / f'{bag.name}_0.mcap'
+            lines.append(f'bag        {bag}')
             if shutil.which('ros2'):
-                lines.append(f'  open it  {_command("ros2", "bag", "play", self._bag)}')
+                lines.append(f'  open it  {_command("ros2", "bag", "play", bag)}')
             lines.append(f'  open it  {_command(_rerun(), file)}')
         if self._picture is not None:
             lines.append(f'recording  {self._picture}')
@@ -152,45 +209,57 @@ class Recording:
             sys.stdout.write('\n'.join(lines) + '\n')
             sys.stdout.flush()
 
-    def _choose_files(self, scene: str, values: dict) -> None:
-        bag, picture = values['record_path'], values['rerun_path']
-        to_file = values['rerun_sink'] == 'file'
-        folder = Path()
-        if (values['record'] and not bag) or (to_file and not picture):
-            folder = create_run_folder(scene)
-        if values['record']:
-            self._bag = Path(os.path.expanduser(bag)) if bag else folder / 'bag'
-        if to_file:
-            default = folder / 'recording.rrd'
-            self._picture = Path(os.path.expanduser(picture)) if picture else default
+    def _choose_files(self, scene: Scene) -> None:
+        """Choose names; the first ones as they were asked for, later ones with a number."""
+        self._scene, self.samples = scene, 0
+        self._bag_sink = self._picture_sink = None
+        picture, sink = self._values['rerun_path'], self._values['rerun_sink']
+        self._bags = [self._free_bag()] if self._bag_wanted else []
+        self._picture = self._free(picture, 'recording.rrd') if sink == 'file' else None
         self._target = {'file': self._picture, 'serve': _SERVER_PORT, 'none': None,
-                        'connect': picture or _VIEWER_URL}[values['rerun_sink']]
+                        'connect': picture or _VIEWER_URL}[sink]
 
-    def _open_bag(self, scene: Scene, simulation: Simulation, values: dict,
-                  topics: Sequence[Topic]) -> McapSink | None:
-        if self._bag is None:
-            return None
+    def _free_bag(self) -> Path:
+        return self._free(self._values['record_path'], 'bag')
+
+    def _free(self, asked: str, default: str) -> Path:
+        """Return the path asked for or a default one, numbered if it is one of ours already."""
+        if not asked and self._folder is None:
+            self._folder = create_run_folder(self._scene.name)
+        first = Path(os.path.expanduser(asked)) if asked else self._folder / default
+        path, number = first, 1
+        while path in self._used or (number > 1 and path.exists()):
+            number += 1
+            path = first.with_name(f'{first.stem}-{number}{first.suffix}')
+        self._used.add(path)
+        return path
+
+    def _open_bag(self) -> None:
+        if not self._bag_wanted:
+            return
         attachments = {
-            'scene.yaml': resolved_scene(scene, simulation), 'parameters.yaml': values}
-        return McapSink(self._bag, topics, {
+            'scene.yaml': resolved_scene(self._scene, self._simulation),
+            'parameters.yaml': self._values}
+        self._bag_sink = McapSink(self._bags[-1], self._topics, {
             name: yaml.safe_dump(data, sort_keys=False).encode()
             for name, data in attachments.items()})
 
-    def _open_picture(self, scene: Scene, simulation: Simulation, values: dict,
-                      box: tuple[np.ndarray, np.ndarray]):
+    def _open_picture(self) -> None:
+        scene, simulation, values = self._scene, self._simulation, self._values
         if self._target is None:
-            return None
+            return
         # Imported here: a run without a picture starts without the viewer's libraries.
         from hnn_vi_ros.sinks.rerun_sink import RerunSink
         if values['rerun_sink'] == 'serve':
             self._logger.info(f'rerun viewers can connect to {_VIEWER_URL}')
         mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None
-        return RerunSink(scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
-                         simulation.p.copy(), box=box, mechanism=mechanism,
-                         conservative=simulation.conservative,
-                         modified=simulation.modified_energy is not None,
-                         pace=values['real_time_factor'] or None,
-                         interval=round((values['real_time_factor'] or 1.0) / _FRAME_RATE * 1e9))
+        pace = values['real_time_factor']
+        self._picture_sink = RerunSink(
+            scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
+            simulation.p.copy(), box=self._box, mechanism=mechanism,
+            conservative=simulation.conservative,
+            modified=simulation.modified_energy is not None, pace=pace or None,
+            interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
 
     def _give_up(self, problem: RecordingError) -> None:
         self.problem = str(problem)

@@ -32,12 +32,20 @@ class RunStatus:
     real_time_factor : float
         The pace that is asked for; 0 for as fast as possible.
 
+    Attributes
+    ----------
+    asked : float
+        The pace that is asked for now.
+    paused : bool
+        Whether the run stands still.
+
     """
 
     def __init__(self, scene: Scene, simulation: Simulation, monitor: Monitor,
                  recording: Recording, health: Health, real_time_factor: float):
         self._scene, self._simulation, self._monitor = scene, simulation, monitor
-        self._recording, self._health, self._asked = recording, health, real_time_factor
+        self._recording, self._health = recording, health
+        self.asked, self.paused = real_time_factor, False
         self._model = _model(scene, simulation)
         # When the last statuses were told.
         self._overruns, self._rescued = 0, 0
@@ -48,10 +56,12 @@ class RunStatus:
                 self._model, self._health.status()]
 
     def _timing(self, overruns: int) -> Status:
-        figures, asked = self._monitor.timing.figures, self._asked
+        figures, asked = self._monitor.timing.figures, self.asked
         late, self._overruns = overruns - self._overruns, overruns
         level, message = OK, f'holds {asked:g} x real time' if asked else 'as fast as possible'
-        if late:
+        if self.paused:
+            message = 'paused'
+        elif late:
             level, message = WARN, (
                 f'{late} overruns since the last report: slower than {asked:g} x real time')
         elif asked and figures.largest_real_time_factor < asked:

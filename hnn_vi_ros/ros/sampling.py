@@ -24,6 +24,8 @@ class Sampler:
         In its initial state.
     rate : float
         Samples per simulated second that are asked for [Hz].
+    origin : int
+        Stamp of the initial state [ns].
 
     Attributes
     ----------
@@ -41,8 +43,9 @@ class Sampler:
 
     """
 
-    def __init__(self, simulation: Simulation, rate: float):
+    def __init__(self, simulation: Simulation, rate: float, origin: int = 0):
         self._simulation, self._energy0 = simulation, simulation.energy
+        self._origin = origin
         h = simulation.step_size
         self._nanoseconds = Fraction(repr(h)) * 10**9
         exact = 1.0 / (rate * h)
@@ -58,11 +61,17 @@ class Sampler:
 
     def count(self, duration: float) -> float:
         """Return the number of samples that a duration [s] asks for; 0 is for ever."""
-        samples = round(min(duration or math.inf, _LONGEST_RUN) / self.tick)
+        longest = _LONGEST_RUN - self._origin * 1e-9
+        samples = round(min(duration or math.inf, longest) / self.tick)
         if samples == 0:
             raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
                                  f'time between two samples, {self.tick:g} s')
         return samples
+
+    @property
+    def stamp(self) -> int:
+        """Return the simulated time [ns]: a count of steps, never a sum."""
+        return self._origin + round(self._simulation.steps * self._nanoseconds)
 
     def sample(self) -> Sample:
         """Return the state, and the energies that belong to it."""
@@ -71,7 +80,7 @@ class Sampler:
         work = simulation.work
         budget = energy - self._energy0 - work
         return Sample(
-            step=simulation.steps, stamp=round(simulation.steps * self._nanoseconds),
+            step=simulation.steps, stamp=self.stamp,
             q=simulation.q.copy(), p=simulation.p.copy(),
             dH_dq=simulation.dH_dq.copy(), dH_dp=simulation.dH_dp.copy(), energy=energy,
             modified_energy=math.nan if modified is None else modified,

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics of the simulator: what a scene does not call for does not exist."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import time
+from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
+from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
@@ -24,8 +26,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
 
+# Of what is heard [bytes].
+LARGEST_MESSAGE = 1 << 20
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -41,8 +46,8 @@ class Topics:
     ----------
     node : Node
         The simulator.
-    accuracy : bool
-        Whether the accuracy is published.
+    accuracy, clock : bool
+        Whether the accuracy is published, and whether the clock is.
 
     Attributes
     ----------
@@ -56,11 +61,13 @@ class Topics:
 
     """
 
-    def __init__(self, node: Node, accuracy: bool):
-        self._node = node
+    def __init__(self, node: Node, accuracy: bool, clock: bool = False):
+        self._node, self._opened = node, []
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
         self._publishers = [self._publisher(*topic, 10) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _NEWEST)
+        self._clock = ClockPublisher(
+            self._publisher(*CLOCK_TOPIC, CLOCK_QOS)) if clock else None
         self._accuracy: AccuracyEncoder | None = None
         self._markers: MarkerPublisher | None = None
 
@@ -87,8 +94,7 @@ class Topics:
         self._simulation = simulation
         self._scene = self._publisher('~/scene', String, _LATCHED)
         self._encoder = MessageEncoder([c.name for c in hamiltonian.coordinates])
-        if len(self._publishers) > len(TICK_TOPICS):
-            self._accuracy = AccuracyEncoder(simulation, monitor)
+        self.follow(monitor)
         if mechanism is not None:
             frames = frames_of(
                 hamiltonian, simulation.q, simulation.p, box, hamiltonian.dimension)
@@ -96,10 +102,51 @@ class Topics:
                 self._publisher(*MARKERS_TOPIC, _NEWEST), MECHANISMS[mechanism],
                 reach_of(frames), frame_id)
         if simulation.takes_commands:
-            with _valid_qos('~/commands'):
-                self._node.create_subscription(
-                    Float64MultiArray, '~/commands', self._on_command, _NEWEST,
-                    qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            self.hear('~/commands', Float64MultiArray, self._on_command)
+
+    def follow(self, monitor: Monitor) -> None:
+        """Take the accuracy from what is measured of a run, in its initial state."""
+        if len(self._publishers) > len(TICK_TOPICS):
+            self._accuracy = AccuracyEncoder(self._simulation, monitor)
+
+    def hear(self, topic: str, message_type: type, take: Callable[[Any], None]) -> None:
+        """
+        Hear a topic: the newest message counts, and what cannot be used is told and ignored.
+
+        Parameters
+        ----------
+        topic : str
+            Its name.
+        message_type : type
+            Of its messages.
+        take : callable
+            Uses a message, or raises ValueError and leaves all as it was.
+
+        """
+        def on_message(payload: bytes) -> None:
+            try:
+                if len(payload) > LARGEST_MESSAGE:
+                    raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
+                take(deserialize_message(payload, message_type))
+            except (ValueError, RuntimeError) as problem:
+                # RuntimeError: the bytes are no message of this type.
+                self._node.get_logger().error(
+                    f'{topic}: message ignored: {" ".join(str(problem).split())[:200]}',
+                    throttle_duration_sec=1.0)
+
+        with _valid_qos(topic):
+            self._opened.append(self._node.create_subscription(
+                message_type, topic, on_message, _NEWEST, raw=True,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies()))
+
+    def close(self) -> None:
+        """Take all topics away."""
+        for entity in self._opened:
+            if isinstance(entity, Publisher):
+                self._node.destroy_publisher(entity)
+            else:
+                self._node.destroy_subscription(entity)
+        self._opened.clear()
 
     def publish_scene(self, text: str) -> None:
         """Publish the scene, for those as well who subscribe later."""
@@ -107,6 +154,8 @@ class Topics:
 
     def publish(self, sample: Sample) -> Sequence[bytes]:
         """Publish a sample; return the messages as they were sent, as the log takes them."""
+        if self._clock is not None:
+            self._clock.publish(sample.stamp)
         payloads = self._encoder.encode(sample)
         if self._accuracy is not None:
             payloads = (*payloads, self._accuracy.encode(sample))
@@ -137,16 +186,14 @@ class Topics:
 
     def _publisher(self, topic: str, message_type: type, qos: QoSProfile | int) -> Publisher:
         with _valid_qos(topic):
-            return self._node.create_publisher(
+            publisher = self._node.create_publisher(
                 message_type, topic, qos,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        self._opened.append(publisher)
+        return publisher
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        try:
-            self._simulation.set_command(list(message.data))
-        except ValueError as problem:
-            self._node.get_logger().error(
-                f'~/commands: message ignored: {problem}', throttle_duration_sec=1.0)
+        self._simulation.set_command(list(message.data))
 
 
 @contextmanager

@@ -5,24 +5,38 @@
 from pathlib import Path
 import subprocess
 import sys
+import tempfile
 import time
+from typing import TextIO
 
 from rosbags.highlevel import AnyReader
+
+# By the present test, with their standard output and error; see conftest.py.
+started: dict[subprocess.Popen, tuple[TextIO, TextIO]] = {}
 
 
 def start(folder: Path, **parameters: object) -> subprocess.Popen:
     """Start a simulator in a folder."""
     values = {'scene': 'oscillator.yaml', 'discovery_time': 0} | parameters
-    arguments = [word for name, value in values.items()
-                 for word in ('-p', f'{name}:={value}')]
+    # Names like __ns are ROS's own.
+    arguments = [word for name, value in values.items() for word in (
+        '-r' if name.startswith('__') else '-p', f'{name}:={value}')]
     code = 'from hnn_vi_ros.cli import simulator; simulator()'
-    return subprocess.Popen([sys.executable, '-c', code, '--ros-args', *arguments], cwd=folder,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # Files, not pipes: a pipe that nobody empties stops who writes to it.
+    outputs = tempfile.TemporaryFile('w+'), tempfile.TemporaryFile('w+')
+    process = subprocess.Popen([sys.executable, '-c', code, '--ros-args', *arguments], cwd=folder,
+                               stdout=outputs[0], stderr=outputs[1])
+    started[process] = outputs
+    return process
 
 
 def finish(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, str]:
     """Wait for the end; return status, standard output and standard error."""
-    out, error = process.communicate(timeout=timeout)
+    process.wait(timeout)
+    outputs = started[process]
+    for file in outputs:
+        file.seek(0)
+    out, error = (file.read() for file in outputs)
     assert 'Traceback' not in error, error
     return process.returncode, out, error
 

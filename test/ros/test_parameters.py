@@ -3,11 +3,16 @@
 """The parameters of the node: types, ranges, and parameter files of any content."""
 
 from pathlib import Path
+import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters import declare_parameters, PARAMETERS
+from hnn_vi_ros.ros.parameters import (
+    ALWAYS, declare_parameters, PARAMETERS, START, UNCONFIGURED)
 from hypothesis import given, HealthCheck, settings, strategies
+from peer import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, peer, stamp
+from processes import finish, start
 import pytest
+from rcl_interfaces.srv import DescribeParameters
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
@@ -40,6 +45,67 @@ def declare(*arguments: str) -> tuple[dict, Node]:
 
 def test_parameters_defaults_are_those_of_the_table():
     assert declare()[0] == {item.name: item.default for item in PARAMETERS}
+
+
+def test_parameters_of_another_node_are_checked_together_and_applied_where_they_may(tmp_path):
+    process = start(tmp_path, scene='exact_harmonic_oscillator', record='false',
+                    rerun_sink='none', energy_band_limit=1)
+    with peer() as other:
+        other.wait_for_state('active')
+        for item in PARAMETERS:
+            described, = other.call(
+                DescribeParameters, 'describe_parameters', names=[item.name]).descriptors
+            assert described.description.startswith(item.description)
+            assert described.read_only is (item.changes == START)
+            good = item.default if item.default != '' else 'any'
+            result = other.set_parameters(**{item.name: good})
+            assert result.successful is (item.changes == ALWAYS), result.reason
+            if item.changes == UNCONFIGURED:
+                assert item.name in result.reason and 'cleanup' in result.reason
+            # Wrong types, and what is out of range, are refused in one line whenever they come.
+            for bad in ('text', [1.0], float('nan'), -5, None, 'x' * 5000):
+                if isinstance(bad, str) and type(item.default) is str:
+                    continue
+                refused = other.set_parameters(**{item.name: bad})
+                assert not refused.successful and '\n' not in refused.reason
+        # All or none.
+        assert not other.set_parameters(step_count=5, real_time_factor=-1.0).successful
+        assert other.get_parameter('step_count') == 1
+        assert other.set_parameters(step_count=5, real_time_factor=3).successful
+        assert (other.get_parameter('step_count'), other.get_parameter('real_time_factor')) == (
+            5, 3.0)
+        assert isinstance(other.get_parameter('real_time_factor'), float)
+        assert not other.set_parameters(real_time_factor=1e-300).successful
+        # Of a scene while the node is unconfigured, and then again not.
+        assert other.change_state(DEACTIVATE) and other.change_state(CLEANUP)
+        assert other.set_parameters(publish_rate=50, step_size=0.005, scene='x' * 4096).successful
+        assert not other.set_parameters(scene='x' * 4097).successful
+        assert not other.set_parameters(autostart=False).successful
+        assert other.set_parameters(scene='exact_harmonic_oscillator').successful
+        other.states.clear()
+        assert other.change_state(CONFIGURE) and other.change_state(ACTIVATE)
+        other.spin_until(lambda: len(other.states) > 5)
+        stamps = [stamp(message) for message in other.states]
+        assert stamps[1] - stamps[0] == 20_000_000
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
+
+
+def test_limits_of_guards_can_be_changed_while_the_run_goes_on(tmp_path):
+    (tmp_path / 'gain.yaml').write_text(
+        'hamiltonian: {kind: harmonic_oscillator}\nintegrator: {kind: explicit_euler}\n'
+        'step_size: 0.01\ninitial_state: {q: [1.0], p: [0.0]}\n')
+    process = start(tmp_path, scene='gain.yaml', record='false', rerun_sink='none',
+                    energy_band_limit=1e6)
+    with peer() as other:
+        other.spin_until(lambda: len(other.states) > 100)
+        # Explicit Euler has gained about 1 % by now.
+        assert other.set_parameters(energy_band_limit=1e-3).successful
+        other.spin(1.0)
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0
+    assert 'under-resolved' in error
 
 
 def test_parameters_of_a_file_are_taken_and_integers_serve_as_doubles(tmp_path):

@@ -1,0 +1,205 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""When a run goes on: start, halt, pause, steps by number, reset; all between two steps."""
+
+import time
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.ros.run import LONGEST_CALL, Run
+from hnn_vi_ros.ros.topics import Topics
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from rclpy.timer import Timer
+
+# Subscribers whose number has not changed for so long are taken for all there are [s].
+_SETTLED = 0.5
+# Wall time between two messages on /diagnostics [s].
+_DIAGNOSTICS_PERIOD = 1.0
+
+
+class Answer(NamedTuple):
+    """What came of a request, as std_srvs tell it."""
+
+    success: bool
+    message: str
+
+
+class Control:
+    """
+    Drive a run by timers of the steady clock.
+
+    Parameters
+    ----------
+    node : Node
+        The simulator.
+    run : Run
+        What is driven.
+    topics : Topics
+        Whose subscribers the first step waits for.
+    values : dict
+        The node's parameters.
+
+    Attributes
+    ----------
+    active, paused : bool
+        Whether the node is active, and whether a pause was asked for.
+
+    """
+
+    def __init__(self, node: Node, run: Run, topics: Topics, values: dict):
+        self._node, self._run, self._topics = node, run, topics
+        # Timers on ROS time would stall in a pause of /clock, or when it jumps back.
+        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._discovery_time = values['discovery_time']
+        self.active, self.paused = False, values['start_paused']
+        self._run.status.paused = self.paused
+        self._timers: list[Timer] = []
+        self._timer: Timer | None = None
+        self._discovering = False
+        # Steps of the request that is being worked on, and who waits for its end.
+        self._left, self._asked, self._waiting = 0, 0, None
+
+    @property
+    def running(self) -> bool:
+        """Tell whether simulated time goes on by itself."""
+        return self.active and not self.paused
+
+    def activate(self) -> None:
+        """Go on, for the first time once subscribers that are there have been found."""
+        self.active = True
+        if self._timer is None and not self._discovering:
+            self._discovering = True
+            self._start_by = time.monotonic() + self._discovery_time
+            self._subscribers = (0, time.monotonic())
+            self._add_timer(0.02, self._start_when_discovered)
+        self._schedule()
+
+    def deactivate(self) -> None:
+        """Stand still and keep all as it is."""
+        self.active = False
+        self._end_request(Answer(False, 'the node was deactivated'))
+        self._schedule()
+        self._run.recording.flush()
+
+    def stop(self) -> None:
+        """Take no more steps, and tell how the run has ended."""
+        self.active = False
+        self._end_request(Answer(False, 'the run has ended'))
+        if self._timer is not None:
+            self._run.publish_diagnostics()
+
+    def close(self) -> None:
+        """Take the timers away."""
+        self._end_request(Answer(False, 'the run has ended'))
+        for timer in self._timers:
+            self._node.destroy_timer(timer)
+        self._timers.clear()
+
+    def set_paused(self, paused: bool) -> Answer:
+        """Pause or go on; what was missed in a pause is not caught up with."""
+        word = 'paused' if paused else 'running' if self.active else 'to run once active'
+        if paused != self.paused:
+            self.paused = self._run.status.paused = paused
+            self._end_request(Answer(False, 'the pause was ended'))
+            self._schedule()
+            self._run.tell('paused' if paused else 'pause ended', 'INFO')
+            if paused:
+                self._run.recording.flush()
+        return Answer(True, f'{word} at t = {self._run.simulation.time:.9g} s')
+
+    def request_steps(self, count: int) -> Future:
+        """Take so many steps in the pause; return what will hold the Answer."""
+        future = Future()
+        if not (self.active and self.paused):
+            future.set_result(Answer(False, 'only in a pause of an active node: pause it first'))
+        elif self._waiting is not None:
+            future.set_result(Answer(False, 'steps are being taken already'))
+        elif count < 1:
+            future.set_result(Answer(False, 'expected at least one step'))
+        else:
+            self._left = self._asked = count
+            self._waiting = future
+            self._schedule()
+        return future
+
+    def reset(self, time_too: bool) -> Answer:
+        """Go back to the initial state, running or paused as before."""
+        self._end_request(Answer(False, 'the simulation was reset'))
+        try:
+            self._run.reset(time_too)
+        except (ValueError, StepFailure) as problem:
+            return Answer(False, f'not reset: the initial state is refused: {problem}')
+        finally:
+            self._schedule()
+        self._run.tell('reset', 'INFO')
+        return Answer(True, f'at the initial state, t = {self._run.sampler.stamp * 1e-9:.9g} s')
+
+    def set_period(self) -> None:
+        """Follow a change of the pace."""
+        if self._timer is not None:
+            self._timer.timer_period_ns = round(self._run.pacer.timer_period * 1e9)
+
+    def _schedule(self) -> None:
+        """Let the timer run while there is something to do, owing nothing as of now."""
+        if self._timer is None:
+            return
+        self._run.pacer.restart()
+        if self.active and (not self.paused or self._waiting is not None):
+            self._timer.reset()
+        else:
+            self._timer.cancel()
+
+    def _start_when_discovered(self) -> None:
+        """Start once discovery is over, or its time: DDS takes some 1.5 s to find a node."""
+        now = time.monotonic()
+        count, since = self._subscribers
+        found = self._topics.subscribers
+        if found != count:
+            self._subscribers = (found, now)
+        elif now >= self._start_by or (found and now - since > _SETTLED):
+            self._node.destroy_timer(self._timers.pop())
+            self._run.watch()
+            self._add_timer(_DIAGNOSTICS_PERIOD, self._run.publish_diagnostics)
+            self._timer = self._add_timer(self._run.pacer.timer_period, self._on_timer)
+            self._schedule()
+
+    def _add_timer(self, period: float, callback) -> Timer:
+        timer = self._node.create_timer(period, callback, clock=self._clock)
+        self._timers.append(timer)
+        return timer
+
+    def _on_timer(self) -> None:
+        """Step for a short while, in batches, so that signals and other callbacks get a turn."""
+        run, until = self._run, time.monotonic() + LONGEST_CALL
+        while self.active and time.monotonic() < until:
+            if self.paused:
+                if self._waiting is None:
+                    return
+                self._take_requested()
+            elif run.at_sample and not run.pacer.due():
+                return
+            elif run.step() == 0:
+                self.set_paused(True)
+
+    def _take_requested(self) -> None:
+        """Take a batch of the steps that were asked for; show where they end."""
+        taken = self._run.step(self._left)
+        self._left -= taken
+        if taken == 0:
+            self._end_request(Answer(False, 'a step failed: the state is the last good one'))
+            self._schedule()
+        elif self._left == 0 and self._waiting is not None:
+            if not self._run.at_sample:
+                self._run.show_state()
+            self._end_request(Answer(
+                True, f'{self._asked} steps, t = {self._run.simulation.time:.9g} s'))
+            self._schedule()
+
+    def _end_request(self, answer: Answer) -> None:
+        """Answer a request for steps, if there is one."""
+        if self._waiting is not None:
+            waiting, self._waiting, self._left = self._waiting, None, 0
+            waiting.set_result(answer)
+            self._node.executor.wake()

@@ -1,0 +1,124 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A managed node whose transitions may take long and may be refused, and that outlives both."""
+
+from collections.abc import Awaitable, Callable
+import threading
+from typing import Any
+
+from hnn_vi_ros.errors import HnnViRosError
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.task import Future
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+# What others may ask for; the rest are steps inside of a transition.
+_PUBLIC = {
+    Transition.TRANSITION_CONFIGURE: 'on_configure',
+    Transition.TRANSITION_CLEANUP: 'on_cleanup',
+    Transition.TRANSITION_ACTIVATE: 'on_activate',
+    Transition.TRANSITION_DEACTIVATE: 'on_deactivate',
+    Transition.TRANSITION_UNCONFIGURED_SHUTDOWN: 'on_shutdown',
+    Transition.TRANSITION_INACTIVE_SHUTDOWN: 'on_shutdown',
+    Transition.TRANSITION_ACTIVE_SHUTDOWN: 'on_shutdown',
+}
+
+
+class ManagedNode(LifecycleNodeMixin, Node):
+    """
+    A lifecycle node that goes on serving while a transition takes its time.
+
+    Here ``on_configure`` may be a coroutine, which awaits what ``in_thread`` works on. Its
+    publishers are ordinary ones, which cost nothing more for each message: a node that is not
+    active has nothing to publish.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+
+    """
+
+    def __init__(self, name: str):
+        Node.__init__(self, name)
+        # All services of this group answer while a transition is under way.
+        LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
+        # The mixin's own handler lets the error of an illegal transition end the process.
+        self._service_change_state.callback = self._on_change_state
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def state(self) -> int:
+        """Return the number of the state, one of lifecycle_msgs/State."""
+        return self._state_machine.current_state[0]
+
+    @property
+    def busy(self) -> bool:
+        """Tell whether a thread of ``in_thread`` is at work."""
+        return any(thread.is_alive() for thread in self._threads)
+
+    async def change_state(self, transition: int) -> bool:
+        """
+        Go through a transition; tell whether it succeeded.
+
+        Raises
+        ------
+        HnnViRosError
+            From the callback; the transition has failed then.
+
+        """
+        available = {found[0] for found in self._state_machine.available_transitions}
+        if transition not in _PUBLIC or transition not in available:
+            _, label = self._state_machine.current_state
+            self.get_logger().warning(
+                f'transition {transition} refused: the node is {label}',
+                throttle_duration_sec=1.0)
+            return False
+        before = LifecycleState(
+            state_id=self.state, label=self._state_machine.current_state[1])
+        self._state_machine.trigger_transition_by_id(transition, True)
+        result = FAILURE
+        try:
+            found = getattr(self, _PUBLIC[transition])(before)
+            result = await found if isinstance(found, Awaitable) else found
+        finally:
+            if self.state != State.PRIMARY_STATE_FINALIZED:
+                self._state_machine.trigger_transition_by_label(result.to_label(), True)
+        return result == SUCCESS
+
+    async def in_thread(self, work: Callable[[], Any]) -> Any:
+        """Let a thread do the work; return what it returns, raise what it raises."""
+        future, executor = Future(), self.executor
+
+        def run() -> None:
+            try:
+                future.set_result(work())
+            except BaseException as problem:
+                future.set_exception(problem)
+            executor.wake()
+
+        # A daemon: nobody waits for a compilation that is not needed any more.
+        thread = threading.Thread(target=run, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+        try:
+            return await future
+        finally:
+            self._threads.remove(thread)
+
+    async def _on_change_state(self, request: ChangeState.Request,
+                               response: ChangeState.Response) -> ChangeState.Response:
+        transition = request.transition.id
+        if request.transition.label:
+            # The state machine's own look-up raises where there is none of this name.
+            transition = next((found[0] for found in self._state_machine.available_transitions
+                               if found[1] == request.transition.label), 0)
+        try:
+            response.success = await self.change_state(transition)
+        except HnnViRosError as problem:
+            self.get_logger().error(str(problem))
+            response.success = False
+        return response

@@ -1,0 +1,118 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What takes long before a run can begin, for a thread beside the one that serves."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+import warnings
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.ros.choosing import Event, resolve
+from hnn_vi_ros.ros.look_ahead import look_ahead
+from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.ros.scene_report import scene_report
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.bag_metadata import Topic
+import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+# Simulated time of which the picture leaves room, at the pace of the clock [s].
+_SEEN = 30.0
+# Wall time between two samples beyond which a pace is taken for a mistake [s].
+_LONGEST_WAIT = 1e6
+
+
+class Prepared(NamedTuple):
+    """
+    What was prepared.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is simulated, resolved.
+    simulation : Simulation
+        Made of it, compiled, in its initial state.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p that pictures leave room for.
+    report : str
+        What ``~/scene`` tells.
+    recording : Recording
+        The open files.
+    events : list of Event
+        What is to be told.
+
+    """
+
+    scene: Scene
+    simulation: Simulation
+    box: tuple[np.ndarray, np.ndarray]
+    report: str
+    recording: Recording
+    events: list[Event]
+
+
+def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
+            begin: Callable[[str], None]) -> Prepared:
+    """
+    Load the scene, compile it, look at how it moves, and open the files.
+
+    Parameters
+    ----------
+    values : dict
+        The node's parameters.
+    topics : sequence of Topic
+        What the bag holds.
+    logger : RcutilsLogger
+        Told of what is done.
+    begin : callable
+        Told of each stage, in a few words.
+
+    Raises
+    ------
+    HnnViRosError
+        A parameter, the scene or its model is not usable, or a file; one line.
+
+    """
+    begin('loading the scene')
+    factor = values['real_time_factor']
+    scene = load_scene(values['scene']).with_overrides(
+        values['step_size'] or None, values['integrator'] or None)
+    begin('choosing the integrator')
+    scene, events = resolve(scene, 1.0 / values['publish_rate'], factor, logger)
+    begin('compiling the kernel')
+    simulation = _compile(scene, logger)
+    sampler = Sampler(simulation, values['publish_rate'])
+    sampler.count(values['duration'])
+    check_pace(factor, sampler.tick)
+    begin('looking ahead')
+    seconds = _SEEN * (factor or 1.0)
+    box, cost = look_ahead(simulation, min(seconds, values['duration'] or seconds))
+    if simulation.hamiltonian.box is not None:
+        box = simulation.hamiltonian.box
+    if values['explain'] and scene.effects:
+        begin('measuring what each effect adds to a step')
+        logger.info('measuring what each effect adds to a step')
+    report = scene_report(scene, simulation, cost, values['explain'])
+    begin('opening the files')
+    recording = Recording(logger, scene, simulation, values, topics, box)
+    return Prepared(scene, simulation, box, report, recording, events)
+
+
+def check_pace(real_time_factor: float, tick: float) -> None:
+    """Raise ParameterError for a pace at which samples would be too far apart."""
+    if real_time_factor * _LONGEST_WAIT < tick and real_time_factor > 0.0:
+        raise ParameterError(f'parameter real_time_factor = {real_time_factor:g}: more than '
+                             f'{_LONGEST_WAIT:.0e} s would pass between two samples')
+
+
+def _compile(scene: Scene, logger: RcutilsLogger) -> Simulation:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        simulation = Simulation.from_scene(scene)
+        seconds = simulation.compile()
+    for warning in caught:
+        logger.warning(str(warning.message))
+    logger.info(f'scene {scene.source}: kernel compiled in {seconds:.2f} s')
+    return simulation

@@ -1,0 +1,273 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A configured run: one scene from its initial state on, its messages, files and figures."""
+
+from collections.abc import Callable, Sequence
+import math
+import time
+
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards import BoxGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from hnn_vi_ros.ros.health import Health, make_guards, STEP_FAILED
+from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
+from hnn_vi_ros.ros.preparation import check_pace, Prepared
+from hnn_vi_ros.ros.run_status import RunStatus
+from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.ros.status_line import StatusLine
+from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.sinks.sample import Sample
+from rclpy.node import Node
+
+# One timer call works at most this long: a request may wait for two of them [s].
+LONGEST_CALL = 0.01
+
+
+class Run:
+    """
+    What is simulated and where it goes; when it goes on is up to Control.
+
+    Parameters
+    ----------
+    node : Node
+        The simulator.
+    topics : Topics
+        What it publishes.
+    prepared : Prepared
+        The scene and its parts.
+    values : dict
+        The node's parameters.
+    stop : callable
+        Ends the process: its status, and why.
+
+    Attributes
+    ----------
+    simulation, recording, pacer, sampler
+        The parts that others look at.
+
+    """
+
+    def __init__(self, node: Node, topics: Topics, prepared: Prepared, values: dict,
+                 stop: Callable[[int, str], None]):
+        self._node, self._topics, self._stop, self._values = node, topics, stop, values
+        self._scene, self._box = prepared.scene, prepared.box
+        self.simulation, self.recording = prepared.simulation, prepared.recording
+        self._start = self.simulation.q.copy(), self.simulation.p.copy()
+        self._own_start = self._next_start = self._start
+        self._batch, self._last_step = 1, math.inf
+        self.sampler = Sampler(self.simulation, values['publish_rate'])
+        self.pacer = Pacer(self.sampler.tick, values['real_time_factor'])
+        self._diagnostics = DiagnosticsPublisher(
+            node, topics.diagnostics, self._scene.name)
+        self._status = StatusLine(node.get_logger())
+        monitor = self._make_monitor()
+        topics.open(self.simulation, monitor, self._scene.mechanism, self._box,
+                    values['frame_id'])
+        self._begin(monitor)
+        topics.publish_scene(prepared.report)
+        for event in prepared.events:
+            self.tell(*event)
+        if self.sampler.deviation:
+            node.get_logger().warning(self.sampler.deviation)
+
+    def _make_monitor(self) -> Monitor:
+        scene, sampler, values = self._scene, self.sampler, self._values
+        guards = [*make_guards(self.simulation, self._box, values['energy_band_limit'],
+                               values['energy_change_limit'])]
+        if values['real_time_factor']:
+            guards.append(OverrunGuard(self.pacer))
+        return Monitor(
+            self.simulation, sampler.every, sampler.tick, scene.chosen and scene.chosen[0],
+            lambda text, first: self.tell(text, 'WARN', first), guards)
+
+    def _begin(self, monitor: Monitor) -> None:
+        """Watch and record from an initial state on."""
+        scene, values, self._monitor = self._scene, self._values, monitor
+        samples = self.sampler.count(values['duration'])
+        self._last_step = samples * self.sampler.every
+        self.recording.event(', '.join([
+            f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
+            *(effect.kind for effect in scene.effects),
+            'conservative' if self.simulation.conservative else 'not conservative']), 'INFO')
+        self._health = Health(
+            self.simulation, monitor.guards, self._diagnostics, self.recording,
+            lambda text, level: self.tell(text, level, show=False), self._errors())
+        self.status = RunStatus(scene, self.simulation, monitor, self.recording, self._health,
+                                values['real_time_factor'])
+
+    def _errors(self) -> list[str]:
+        return [STEP_FAILED, EnergyGuard.kind,
+                *[BoxGuard.kind] * self._values['stop_outside_box']]
+
+    def tell(self, text: str, level: str, show: bool = True) -> None:
+        """Log a line, and show it beside the samples; level is INFO, WARN or ERROR."""
+        log(self._node, text, level)
+        if show:
+            self.recording.event(text, level)
+
+    def watch(self, sample: Sample | None = None) -> None:
+        """Tell what the guards find in a sample, or the state; stop if that was asked for."""
+        sample = sample or self.sampler.sample()
+        for alarm in self._monitor.watch(sample):
+            self._health.add(alarm, sample.stamp)
+            if alarm.kind == BoxGuard.kind and self._values['stop_outside_box']:
+                self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp * 1e-9:.9g} s')
+
+    def publish_diagnostics(self) -> None:
+        """Publish how the run does."""
+        self._diagnostics.publish(self.status.statuses(self.pacer.overruns))
+
+    @property
+    def at_sample(self) -> bool:
+        """Tell whether the next step is the first after a sample."""
+        return self.simulation.steps % self.sampler.every == 0
+
+    def step(self, most: float = math.inf) -> int:
+        """
+        Take a batch of steps, at most to the next sample, which is handed out then.
+
+        Returns
+        -------
+        int
+            How many; 0 if a step failed. That ends the process, unless messages of others may
+            have brought it about: these must not end a node.
+
+        """
+        simulation, every = self.simulation, self.sampler.every
+        n = int(min(self._batch, every - simulation.steps % every, most))
+        rescued = simulation.rescued
+        try:
+            seconds = self._monitor.advance(n)
+        except StepFailure as failure:
+            newest = self._monitor.newest
+            self._health.add_failure(failure, newest.stamp if newest else 0)
+            where = f'at the last good state, t = {simulation.time:.9g} s'
+            if self._moved_by_others:
+                self.tell(f'stands still {where}; reset it', 'ERROR')
+            else:
+                self._stop(1, f'stopped {where}')
+            return 0
+        if n == self._batch:
+            self._batch = 2 * n if seconds < 0.2 * LONGEST_CALL else max(1, n // 2)
+        if simulation.rescued > rescued:
+            self._node.get_logger().warning(
+                f'steps that converged only in parts: {simulation.rescued}; use a smaller '
+                'step_size', throttle_duration_sec=1.0)
+        if self.at_sample:
+            self._hand_out()
+            if simulation.steps >= self._last_step:
+                self._stop(0, 'the duration is over')
+        return n
+
+    def _hand_out(self) -> None:
+        """Publish, record and show a sample; the log gets the very bytes that are published."""
+        begin = time.perf_counter()
+        sample = self.sampler.sample()
+        evaluated = self._monitor.add(sample)
+        self.recording.write(sample, self._topics.publish(sample))
+        if evaluated:
+            self.recording.timing(self._monitor.timing.figures)
+        self.watch(sample)
+        self._status.show(sample, self.pacer.overruns)
+        self._monitor.timing.add_sample(time.perf_counter() - begin)
+
+    def show_state(self) -> None:
+        """Publish and record a state between two samples; what is watched are samples only."""
+        sample = self.sampler.sample()
+        self.recording.write(sample, self._topics.publish(sample))
+
+    @property
+    def _moved_by_others(self) -> bool:
+        return self.simulation.takes_commands or self._start is not self._own_start
+
+    def set_start(self, q: Sequence[float], p: Sequence[float]) -> None:
+        """Begin at this state from the next reset on."""
+        self._next_start = q, p
+
+    @property
+    def start(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Return the initial state from the next reset on."""
+        return self._next_start
+
+    def reset(self, time_too: bool) -> None:
+        """
+        Begin anew, in new files; the steps are those that any run from that state takes.
+
+        Parameters
+        ----------
+        time_too : bool
+            Whether the stamps begin anew as well; else they go on.
+
+        Raises
+        ------
+        ValueError, StepFailure
+            The initial state cannot be used; the one before is then, from the next reset on.
+
+        """
+        origin = 0 if time_too else self.sampler.stamp
+        before = self.simulation.snapshot()
+        try:
+            self.simulation.restart(*self._next_start)
+        except (ValueError, StepFailure):
+            self._next_start = self._start
+            self.simulation.restart(*self._start)
+            self.simulation.restore(before)
+            raise
+        self._start = self._next_start
+        q, p = (list(map(float, x)) for x in self._start)
+        # The files tell where they begin.
+        self._scene = _with_start(self._scene, q, p)
+        self.sampler = Sampler(self.simulation, self._values['publish_rate'], origin)
+        monitor = self._make_monitor()
+        self._topics.follow(monitor)
+        self.recording.renew(self._scene)
+        paused = self.status.paused
+        self._begin(monitor)
+        self.status.paused = paused
+        self.watch()
+
+    def check(self, values: dict) -> None:
+        """Raise ParameterError if parameters do not fit the run."""
+        check_pace(values['real_time_factor'], self.sampler.tick)
+
+    def apply(self, values: dict) -> None:
+        """Go on with changed parameters."""
+        if values['real_time_factor'] != self._values['real_time_factor']:
+            factor = self.status.asked = values['real_time_factor']
+            self.pacer.set_pace(factor)
+            guards = self._monitor.guards
+            if factor and not any(isinstance(guard, OverrunGuard) for guard in guards):
+                guards.append(OverrunGuard(self.pacer))
+        for guard in self._monitor.guards:
+            if isinstance(guard, EnergyGuard):
+                guard.allow(values['energy_change_limit'])
+            elif isinstance(guard, ResolutionGuard):
+                guard.allow(values['energy_band_limit'])
+        self._values = values
+        self._health.errors = self._errors()
+
+    def close(self) -> bool:
+        """Close the files and say where they are, without ROS; tell whether all is in them."""
+        self._status.close()
+        complete = self.recording.close()
+        self.recording.report()
+        return complete
+
+
+def log(node: Node, text: str, level: str) -> None:
+    """Log a line; level is INFO, WARN or ERROR."""
+    # On lines of their own: rclpy ties the line of a call to one severity.
+    if level == 'INFO':
+        node.get_logger().info(text)
+    elif level == 'WARN':
+        node.get_logger().warning(text)
+    else:
+        node.get_logger().error(text)
+
+
+def _with_start(scene: Scene, q: list[float], p: list[float]) -> Scene:
+    """Return the scene with another initial state."""
+    state = scene.initial_state.model_copy(update={'q': q, 'p': p})
+    return scene.model_copy(update={'initial_state': state})

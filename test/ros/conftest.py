@@ -1,0 +1,21 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a test that fails leaves running would take part in the graph of the next one."""
+
+from collections.abc import Iterator
+
+import processes
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def end_of_processes() -> Iterator[None]:
+    """Kill the simulators that a test has started and not ended."""
+    yield
+    for process, outputs in processes.started.items():
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        for file in outputs:
+            file.close()
+    processes.started.clear()

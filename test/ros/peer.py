@@ -1,0 +1,136 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Another node in the graph of a simulator: what users do to it, and what they see."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import time
+from typing import Any
+
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+SIMULATOR = '/hnn_simulator'
+# Transitions and states by number, as lifecycle_msgs has them.
+CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
+UNCONFIGURED_SHUTDOWN, INACTIVE_SHUTDOWN, ACTIVE_SHUTDOWN = 5, 6, 7
+
+
+class Peer:
+    """A node that calls the simulator's services and hears its joint states."""
+
+    def __init__(self):
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node('peer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._clients: dict[str, Any] = {}
+        self.states: list[JointState] = []
+        self.node.create_subscription(JointState, '/joint_states', self.states.append, QoSProfile(
+            depth=10_000, reliability=ReliabilityPolicy.RELIABLE))
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def spin(self, seconds: float = 0.0) -> None:
+        """Hear what there is, for a while."""
+        deadline = time.monotonic() + seconds
+        while True:
+            self.executor.spin_once(timeout_sec=max(0.0, min(0.05, deadline - time.monotonic())))
+            if time.monotonic() >= deadline:
+                return
+
+    def spin_until(self, condition: Callable[[], Any], timeout: float = 120.0) -> None:
+        """Hear what there is until the condition holds."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, 'timed out'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def call_async(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service of the simulator; return the future of the response."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, f'{SIMULATOR}/{name}')
+        client = self._clients[name]
+        self.spin_until(client.service_is_ready)
+        return client.call_async(kind.Request(**fields))
+
+    def call(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service of the simulator and wait for the response."""
+        future = self.call_async(kind, name, **fields)
+        self.spin_until(future.done)
+        return future.result()
+
+    def trigger(self, name: str) -> Trigger.Response:
+        """Call a Trigger service of the simulator."""
+        return self.call(Trigger, name)
+
+    def pause(self, paused: bool = True) -> SetBool.Response:
+        """Pause the simulator, or let it go on."""
+        return self.call(SetBool, 'set_pause', data=paused)
+
+    def change_state(self, transition: int) -> bool:
+        """Ask for a transition."""
+        request = ChangeState.Request()
+        request.transition.id = transition
+        return self.call(ChangeState, 'change_state', transition=request.transition).success
+
+    @property
+    def state(self) -> str:
+        """Return the label of the simulator's state."""
+        return self.call(GetState, 'get_state').current_state.label
+
+    def topics_of_simulator(self) -> tuple[set[str], set[str]]:
+        """Return what the simulator publishes and what it hears."""
+        name = SIMULATOR[1:], '/'
+        self.spin_until(lambda: name in self.node.get_node_names_and_namespaces())
+        return tuple({topic for topic, _ in find(*name)} for find in (
+            self.node.get_publisher_names_and_types_by_node,
+            self.node.get_subscriber_names_and_types_by_node))
+
+    def wait_for_state(self, label: str) -> None:
+        """Wait until the simulator is in a state."""
+        self.spin_until(lambda: self.state == label)
+
+    def set_parameters(self, **values: object) -> SetParametersResult:
+        """Set parameters of the simulator together."""
+        return self.call(SetParametersAtomically, 'set_parameters_atomically', parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]).result
+
+    def get_parameter(self, name: str) -> object:
+        """Return the value of a parameter of the simulator."""
+        value, = self.call(GetParameters, 'get_parameters', names=[name]).values
+        return rclpy.parameter.parameter_value_to_python(value)
+
+
+@contextmanager
+def peer() -> Iterator[Peer]:
+    """Enter the graph for a while."""
+    found = Peer()
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def stamp(message: JointState) -> int:
+    """Return the stamp of a message [ns]."""
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def state_of(message: JointState) -> tuple[float, ...]:
+    """Return positions and velocities."""
+    return *message.position, *message.velocity

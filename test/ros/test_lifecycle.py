@@ -1,0 +1,211 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The lifecycle of the simulator, over its services: allowed, illegal and failing transitions."""
+
+from pathlib import Path
+import signal
+import time
+
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions
+from lifecycle_msgs.srv import GetState
+from peer import (
+    ACTIVATE, ACTIVE_SHUTDOWN, CLEANUP, CONFIGURE, DEACTIVATE, INACTIVE_SHUTDOWN, peer, SIMULATOR,
+    stamp, state_of, UNCONFIGURED_SHUTDOWN)
+from processes import finish, read_bag, start, wait_until
+import pytest
+from sensor_msgs.msg import JointState
+
+SCENE = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+# A kernel that is compiled anew in each process: nothing of it is on disk.
+SLOW = """\
+hamiltonian: {kind: python, factory: 'slow:create'}
+integrator: {kind: variational_euler}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+SLOW_MODULE = """\
+import time
+from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
+
+
+def create():
+    until = time.monotonic() + 8.0
+    while time.monotonic() < until:     # keeps the interpreter, as a compilation does
+        sum(range(1000))
+    return HarmonicOscillator()
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a working directory with two scenes."""
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    (tmp_path / 'slow.yaml').write_text(SLOW)
+    (tmp_path / 'slow.py').write_text(SLOW_MODULE)
+    return tmp_path
+
+
+def test_lifecycle_goes_round_twice_and_refuses_what_is_illegal(folder):
+    process = start(folder, autostart='false', record_path='bag', rerun_sink='none')
+    with peer() as other:
+        assert other.state == 'unconfigured'
+        for illegal in (ACTIVATE, DEACTIVATE, CLEANUP, INACTIVE_SHUTDOWN, ACTIVE_SHUTDOWN,
+                        0, 8, 10, 30, 50, 60, 99, 255):
+            assert not other.change_state(illegal)
+        # Nothing is there before it is configured.
+        assert f'{SIMULATOR}/q' not in other.topics_of_simulator()[0]
+        assert not other.trigger('step').success and not other.trigger('reset').success
+        assert 'not configured' in other.trigger('start_recording').message
+        for cycle in (1, 2):
+            assert other.change_state(CONFIGURE) and other.state == 'inactive'
+            assert not other.change_state(CONFIGURE)
+            other.states.clear()
+            other.spin(0.3)
+            assert not other.states
+            assert other.change_state(ACTIVATE) and other.state == 'active'
+            assert not other.change_state(CLEANUP)
+            other.spin_until(lambda: len(other.states) > 20)
+            # The state stands still while it is not active, and goes on from there.
+            assert other.change_state(DEACTIVATE) and other.state == 'inactive'
+            other.spin(0.3)
+            last = other.states[-1]
+            other.spin(1.0)
+            assert other.states[-1] is last
+            assert other.change_state(ACTIVATE)
+            other.spin_until(lambda: other.states[-1] is not last)
+            index = next(i for i, state in enumerate(other.states) if state is last)
+            assert stamp(other.states[index + 1]) == stamp(last) + 10_000_000
+            assert other.change_state(DEACTIVATE)
+            assert other.change_state(CLEANUP) and other.state == 'unconfigured'
+            # The files are closed, and each configuration has its own.
+            bag = folder / 'bag'
+            assert (bag / 'metadata.yaml').exists()
+            assert len(read_bag(bag)['/hnn_simulator/q']) > 20
+            bag.rename(folder / f'bag_of_cycle_{cycle}')
+            wait_until(lambda: not other.node.count_publishers('/joint_states'))
+        assert other.change_state(UNCONFIGURED_SHUTDOWN)
+    status, _, error = finish(process)
+    assert status == 0
+    assert 'refused: the node is' in error and 'shut down' in error
+
+
+@pytest.mark.parametrize('transition, first', [
+    (INACTIVE_SHUTDOWN, [CONFIGURE]), (ACTIVE_SHUTDOWN, [CONFIGURE, ACTIVATE])])
+def test_shutdown_closes_the_files_and_ends_the_process(folder, transition, first):
+    process = start(folder, autostart='false', record_path='bag', rerun_sink='none')
+    with peer() as other:
+        for step in (*first, transition):
+            assert other.change_state(step)
+        assert finish(process)[0] == 0
+    assert (folder / 'bag' / 'metadata.yaml').exists()
+
+
+def test_lifecycle_services_by_label_and_lists_answer(folder):
+    process = start(folder, record='false', rerun_sink='none')
+    with peer() as other:
+        other.wait_for_state('active')
+        assert len(other.call(GetAvailableStates, 'get_available_states').available_states) == 11
+        names = {found.transition.label for found in other.call(
+            GetAvailableTransitions, 'get_available_transitions').available_transitions}
+        assert names == {'deactivate', 'shutdown'}
+        graph = other.call(GetAvailableTransitions, 'get_transition_graph')
+        assert len(graph.available_transitions) > 20
+        for label, expected in (('configure', False), ('x' * 10_000, False), ('', False),
+                                ('transition_error', False), ('deactivate', True)):
+            request = ChangeState.Request()
+            request.transition.label = label
+            assert other.call(ChangeState, 'change_state',
+                              transition=request.transition).success is expected
+        assert other.state == 'inactive'
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
+
+
+def test_configuration_that_fails_is_one_line_and_leaves_the_node_unconfigured(folder):
+    process = start(folder, scene='nothing', autostart='false', record='false',
+                    rerun_sink='none')
+    with peer() as other:
+        assert not other.change_state(CONFIGURE)
+        assert other.state == 'unconfigured'
+        # Also one that fails late, with topics and a compiled kernel.
+        assert other.set_parameters(scene='oscillator.yaml', duration=0.001).successful
+        assert not other.change_state(CONFIGURE)
+        assert other.state == 'unconfigured'
+        assert other.node.count_publishers('/joint_states') == 0
+        assert other.set_parameters(duration=0.0).successful
+        assert other.change_state(CONFIGURE) and other.change_state(ACTIVATE)
+        other.spin_until(lambda: other.states)
+        process.send_signal(signal.SIGTERM)
+        status, _, error = finish(process)
+    assert status == 0
+    lines = [line for line in error.splitlines() if '[ERROR]' in line]
+    assert len(lines) == 2 and 'no scene' in lines[0] and 'duration' in lines[1]
+
+
+def test_services_answer_while_the_node_configures_and_autostart_says_how_far_it_is(folder):
+    process = start(folder, scene='slow.yaml', record='false', rerun_sink='none')
+    with peer() as other:
+        other.wait_for_state('configuring')
+        waits = []
+        while other.state == 'configuring':
+            begin = time.monotonic()
+            # Neither a transition nor a parameter of the scene can be changed meanwhile.
+            assert not other.change_state(CONFIGURE) and not other.change_state(10)
+            assert not other.set_parameters(scene='oscillator.yaml').successful
+            assert other.set_parameters(step_count=7).successful
+            waits.append((time.monotonic() - begin) / 4)
+            other.spin(0.1)
+        # Another thread holds the interpreter for 5 ms at a time, and a call needs it often.
+        assert len(waits) > 5 and max(waits) < 1.0
+        other.wait_for_state('active')
+        assert other.get_parameter('step_count') == 7
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0
+    assert 'configuring: ' in error
+
+
+def test_signal_while_the_node_configures_ends_it_at_once(folder):
+    process = start(folder, scene='slow.yaml', record='false', rerun_sink='none')
+    with peer() as other:
+        other.wait_for_state('configuring')
+        begin = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0 and 'stopped by SIGINT' in error
+    assert time.monotonic() - begin < 5.0
+
+
+def test_get_state_during_all_this_is_answered_by_every_node_of_two_namespaces(folder):
+    """Two simulators in one graph do not disturb each other."""
+    processes = [start(folder, record='false', rerun_sink='none', __ns=name)
+                 for name in ('/one', '/two')]
+    with peer() as other:
+        clients = [other.node.create_client(GetState, f'/{name}/hnn_simulator/get_state')
+                   for name in ('one', 'two')]
+        for client in clients:
+            other.spin_until(client.service_is_ready)
+
+            def is_active(client=client) -> bool:
+                future = client.call_async(GetState.Request())
+                other.spin_until(future.done)
+                return future.result().current_state.label == 'active'
+            other.spin_until(is_active)
+        received: dict[str, list] = {'one': [], 'two': []}
+        for name, messages in received.items():
+            other.node.create_subscription(
+                JointState, f'/{name}/joint_states', messages.append, 10)
+        other.spin_until(lambda: all(len(found) > 50 for found in received.values()))
+        for found in received.values():
+            # Each goes its own way: a circle, with an error of second order.
+            assert all(abs(sum(x * x for x in state_of(m)) - 1.0) < 1e-3 for m in found)
+            stamps = [stamp(message) for message in found]
+            assert stamps == sorted(set(stamps))
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0

@@ -1,0 +1,401 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Services and topics that others act on a simulator with, and nonsense at every one of them."""
+
+import array
+import os
+from pathlib import Path
+import random
+import signal
+import sys
+import time
+from types import ModuleType, SimpleNamespace
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.ros.control import Answer
+from hnn_vi_ros.ros.initial_state import initial_state
+from hnn_vi_ros.ros.services import offer_services
+from hnn_vi_ros.ros.topics import LARGEST_MESSAGE
+from lifecycle_msgs.srv import ChangeState
+from mcap.reader import make_reader
+import numpy as np
+from peer import peer, SIMULATOR, stamp, state_of
+from processes import finish, read_bag, start
+import pytest
+from rcl_interfaces.srv import (
+    DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically)
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+import yaml
+
+# Seconds of nonsense in the suite; HNN_FUZZ_SECONDS=60 is the full measure.
+FUZZ_SECONDS = float(os.environ.get('HNN_FUZZ_SECONDS', '10'))
+SCENE = """\
+hamiltonian: {kind: double_pendulum}
+effects: [{kind: external_force, coordinates: [angle1], timeout: 0.1}]
+integrator: {kind: generalized_leapfrog}
+step_size: 0.002
+initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
+"""
+WALL = """\
+hamiltonian: {kind: free_particle, mass: 2.0, names: [x]}
+effects: [{kind: impact, coordinate: x, position: 0.0, restitution: 0.5}]
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a working directory with two scenes."""
+    (tmp_path / 'arms.yaml').write_text(SCENE)
+    (tmp_path / 'wall.yaml').write_text(WALL)
+    return tmp_path
+
+
+def names_of(scene: str, folder: Path) -> list[str]:
+    hamiltonian = load_scene(folder / scene).create_hamiltonian()
+    return [coordinate.name for coordinate in hamiltonian.coordinates]
+
+
+def test_initial_state_is_the_mirror_image_of_joint_states_and_is_used_at_the_next_reset(folder):
+    process = start(folder, scene='arms.yaml', record_path='bag', rerun_sink='none')
+    with peer() as other:
+        publisher = other.node.create_publisher(
+            JointState, f'{SIMULATOR}/initial_state', 1)
+        other.spin_until(lambda: len(other.states) > 100 and publisher.get_subscription_count())
+        seen = other.states[-1]
+        wanted = JointState(name=list(seen.name)[::-1], position=seen.position[::-1],
+                            velocity=seen.velocity[::-1], effort=seen.effort)
+        good = {'name': list(seen.name), 'position': seen.position, 'velocity': seen.velocity}
+        publisher.publish(wanted)
+        other.spin(0.5)
+        # Nonsense that comes after it leaves it as it is.
+        for bad in ({'name': ['a', 'b']}, {'name': list(seen.name)[:1]}, {'name': []},
+                    {'name': [seen.name[0]] * 2}, {'position': [float('nan'), 0.0]},
+                    {'position': [0.0]}, {'position': [0.0] * 50_000}, {'velocity': []},
+                    {'velocity': [float('inf'), 0.0]}):
+            publisher.publish(JointState(**good | bad))
+            other.spin(0.2)
+        # Nothing of it is used before the reset.
+        count = len(other.states)
+        other.spin_until(lambda: len(other.states) > count + 10)
+        assert other.pause().success
+        assert other.trigger('reset').success
+        assert other.set_parameters(step_count=1).successful
+        assert other.trigger('step').success
+        other.spin_until(lambda: stamp(other.states[-1]) % 10_000_000 == 2_000_000)
+        # One step of h = 2 ms from it: q moves by h q', less than 2e-2 even at 10 rad/s.
+        np.testing.assert_allclose(
+            state_of(other.states[-1])[:2], seen.position, atol=2e-3 * 10.0)
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0
+    assert '~/initial_state: taken' in error and '~/initial_state: message ignored' in error
+    # The new bag says where it begins: at the velocities that were asked for.
+    with (folder / 'bag-2' / 'bag-2_0.mcap').open('rb') as stream:
+        attached = {a.name: yaml.safe_load(a.data)
+                    for a in make_reader(stream).iter_attachments()}
+    begun = attached['scene.yaml']['initial_state']
+    assert begun['q'] == list(seen.position)
+    hamiltonian = load_scene(folder / 'arms.yaml').create_hamiltonian()
+    _, velocity = hamiltonian.gradient(np.array(begun['q']), np.array(begun['p']))
+    # The tolerance of the solver.
+    np.testing.assert_allclose(velocity, seen.velocity, atol=1e-9)
+
+
+def test_initial_state_behind_a_wall_is_refused_at_the_reset_and_the_run_goes_on(folder):
+    process = start(folder, scene='wall.yaml', record='false', rerun_sink='none')
+    with peer() as other:
+        publisher = other.node.create_publisher(
+            JointState, f'{SIMULATOR}/initial_state', 1)
+        other.spin_until(lambda: other.states and publisher.get_subscription_count())
+        for position, accepted in ((-1.0, False), (2.0, True)):
+            publisher.publish(JointState(
+                name=['x'], position=[position], velocity=[0.25]))
+            other.spin(0.5)
+            answer = other.trigger('reset')
+            assert answer.success is accepted, answer.message
+            count, last = len(other.states), stamp(other.states[-1])
+            other.spin_until(lambda: len(other.states) > count + 5)
+            assert stamp(other.states[-1]) > last
+        assert other.states[-1].velocity[0] == pytest.approx(0.25, rel=1e-12)
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
+
+
+def test_command_that_makes_a_step_fail_leaves_the_node_up_to_be_reset(folder):
+    process = start(folder, scene='arms.yaml', record='false', rerun_sink='none')
+    with peer() as other:
+        publisher = other.node.create_publisher(
+            Float64MultiArray, f'{SIMULATOR}/commands', 1)
+        other.spin_until(lambda: other.states and publisher.get_subscription_count())
+        publisher.publish(Float64MultiArray(data=[1e308]))
+        other.spin(1.0)
+        last = other.states[-1]
+        other.spin(0.5)
+        assert other.states[-1] is last and np.isfinite(state_of(last)).all()
+        answer = other.trigger('step')
+        assert not answer.success and 'a step failed' in answer.message
+        assert other.trigger('reset').success and other.pause(False).success
+        other.spin_until(lambda: stamp(other.states[-1]) > stamp(last) + 100_000_000)
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0 and 'reset it' in error
+
+
+def test_recording_is_started_and_stopped_by_service(folder):
+    process = start(folder, scene='wall.yaml', record='false', record_path='bag',
+                    rerun_sink='none')
+    with peer() as other:
+        other.spin_until(lambda: other.states)
+        assert not other.trigger('stop_recording').success
+        for name in ('bag', 'bag-2'):
+            answer = other.trigger('start_recording')
+            assert (answer.success, answer.message) == (True, name)
+            again = other.trigger('start_recording')
+            assert not again.success and 'already' in again.message
+            count = len(other.states)
+            other.spin_until(lambda: len(other.states) > count + 50)
+            answer = other.trigger('stop_recording')
+            assert (answer.success, answer.message) == (True, name)
+            # Complete, while the simulation goes on.
+            stamps = [s for s, _ in read_bag(folder / name)['/hnn_simulator/q']]
+            assert len(stamps) >= 50
+            assert stamps == list(range(stamps[0], stamps[-1] + 1, 10_000_000))
+        # Nothing that exists is overwritten.
+        (folder / 'bag-3').write_text('')
+        (folder / 'bag-4').write_text('')
+        assert other.trigger('start_recording').message == 'bag-5'
+        process.send_signal(signal.SIGINT)
+        status, out, _ = finish(process)
+    assert status == 0
+    assert [line.split()[1] for line in out.splitlines() if line.startswith('bag')] == [
+        'bag', 'bag-2', 'bag-5']
+
+
+@pytest.mark.parametrize('name, effort', [('name', [1.0]), ('other', [])])
+def test_initial_state_takes_any_effort_and_no_other_names(folder, name, effort):
+    hamiltonian = load_scene(folder / 'wall.yaml').create_hamiltonian()
+    message = JointState(name=['x' if name == 'name' else name], position=[0.5], velocity=[3.0],
+                         effort=effort)
+    if name == 'name':
+        q, p = initial_state(message, hamiltonian, np.zeros(1))
+        assert (q, p) == ([0.5], [6.0])
+    else:
+        with pytest.raises(ValueError, match='must be the coordinates x'):
+            initial_state(message, hamiltonian, np.zeros(1))
+
+
+NUMBERS = (0.0, -1.0, 1e3, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
+
+
+def numbers(chance: random.Random) -> array.array:
+    size = chance.choice((0, 1, 2, 2, 2, 2, 3, 100, 10_000, 200_000))
+    return array.array('d', [chance.choice((*NUMBERS, chance.gauss(0.0, 3.0)))
+                             for _ in range(min(size, 100))] * max(1, size // 100))
+
+
+def text(chance: random.Random) -> str:
+    return ''.join(chance.choice('aZ0~/:{}%\\é\n\t') for _ in range(chance.choice(
+        (0, 1, 5, 200)))) * chance.choice((1, 1, 1, 3000))
+
+
+def nonsense(chance: random.Random, kind: type, names: list[str]):
+    if chance.random() < 0.2:
+        return chance.randbytes(chance.choice((0, 3, 4, 8, 40, 1000, LARGEST_MESSAGE + 1)))
+    if kind is Float64MultiArray:
+        return Float64MultiArray(data=numbers(chance))
+    given = chance.choice((names, names[::-1], [text(chance) for _ in range(3)]))
+    return JointState(name=given, position=numbers(chance), velocity=numbers(chance),
+                      effort=numbers(chance))
+
+
+def value(chance: random.Random) -> object:
+    return chance.choice((
+        None, True, -1, 2 ** 62, chance.choice(NUMBERS), text(chance), [1, 2], [1.0, 2.0],
+        ['a'], [b'\x00']))
+
+
+def request(chance: random.Random, kind: type):
+    asked = kind.Request()
+    names = ['scene', 'step_count', 'real_time_factor', 'energy_band_limit', 'autostart',
+             'use_sim_time', 'reset_time', text(chance)]
+    if kind is ChangeState:
+        # Not those that end the process.
+        asked.transition.id = chance.choice([0, 1, 3, 4, 8, 9, *range(10, 256)])
+        asked.transition.label = chance.choice(('', '', text(chance)))
+    elif kind is SetBool:
+        asked.data = chance.random() < 0.5
+    elif kind in (SetParameters, SetParametersAtomically):
+        asked.parameters = [
+            Parameter(chance.choice(names), value=value(chance)).to_parameter_msg()
+            for _ in range(chance.choice((0, 1, 3)))]
+    elif kind in (GetParameters, DescribeParameters):
+        asked.names = [chance.choice(names) for _ in range(chance.choice((0, 1, 500)))]
+    elif kind is ListParameters:
+        asked.prefixes, asked.depth = [text(chance)], chance.choice((0, 1, 2 ** 63))
+    return asked
+
+
+def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_finite(folder):
+    process = start(folder, scene='arms.yaml', record='false', rerun_sink='none',
+                    real_time_factor=2)
+    chance, names = random.Random(8), names_of('arms.yaml', folder)
+    services = {'set_pause': SetBool, 'reset': Trigger, 'step': Trigger,
+                'start_recording': Trigger, 'stop_recording': Trigger,
+                'change_state': ChangeState, 'set_parameters': SetParameters,
+                'set_parameters_atomically': SetParametersAtomically,
+                'get_parameters': GetParameters, 'describe_parameters': DescribeParameters,
+                'list_parameters': ListParameters}
+    with peer() as other:
+        publishers = {kind: other.node.create_publisher(kind, f'{SIMULATOR}/{name}', 1)
+                      for name, kind in (('commands', Float64MultiArray),
+                                         ('initial_state', JointState))}
+        other.spin_until(lambda: other.states and all(
+            publisher.get_subscription_count() for publisher in publishers.values()))
+        clients = {name: other.node.create_client(kind, f'{SIMULATOR}/{name}')
+                   for name, kind in services.items()}
+        for client in clients.values():
+            other.spin_until(client.service_is_ready)
+        # There is nothing else to send nonsense to.
+        heard = other.topics_of_simulator()[1] - {'/parameter_events'}
+        assert heard <= {f'{SIMULATOR}/commands', f'{SIMULATOR}/initial_state', '/clock'}
+        sent, until = 0, time.monotonic() + FUZZ_SECONDS
+        while time.monotonic() < until:
+            assert process.poll() is None, finish(process)
+            for kind, publisher in publishers.items():
+                publisher.publish(nonsense(chance, kind, names))
+            for name in chance.sample(list(services), 3):
+                clients[name].call_async(request(chance, services[name]))
+            sent += 5
+            other.spin(0.005)
+        # It can still be brought to do what it is for.
+        for client in clients.values():
+            other.node.destroy_client(client)
+        other.spin(1.0)
+        assert process.poll() is None, finish(process)
+        other.wait_for_state(other.state)
+        if other.state == 'inactive':
+            assert other.change_state(3)
+        assert other.state == 'active'
+        assert other.set_parameters(real_time_factor=1.0).successful
+        other.pause(False)
+        other.trigger('reset')
+        count = len(other.states)
+        other.spin_until(lambda: len(other.states) > count + 50)
+        assert np.isfinite([state_of(message) for message in other.states]).all()
+        print(f'{sent} messages and requests in {FUZZ_SECONDS:g} s')
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0, error
+    assert '~/commands: message ignored' in error
+
+
+class StandIn:
+    """A node, and the modules of simulation_interfaces, as far as the services use them."""
+
+    def __init__(self, monkeypatch):
+        self.offered: dict[str, tuple] = {}
+        constants = dict(zip(('STATE_STOPPED', 'STATE_PLAYING', 'STATE_PAUSED', 'STATE_QUITTING'),
+                             range(4), strict=True))
+        features = ('SIMULATION_RESET', 'SIMULATION_RESET_TIME', 'SIMULATION_RESET_STATE',
+                    'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING',
+                    'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE',
+                    'STEP_SIMULATION_MULTIPLE')
+        messages = ModuleType('simulation_interfaces.msg')
+        messages.SimulationState = type('SimulationState', (), constants)
+        messages.SimulatorFeatures = type(
+            'SimulatorFeatures', (), {name: 20 + i for i, name in enumerate(features)})
+        messages.Result = type('Result', (), {
+            'RESULT_FEATURE_UNSUPPORTED': 0, 'RESULT_OK': 1, 'RESULT_INCORRECT_STATE': 3,
+            'RESULT_OPERATION_FAILED': 4})
+        types = ModuleType('simulation_interfaces.srv')
+        for name in ('GetSimulatorFeatures', 'GetSimulationState', 'SetSimulationState',
+                     'ResetSimulation', 'StepSimulation'):
+            setattr(types, name, name)
+        for module in (ModuleType('simulation_interfaces'), messages, types):
+            monkeypatch.setitem(sys.modules, module.__name__, module)
+        self.values = {'reset_time': False, 'step_count': 1}
+        self.run, self.control = None, None
+
+    def create_service(self, kind, name, handler, callback_group) -> None:
+        self.offered[name] = (kind, handler)
+
+    def call(self, name: str, **fields):
+        response = SimpleNamespace(result=SimpleNamespace(), state=SimpleNamespace(),
+                                   features=SimpleNamespace())
+        answer = self.offered[f'~/{name}'][1](SimpleNamespace(**fields), response)
+        if hasattr(answer, 'send'):
+            with pytest.raises(StopIteration) as ended:
+                answer.send(None)
+            answer = ended.value.value
+        return answer
+
+
+class Controlled:
+    """A Control that only notes what it is told."""
+
+    def __init__(self):
+        self.active, self.paused, self.resets = True, False, []
+
+    def set_paused(self, paused: bool) -> Answer:
+        self.paused = paused
+        return Answer(True, '')
+
+    def reset(self, time_too: bool) -> Answer:
+        self.resets.append(time_too)
+        return Answer(True, '')
+
+    def request_steps(self, count: int) -> Future:
+        future = Future()
+        future.set_result(Answer(count < 5, f'{count}'))
+        return future
+
+
+def test_simulation_interfaces_are_offered_where_they_are_installed(monkeypatch):
+    node = StandIn(monkeypatch)
+    offer_services(node, node)
+    assert {name: kind for name, (kind, _) in node.offered.items() if isinstance(kind, str)} == {
+        '~/get_simulator_features': 'GetSimulatorFeatures',
+        '~/get_simulation_state': 'GetSimulationState',
+        '~/set_simulation_state': 'SetSimulationState',
+        '~/reset_simulation': 'ResetSimulation', '~/step_simulation': 'StepSimulation'}
+    assert node.call('get_simulator_features').features.features == list(range(20, 28))
+
+    def state(wanted: int) -> int:
+        return node.call('set_simulation_state',
+                         state=SimpleNamespace(state=wanted)).result.result
+
+    scopes = {'SCOPE_DEFAULT': 0, 'SCOPE_TIME': 1, 'SCOPE_STATE': 2, 'SCOPE_ALL': 255}
+    assert node.call('get_simulation_state').state.state == 0
+    assert state(1) == 3
+    assert node.call('reset_simulation', scope=0, **scopes).result.result == 3
+    assert node.call('step_simulation', steps=1).result.result == 3
+    control = node.control = Controlled()
+    assert node.call('get_simulation_state').state.state == 1
+    assert (state(2), control.paused) == (1, True)
+    assert node.call('get_simulation_state').state.state == 2
+    assert node.call('step_simulation', steps=4).result.result == 1
+    failed = node.call('step_simulation', steps=5).result
+    assert (failed.result, failed.error_message) == (4, '5')
+    assert [node.call('reset_simulation', scope=scope, **scopes).result.result
+            for scope in (0, 1, 2, 3, 4, 255)] == [1, 0, 1, 1, 0, 1]
+    assert control.resets == [True, False, True, True]
+    assert (state(1), control.paused) == (1, False)
+    assert (state(0), control.paused, control.resets[-1]) == (1, True, True)
+    assert state(3) == 0
+
+
+def test_simulation_interfaces_that_are_not_installed_cost_nothing(monkeypatch):
+    node = StandIn(monkeypatch)
+    for name in ('simulation_interfaces', 'simulation_interfaces.msg',
+                 'simulation_interfaces.srv'):
+        monkeypatch.setitem(sys.modules, name, None)
+    offer_services(node, node)
+    assert node.offered.keys() == {'~/set_pause', '~/reset', '~/step', '~/start_recording',
+                                   '~/stop_recording'}
