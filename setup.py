@@ -77,6 +77,7 @@ setup(
             'hard_cases = hnn_vi_ros.cli:hard_cases',
             'listener = hnn_vi_ros.cli:listener',
             'paper_figures = hnn_vi_ros.cli:paper_figures',
+            'recover_bag = hnn_vi_ros.cli:recover_bag',
             'scene = hnn_vi_ros.cli:scene',
             'simulator = hnn_vi_ros.cli:simulator',
             'train = hnn_vi_ros.cli:train',

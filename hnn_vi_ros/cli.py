@@ -35,6 +35,11 @@ def listener() -> NoReturn:
     _run('hnn_vi_ros.ros.listener_node')
 
 
+def recover_bag() -> NoReturn:
+    """Make interrupted recordings whole."""
+    _run('hnn_vi_ros.recover_bag')
+
+
 def train() -> NoReturn:
     """Train a Hamiltonian neural network."""
     _run('hnn_vi_ros.learning.train')

@@ -104,7 +104,7 @@ def _cached(loop: Callable, *names: str) -> Callable:
     # Under a name of its own it has an index of its own on disk. In one index for all, reading
     # any kernel would build the functions of every other one anew, those of older sources too.
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
-    digest = sha256('/'.join([*names, _sources()]).encode()).hexdigest()
+    digest = sha256('/'.join([*names, sources()]).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
     return numba.njit(copy, nogil=True, cache=True)
 
@@ -169,11 +169,11 @@ def _give_identity(dispatcher: Callable, name: str) -> None:
     # A function that is passed to a compiled one is part of its signature, by which numba looks
     # up its cache on disk. Numba knows such a function by a random number, new in each process;
     # a name that changes with our sources makes the look-up succeed.
-    dispatcher._set_uuid(f'{name}-{_sources()}')
+    dispatcher._set_uuid(f'{name}-{sources()}')
 
 
 @cache
-def _sources() -> str:
+def sources() -> str:
     """Return a digest of every source of this package that is compiled."""
     root = Path(__file__).parent
     digest = sha256()

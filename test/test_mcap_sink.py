@@ -13,6 +13,7 @@ import time
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.identity import identity
 from hnn_vi_ros.sinks.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
@@ -220,8 +221,11 @@ def test_file_itself_carries_the_metadata(tmp_path):
     path = record(tmp_path / 'bag', 25)
     with path.open('rb') as stream:
         records = list(make_reader(stream).iter_metadata())
-    first, last = (yaml.safe_load(r.metadata['serialized_metadata']) for r in records)
-    assert {r.name for r in records} == {'rosbag2'}
+    own, *others = records
+    assert (own.name, own.metadata) == ('hnn_vi_ros', identity())
+    assert {'hnn_vi_ros', 'sources', 'numba', 'numpy', 'processor'} <= own.metadata.keys()
+    first, last = (yaml.safe_load(r.metadata['serialized_metadata']) for r in others)
+    assert {r.name for r in others} == {'rosbag2'}
     in_folder = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
     assert last == in_folder['rosbag2_bagfile_information']
     assert first['message_count'] == 0 and first['ros_distro'] == 'jazzy'
@@ -279,6 +283,15 @@ def test_flush_hands_what_was_written_to_other_readers(tmp_path):
     path = tmp_path / 'bag' / 'bag_0.mcap'
     messages = [r for r in readable_records(path) if isinstance(r, Message)]
     assert [m.data for m in messages] == [data for tick in range(3) for data in payloads(tick)]
+    sink.close()
+
+
+def test_file_begins_with_its_first_message_which_is_flushed_at_once(tmp_path):
+    sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS | {'large': bytes(100_000)})
+    path = tmp_path / 'bag' / 'bag_0.mcap'
+    assert path.stat().st_size == 0
+    sink.write(0, payloads(0))
+    assert [r.data for r in readable_records(path) if isinstance(r, Message)] == payloads(0)
     sink.close()
 
 
@@ -353,6 +366,7 @@ FULL = """
 import os, resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.identity import identity
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from test_mcap_sink import TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})

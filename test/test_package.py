@@ -23,7 +23,7 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 # The folders and files whose names stand for a layer; the first that fits counts.
 LAYERS = {
     'ros': 'ros', 'studies': 'studies', 'learning': 'learning', 'sinks': 'sinks', 'cli': 'cli',
-    'scene': 'scene', 'scene_tool': 'cli', '__init__': 'cli',
+    'scene': 'scene', 'scene_tool': 'cli', 'recover_bag': 'cli', '__init__': 'cli',
 }
 ARROWS = {
     'core': {'core'},
@@ -42,6 +42,8 @@ HOMES = {
     'jax': r'studies/peers\.py',
     'diffrax': r'studies/peers\.py',
     'mcap': r'sinks/mcap_\w+\.py',
+    'zstandard': r'sinks/mcap_\w+\.py',
+    'lz4': r'sinks/mcap_\w+\.py',
     'rerun': r'sinks/rerun_\w+\.py',
     'contourpy': r'sinks/phase_portrait\.py',
     'matplotlib': r'learning/\w+\.py|studies/\w+\.py',

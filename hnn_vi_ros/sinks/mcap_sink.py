@@ -4,18 +4,22 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+import fcntl
 from pathlib import Path
 import time
 from typing import Any, BinaryIO, final
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.identity import identity
 from hnn_vi_ros.sinks.bag_metadata import (
     bag_metadata, dump_yaml, NEVER, Topic, write_bag_metadata)
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
 CHUNK_SIZE = 256 * 1024
-# Shorter than the second that an interruption may cost, so that one more tick still fits in.
-FLUSH_INTERVAL = 0.9
+# Half the second that an interruption may cost: the ticks that a busy machine delays still fit in.
+FLUSH_INTERVAL = 0.5
+# Room for all that comes before the first message [bytes].
+_BUFFER = 2**20
 
 
 @final
@@ -59,9 +63,12 @@ class McapSink:
                 self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
             self._attach(attachments)
+            # By which it is known whether the same run could be had again, bit by bit.
+            self._writer.add_metadata('hnn_vi_ros', identity())
             self._add_metadata()
             self._channels = [self._register(topic) for topic in self._topics]
-            self._flush()
+            # With the first message, at once: a file that has grown is that of a run.
+            self._next_flush = 0.0
         except OSError as problem:
             raise self._abandon(problem) from problem
 
@@ -227,7 +234,11 @@ def _create(path: Path) -> BinaryIO:
         raise RecordingError(f'{folder}: cannot be created ({_reason(problem)}); '
                              'record to a folder that can be written') from problem
     try:
-        return path.open('xb')
+        stream = path.open('xb', buffering=_BUFFER)
+        # Held until it is closed, or the process ends: nobody makes whole what still grows.
+        with suppress(OSError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return stream
     except OSError as problem:
         folder.rmdir()
         raise RecordingError(f'{path}: cannot be created ({_reason(problem)}); '

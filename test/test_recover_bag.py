@@ -1,0 +1,277 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Interrupted recordings: what recover_bag gives back, and what it never touches."""
+
+from io import BytesIO
+import os
+from pathlib import Path
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks.mcap_recovery import recover
+from hnn_vi_ros.sinks.mcap_sink import McapSink
+from hypothesis import example, given, settings, strategies
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from test_mcap_sink import (
+    ATTACHMENTS, ENDLESS, payloads, PERIOD, record, run_python, TOPICS, wait_for_ticks)
+import yaml
+
+KILLS = int(os.environ.get('HNN_VI_ROS_KILLS', '5'))
+TICKS = 400
+
+
+def messages_of(content: bytes) -> list[Message]:
+    """Return the messages of a whole file, by the mcap package's reader."""
+    reader = make_reader(BytesIO(content), validate_crcs=True)
+    return [message for _, _, message in reader.iter_messages(log_time_order=False)]
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory) -> bytes:
+    """Return a file of several chunks of noise, which fill more than one block each."""
+    noise = np.random.default_rng(1)
+    sink = McapSink(tmp_path_factory.mktemp('recorded') / 'bag', TOPICS, ATTACHMENTS)
+    for tick in range(TICKS):
+        sink.write(tick * PERIOD, [*payloads(tick)[:2], noise.bytes(2000)])
+    sink.close()
+    return sink._path.read_bytes()
+
+
+def cut(folder: Path, content: bytes) -> Path:
+    """Leave a bag as an interrupted recording does: no metadata.yaml."""
+    folder.mkdir()
+    (folder / f'{folder.name}_0.mcap').write_bytes(content)
+    return folder
+
+
+def test_interrupted_bag_reads_in_rosbags_with_all_that_was_written(tmp_path):
+    sink = McapSink(tmp_path / 'live', TOPICS, ATTACHMENTS, 'jazzy')
+    for tick in range(50):
+        sink.write(tick * PERIOD, payloads(tick))
+    sink.flush()
+    bag = cut(tmp_path / 'bag', sink._path.read_bytes())
+    sink.close()
+    recovery = recover(bag)
+    assert (recovery.messages, recovery.seconds) == (150, pytest.approx(0.49))
+    assert recovery.changed and recovery.described and not recovery.damaged
+    with AnyReader([bag]) as reader:
+        assert {c.topic: (c.msgtype, c.msgcount, c.digest) for c in reader.connections} == {
+            topic.name: (topic.type, 50, topic.type_hash) for topic in TOPICS}
+        assert reader.end_time == 49 * PERIOD + 1
+    with (bag / 'bag_0.mcap').open('rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert {a.name: a.data for a in reader.iter_attachments()} == ATTACHMENTS
+        summary = reader.get_summary()
+        assert reader.get_header().library.startswith('hnn_vi_ros')
+    assert summary.statistics.message_count == 150 and len(summary.chunk_indexes) == 1
+    assert {c.topic: c.metadata for c in summary.channels.values()} == {
+        topic.name: {'offered_qos_profiles': topic.offered_qos_profiles,
+                     'topic_type_hash': topic.type_hash} for topic in TOPICS}
+
+
+def test_metadata_of_a_recovered_bag_is_what_its_recorder_would_have_written(tmp_path):
+    path = record(tmp_path / 'bag', 25)
+    written = (tmp_path / 'bag' / 'metadata.yaml').read_text()
+    # The footer is gone, all messages are there.
+    path.write_bytes(path.read_bytes()[:-20])
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    recover(tmp_path / 'bag')
+    assert (tmp_path / 'bag' / 'metadata.yaml').read_text() == written
+
+
+def test_whole_bag_stays_as_it_is_to_the_byte(tmp_path):
+    path = record(tmp_path / 'bag', 25)
+    before = path.read_bytes(), path.stat().st_ino
+    assert not recover(tmp_path / 'bag').changed
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    assert recover(path).described
+    path.write_bytes(before[0][:-1])
+    assert recover(path).changed
+    once = path.read_bytes()
+    assert not recover(path).changed
+    assert path.read_bytes() == once
+
+
+@settings(max_examples=60, deadline=None)
+@given(share=strategies.floats(0.0, 1.0))
+@example(share=0.0)
+@example(share=1.0)
+def test_file_cut_off_at_any_byte_recovers_a_prefix_of_its_messages(recorded, share):
+    place = round(share * len(recorded))
+    folder = Path(tempfile.mkdtemp())
+    try:
+        bag = cut(folder / 'bag', recorded[:place])
+        if place < 8:
+            with pytest.raises(RecordingError, match='no MCAP file'):
+                recover(bag)
+            return
+        recovery = recover(bag)
+        found = messages_of((bag / 'bag_0.mcap').read_bytes())
+        assert recovery.messages == len(found)
+        assert found == messages_of(recorded)[:len(found)]
+        assert sorted(path.name for path in bag.iterdir()) == ['bag_0.mcap', 'metadata.yaml']
+    finally:
+        shutil.rmtree(folder)
+
+
+def test_messages_inside_a_chunk_that_breaks_off_are_salvaged(tmp_path, recorded):
+    chunks = make_reader(BytesIO(recorded)).get_summary().chunk_indexes
+    last = chunks[1]
+    before = sum(message.log_time < last.message_start_time for message in messages_of(recorded))
+    # Cut shortly before its end: of its blocks of 128 KiB, the last is lost.
+    bag = cut(tmp_path / 'bag', recorded[:last.chunk_start_offset + last.chunk_length - 10])
+    recovery = recover(bag)
+    assert recovery.damaged == 1
+    assert recovery.messages > before + 100
+
+
+def test_damaged_chunk_is_left_out_and_told(tmp_path, recorded):
+    chunk = make_reader(BytesIO(recorded)).get_summary().chunk_indexes[1]
+    damaged = bytearray(recorded[:-8])
+    damaged[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
+    bag = cut(tmp_path / 'bag', damaged)
+    recovery = recover(bag)
+    lost = [m for m in messages_of(recorded)
+            if chunk.message_start_time <= m.log_time <= chunk.message_end_time]
+    assert recovery.damaged == 1
+    assert recovery.messages >= 3 * TICKS - len(lost) - 6
+
+
+@settings(max_examples=40, deadline=None)
+@given(places=strategies.lists(strategies.tuples(
+    strategies.floats(0.0, 1.0), strategies.integers(0, 255)), min_size=1, max_size=20))
+def test_file_with_any_bytes_changed_gives_a_whole_file_or_one_line(recorded, places):
+    damaged = bytearray(recorded[:-8])
+    for share, value in places:
+        damaged[round(share * (len(damaged) - 1))] = value
+    folder = Path(tempfile.mkdtemp())
+    try:
+        bag = cut(folder / 'bag', damaged)
+        try:
+            recovery = recover(bag)
+        except RecordingError as problem:
+            assert '\n' not in str(problem)
+        else:
+            assert len(messages_of((bag / 'bag_0.mcap').read_bytes())) == recovery.messages
+    finally:
+        shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize('content', [b'', b'no bag at all', b'\x89MCAP0\r'])
+def test_what_is_no_mcap_is_refused_in_one_line_and_left_alone(tmp_path, content):
+    path = tmp_path / 'notes.mcap'
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match='no MCAP file') as caught:
+        recover(path)
+    assert '\n' not in str(caught.value)
+    assert path.read_bytes() == content
+    for missing in (tmp_path / 'nothing', tmp_path / 'nothing.mcap'):
+        with pytest.raises(RecordingError, match='No such file'):
+            recover(missing)
+    (tmp_path / 'empty').mkdir()
+    with pytest.raises(RecordingError, match='one .mcap file'):
+        recover(tmp_path / 'empty')
+
+
+def test_bag_that_is_still_being_recorded_is_refused(tmp_path):
+    sink = McapSink(tmp_path / 'bag', TOPICS, {})
+    sink.write(0, payloads(0))
+    sink.flush()
+    before = sink._path.read_bytes()
+    with pytest.raises(RecordingError, match='still being recorded'):
+        recover(tmp_path / 'bag')
+    assert sink._path.read_bytes() == before
+    sink.close()
+    assert not recover(tmp_path / 'bag').changed
+
+
+FULL = """
+import resource, sys
+from pathlib import Path
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks.mcap_recovery import recover
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+try:
+    recover(Path(sys.argv[1]))
+except RecordingError as problem:
+    print(problem)
+"""
+
+
+@pytest.mark.parametrize('limit', [100, 300_000])
+def test_full_disk_leaves_the_original_and_no_other_file(tmp_path, recorded, limit):
+    bag = cut(tmp_path / 'bag', recorded[:-20])
+    child = run_python(FULL, bag, limit, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    output, errors = child.communicate(timeout=30)
+    assert (child.returncode, errors, output.count('\n')) == (0, '', 1)
+    assert 'File too large' in output
+    assert (bag / 'bag_0.mcap').read_bytes() == recorded[:-20]
+    assert len(list(bag.iterdir())) == 1
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason='root may write into a read-only folder')
+def test_read_only_folder_leaves_the_original_in_one_line(tmp_path, recorded):
+    bag = cut(tmp_path / 'bag', recorded[:-20])
+    bag.chmod(0o555)
+    try:
+        with pytest.raises(RecordingError, match='Permission denied') as caught:
+            recover(bag)
+    finally:
+        bag.chmod(0o755)
+    assert '\n' not in str(caught.value)
+    assert (bag / 'bag_0.mcap').read_bytes() == recorded[:-20]
+
+
+def test_executable_tells_messages_and_seconds_or_one_line(tmp_path):
+    path = record(tmp_path / 'bag', 101)
+    path.write_bytes(path.read_bytes()[:-5])
+    code = 'from hnn_vi_ros.cli import recover_bag; recover_bag()'
+    for bag, status, told in ((path.parent, 0, 'recovered: 303 messages, 1.00 s'),
+                              (path, 0, 'whole already: 303 messages, 1.00 s'),
+                              (tmp_path / 'nothing', 1, 'recover_bag: ')):
+        result = subprocess.run([sys.executable, '-c', code, str(bag)], capture_output=True,
+                                text=True, timeout=60, check=False)
+        assert result.returncode == status
+        assert told in result.stdout + result.stderr
+        assert (result.stdout + result.stderr).count('\n') == 1
+
+
+@pytest.mark.timeout(60 + 5 * KILLS)
+def test_killed_recording_recovers_but_for_at_most_its_last_second(tmp_path):
+    """At KILLS random moments, HNN_VI_ROS_KILLS of them."""
+    moments = random.Random(5)
+    for kill in range(KILLS):
+        folder = tmp_path / f'bag{kill}'
+        progress = folder.with_suffix('.progress')
+        progress.write_bytes(bytes(16))
+        child = run_python(ENDLESS, folder, progress)
+        try:
+            wait_for_ticks(progress, 1)
+            time.sleep(moments.uniform(0.0, 3.0))
+        finally:
+            child.kill()
+            child.wait()
+        ticks, last = (int(word) for word in np.frombuffer(progress.read_bytes(), np.uint64))
+        recovery = recover(folder)
+        # The stamps are the steady clock's: what is lost is a stretch of wall time.
+        with (folder / f'{folder.name}_0.mcap').open('rb') as stream:
+            found = [r for r in StreamReader(stream, validate_crcs=True).records
+                     if isinstance(r, Message)]
+        assert [m.sequence for m in found] == [i // 3 for i in range(recovery.messages)]
+        assert recovery.messages <= 3 * ticks + 3
+        first = found[0].log_time if found else last - 2_000_000 * ticks
+        newest = found[-1].log_time if found else first
+        assert last - newest <= 1_000_000_000
+        metadata = yaml.safe_load((folder / 'metadata.yaml').read_text())
+        counted = metadata['rosbag2_bagfile_information']['message_count']
+        assert counted == recovery.messages
