@@ -78,6 +78,7 @@ setup(
             'listener = hnn_vi_ros.cli:listener',
             'paper_figures = hnn_vi_ros.cli:paper_figures',
             'recover_bag = hnn_vi_ros.cli:recover_bag',
+            'replay = hnn_vi_ros.cli:replay',
             'scene = hnn_vi_ros.cli:scene',
             'simulator = hnn_vi_ros.cli:simulator',
             'train = hnn_vi_ros.cli:train',

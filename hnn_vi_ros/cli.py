@@ -40,6 +40,11 @@ def recover_bag() -> NoReturn:
     _run('hnn_vi_ros.recover_bag')
 
 
+def replay() -> NoReturn:
+    """Publish a bag, or verify it."""
+    _run('hnn_vi_ros.ros.replay_node')
+
+
 def train() -> NoReturn:
     """Train a Hamiltonian neural network."""
     _run('hnn_vi_ros.learning.train')

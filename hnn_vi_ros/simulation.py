@@ -96,12 +96,14 @@ class Simulation:
         self._entries: dict[int, Callable] = {}
         self.restart(q, p)
 
-    def restart(self, q: Sequence[float], p: Sequence[float], stream: int = 0) -> None:
-        """Begin anew, with the constructor's errors; each stream of a seed has its own noise."""
+    def restart(self, q: Sequence[float], p: Sequence[float], stream: int = 0, step: int = 0
+                ) -> None:
+        """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
         q, p = check_state(q, p, self.hamiltonian.dimension)
         self._system.check_state(q, p)
         self._system.live.reset(stream)
-        self.steps, self.rescued, self.gradients, self.residual = 0, 0, 0, 0.0
+        self._system.live.clock[0] = step * self.step_size
+        self.steps, self.rescued, self.gradients, self.residual = step, 0, 0, 0.0
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._way, self._memories = 0, self._rescue.memories(n)

@@ -11,11 +11,15 @@ from launch_ros.parameter_descriptions import ParameterValue
 # Arguments that become parameters of the node: name, type, default, description.
 PARAMETERS = (
     ('scene', str, 'harmonic_oscillator', 'name of a shipped scene, or path of a scene file'),
+    ('integrator', str, '', "name of the integrator; empty: the scene's"),
+    ('step_size', float, '0.0', "step size [s]; 0: the scene's"),
     ('duration', float, '0.0', 'simulated time after which the node ends [s]; 0: never'),
     ('publish_rate', float, '100.0', 'samples per simulated second [Hz]'),
     ('real_time_factor', float, '1.0', 'simulated seconds per wall second; 0: no limit'),
     ('record', bool, 'true', 'write an MCAP bag'),
+    ('record_path', str, '', 'folder of the bag; empty: one of its own under runs/'),
     ('rerun_sink', str, 'file', 'where the picture goes: file, connect, serve or none'),
+    ('rerun_path', str, '', 'the .rrd file, or the URL of the viewer; empty: the default'),
 )
 
 

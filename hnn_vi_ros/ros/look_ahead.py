@@ -45,7 +45,7 @@ def look_ahead(simulation: Simulation, seconds: float) -> LookAhead:
 
     """
     simulation.compile()
-    q0, p0 = simulation.q.copy(), simulation.p.copy()
+    q0, p0, step = simulation.q.copy(), simulation.p.copy(), simulation.steps
     met = [np.concatenate([q0, p0])[None]]
     left, batch, fastest = max(1.0, seconds // simulation.step_size), 1, None
     until = time.monotonic() + _LONGEST
@@ -60,7 +60,7 @@ def look_ahead(simulation: Simulation, seconds: float) -> LookAhead:
         fastest = cost if fastest is None else min(fastest, cost)
         met += [states.min(axis=0, keepdims=True), states.max(axis=0, keepdims=True)]
         left, batch = left - n, 2 * batch
-    simulation.restart(q0, p0)
+    simulation.restart(q0, p0, step=step)
     extremes = np.vstack(met)
     return LookAhead(_widened(extremes.min(axis=0), extremes.max(axis=0)), fastest)
 

@@ -11,12 +11,27 @@ from hnn_vi_ros.simulation import Simulation
 import yaml
 
 
-def resolved_scene(scene: Scene, simulation: Simulation) -> dict[str, Any]:
-    """Return the scene with all defaults, what auto chose, and where H comes from."""
+def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_step: int = 0
+                   ) -> dict[str, Any]:
+    """
+    Return the scene with all defaults, what auto chose, and where it and H come from.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is simulated.
+    simulation : Simulation
+        Made of it.
+    origin, first_step : int
+        Stamp of step 0 [ns], and the step at the scene's initial state: what else a run needs
+        that is to be had again.
+
+    """
     chosen = {}
     if scene.chosen is not None:
         chosen = dict(zip(('budget', 'choice'), map(asdict, scene.chosen), strict=True))
-    return scene.model_dump() | chosen | simulation.hamiltonian.provenance
+    begin = {'source': str(scene.source.absolute()), 'origin': origin, 'first_step': first_step}
+    return scene.model_dump() | chosen | simulation.hamiltonian.provenance | begin
 
 
 def scene_report(scene: Scene, simulation: Simulation, microseconds_per_step: float | None,

@@ -1,0 +1,253 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
+
+import argparse
+from collections.abc import Sequence
+import gc
+from importlib import import_module
+from pathlib import Path
+import signal
+import sys
+import time
+
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.ros.declaring import declare_read_only, Value
+from hnn_vi_ros.ros.messages import type_hash
+from hnn_vi_ros.ros.player import Player, read_ahead
+from hnn_vi_ros.ros.recorded_qos import recorded_qos
+from hnn_vi_ros.ros.replay_parameters import PARAMETERS
+from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import SetBool, Trigger
+
+_CLOCK = '/clock'
+# Threads take turns after so long [s]; Python's 5 ms would make messages late.
+_TURN = 2e-4
+# Subscribers whose number has not changed for so long are taken for all there are [s].
+_SETTLED = 0.5
+
+
+class ReplayNode(Node):
+    """
+    Publish a bag.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with one MCAP file, or the file.
+    values : dict
+        Parameters that were given as options; the others are ROS's.
+
+    Attributes
+    ----------
+    player : Player
+        Which publishes, once ``start_when_discovered`` has started it.
+
+    Raises
+    ------
+    HnnViRosError
+        The bag or a parameter cannot be used; one line.
+
+    """
+
+    def __init__(self, bag: Path, values: dict[str, Value]):
+        super().__init__('hnn_replay', parameter_overrides=[
+            Parameter(name, value=value) for name, value in values.items()])
+        values = declare_read_only(self, PARAMETERS)
+        self._reader = BagReader(bag)
+        self._publishers_of = self._open(values)
+        first = self._reader.first + round(values['start_offset'] * 1e9)
+        last = self._reader.last
+        if first > last:
+            raise ParameterError(
+                f'parameter start_offset = {values["start_offset"]:g}: the bag is '
+                f'{(last - self._reader.first) * 1e-9:g} s long')
+        if values['duration']:
+            last = min(last, first + round(values['duration'] * 1e9))
+        if values['publish_clock']:
+            self._clock_publisher = self.create_publisher(
+                ClockMessage, _CLOCK, QoSProfile(
+                    depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+        self.player = Player(
+            lambda: read_ahead(self._reader.messages(self._publishers_of, first, last)),
+            self._publish, self._tell_time if values['publish_clock'] else None, first, last,
+            values['rate'], values['loop'], values['start_paused'])
+        self.create_service(SetBool, '~/set_pause', self._on_set_pause)
+        self.create_service(Trigger, '~/step', self._on_step)
+        self._start_by = time.monotonic() + values['discovery_time']
+        self._subscribers = (0, time.monotonic())
+        self._discovery = self.create_timer(
+            0.02, self._start_when_discovered, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def started(self) -> bool:
+        """Return whether playing has begun."""
+        return self._discovery.is_canceled()
+
+    def wait_for_delivery(self) -> None:
+        """Let matched subscribers receive what is still on its way, for at most a second."""
+        deadline = time.monotonic() + 1.0
+        for publisher in set(self._publishers_of.values()):
+            publisher.wait_for_all_acked(
+                Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+    def report(self) -> str:
+        """Return how many messages were published, and how late."""
+        player, late = self.player, ''
+        if errors := player.timing_errors():
+            late = '; late by ' + ', '.join(
+                f'{name} {value:.3f} ms' for name, value in errors.items())
+        return f'{player.published} messages published{late}'
+
+    def _open(self, values: dict[str, Value]) -> dict[int, Publisher]:
+        """Create the publishers, one for each topic; return them by channel."""
+        wanted = [name.strip() for name in str(values['topics']).split(',') if name.strip()]
+        known = sorted({channel.topic for channel in self._reader.channels.values()})
+        if unknown := [name for name in wanted if name not in known]:
+            raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
+                                 f'{", ".join(known) or "none"}')
+        topics: dict[str, Publisher] = {}
+        publishers: dict[int, Publisher] = {}
+        for number, channel in self._reader.channels.items():
+            name = channel.topic
+            if (wanted and name not in wanted) or (values['publish_clock'] and name == _CLOCK):
+                continue
+            try:
+                if name not in topics:
+                    topics[name] = self._publisher(channel)
+                publishers[number] = topics[name]
+            except RecordingError as problem:
+                self.get_logger().warning(f'{name} is left out: {problem}')
+        if not publishers:
+            raise RecordingError(f'{self._reader.path}: holds no topic that can be published')
+        return publishers
+
+    def _publisher(self, channel) -> Publisher:
+        schema = self._reader.schemas.get(channel.schema_id)
+        if channel.message_encoding != 'cdr' or schema is None:
+            raise RecordingError(f'its messages are encoded as {channel.message_encoding!r}, '
+                                 'expected cdr')
+        message_type = find_type(schema.name)
+        recorded = channel.metadata.get('topic_type_hash', '')
+        if recorded and recorded != type_hash(schema.name):
+            raise RecordingError(f'{schema.name} was recorded with another definition than the '
+                                 'one that is installed')
+        try:
+            return self.create_publisher(message_type, channel.topic, recorded_qos(
+                channel.metadata.get('offered_qos_profiles', '')))
+        except (RuntimeError, ValueError) as problem:
+            raise RecordingError(' '.join(str(problem).split())) from problem
+
+    def _publish(self, message: Recorded) -> None:
+        self._publishers_of[message.channel].publish(message.data)
+
+    def _tell_time(self, stamp: int) -> None:
+        message = ClockMessage()
+        message.clock.sec, message.clock.nanosec = divmod(stamp, 10**9)
+        self._clock_publisher.publish(message)
+
+    def _start_when_discovered(self) -> None:
+        now = time.monotonic()
+        count, since = self._subscribers
+        found = sum(publisher.get_subscription_count()
+                    for publisher in self._publishers_of.values())
+        if found != count:
+            self._subscribers = (found, now)
+        elif now >= self._start_by or (found and now - since > _SETTLED):
+            self._discovery.cancel()
+            # A collection of all that was ever imported would stop all threads for 0.1 s.
+            gc.collect()
+            gc.freeze()
+            self.player.start()
+
+    def _on_set_pause(self, request: SetBool.Request, response: SetBool.Response
+                      ) -> SetBool.Response:
+        self.player.set_paused(request.data)
+        response.success, response.message = True, 'paused' if request.data else 'playing'
+        return response
+
+    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        stamp = self.player.step()
+        response.success = stamp is not None
+        response.message = 'only while it is paused; see ~/set_pause' if stamp is None \
+            else f't = {stamp * 1e-9:.9f} s'
+        return response
+
+
+def find_type(name: str) -> type:
+    """Return the class of a message type, ``'std_msgs/msg/Float64'``; RecordingError if none."""
+    package, _, rest = name.partition('/')
+    try:
+        # Of a name that is none, there is no module.
+        module = import_module(f'{package}.msg' if package.isidentifier() else '_')
+        return getattr(module, rest.rpartition('/')[2])
+    except (ImportError, AttributeError) as problem:
+        raise RecordingError(f'its type {name} is not installed; source the workspace that '
+                             'has it') from problem
+
+
+def main(argv: list[str]) -> int:
+    """Play or verify a bag, until its end or SIGINT or SIGTERM."""
+    options = _parse(remove_ros_args(argv))
+    if options.verify:
+        # Imported here: who only plays does not wait for the compiler.
+        from hnn_vi_ros.ros.verification import verify
+        verdict = verify(options.bag)
+        print(verdict.text, flush=True)
+        return 0 if verdict.good else 1
+    given = {item.name: item.check(value) for item in PARAMETERS
+             if (value := getattr(options, item.name)) is not None}
+    try:
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except (RuntimeError, ValueError) as problem:
+        raise ParameterError(f'ROS arguments: {" ".join(str(problem).split())}') from problem
+    received: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: received.append(number))
+    sys.setswitchinterval(_TURN)
+    try:
+        return _play(ReplayNode(options.bag, given), received)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _play(node: ReplayNode, received: Sequence[int]) -> int:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    player = node.player
+    while not received and not (node.started and not player.is_alive()):
+        executor.spin_once(timeout_sec=0.1)
+    if node.started:
+        player.stop()
+    node.wait_for_delivery()
+    node.get_logger().info(node.report())
+    node.destroy_node()
+    if player.problem is not None:
+        if isinstance(player.problem, HnnViRosError | OSError):
+            raise RecordingError(f'replay stopped: {player.problem}') from player.problem
+        raise player.problem
+    return 0
+
+
+def _parse(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog='replay', description=__doc__)
+    parser.add_argument('bag', type=Path, metavar='BAG', help=(
+        'folder of a bag, or its .mcap file; one that was cut off will do'))
+    parser.add_argument('--verify', action='store_true', help=(
+        'simulate the bag again, from its own scene, and compare bit by bit'))
+    for item in PARAMETERS:
+        kind = {'action': 'store_true', 'default': None} if isinstance(item.default, bool) \
+            else {'type': type(item.default)}
+        parser.add_argument(f'--{item.name.replace("_", "-")}', help=item.description, **kind)
+    return parser.parse_args(argv)

@@ -1,0 +1,158 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulate a recorded run again, and compare it with its log bit by bit."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import RecordingError, StepFailure
+from hnn_vi_ros.identity import identity
+from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+# A relative change of the initial state that is far above round-off and far below the motion.
+_SHAKE = 2.0**-26
+# Rounding of one step, in units of the last place of the largest coordinate or momentum: an
+# implicit equation is solved to some of them, and a network sums up hundreds of terms.
+_PLACES = 64.0
+_EPSILON = np.finfo(np.float64).eps
+
+
+class Verdict(NamedTuple):
+    """What a comparison found: in one line, and whether the log is confirmed."""
+
+    text: str
+    good: bool
+
+
+class Difference(NamedTuple):
+    """The first difference: its stamp [ns], what is different, and the two values."""
+
+    stamp: int
+    name: str
+    recorded: float
+    simulated: float
+
+
+class Margin(NamedTuple):
+    """The largest difference, what round-off explains there, and the stamp [ns]."""
+
+    difference: float
+    explained: float
+    stamp: int
+
+
+def verify(bag: Path) -> Verdict:
+    """
+    Simulate what a bag tells of, from its scene and first state, and compare each sample.
+
+    Raises
+    ------
+    HnnViRosError
+        The bag does not come from the simulator, or what it simulated is not there any more.
+
+    """
+    run = RecordedRun(bag)
+    simulation = _simulation(run)
+    # Now that all that it takes is imported.
+    there, here = run.reader.metadata('hnn_vi_ros'), identity()
+    others = {name: there.get(name, 'unknown') for name, value in here.items()
+              if there.get(name) != value and (name != 'torch' or name in there)}
+    where = 'on the machine and with the versions of the log'
+    if others:
+        where = 'elsewhere than the log, of which ' + ', '.join(
+            f'{name} is {value}' for name, value in others.items()) if there \
+            else 'of a log that names neither machine nor versions'
+    samples, difference = _first_difference(run, simulation)
+    told = f'{run.reader.path}: '
+    if difference is None:
+        return Verdict(f'{told}{samples} samples agree bit by bit, {where}', True)
+    margin = _margin(run)
+    size = abs(difference.simulated - difference.recorded)
+    within = margin.difference <= margin.explained
+    commands = '; the scene takes commands, which the log does not hold' \
+        if simulation.takes_commands else ''
+    return Verdict(
+        f'{told}{samples} samples agree bit by bit, {where}; then {difference.name} differs at '
+        f't = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} in the log, '
+        f'{difference.simulated!r} now; the largest difference, {margin.difference:.3g} at t = '
+        f'{margin.stamp * 1e-9:.9g} s, is {"within" if within else "beyond"} what round-off '
+        f'explains, {margin.explained:.3g}{commands}', within and bool(others))
+
+
+def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
+    """Return a simulation of the run's beginning, its initial state changed by a small part."""
+    simulation = Simulation.from_scene(run.scene)
+    for name, value in simulation.hamiltonian.provenance.items():
+        if run.described.get(name, value) != value:
+            raise RecordingError(
+                f'{run.reader.path}: was recorded with another model: its {name} is '
+                f'{run.described[name]}, that of the one found is {value}')
+    q, p = simulation.q.copy(), simulation.p.copy()
+    change = shake * max(np.abs(q).max(), np.abs(p).max())
+    simulation.restart(q + change, p + change, step=run.first_step)
+    return simulation
+
+
+def _simulated(run: RecordedRun, *simulations: Simulation
+               ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Yield stamp, q and p of each sample, with the simulations advanced to it."""
+    for stamp, q, p in run.samples():
+        step = run.step_of(stamp)
+        for simulation in simulations:
+            try:
+                simulation.advance(step - simulation.steps)
+            except StepFailure as failure:
+                raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
+                                     ) from failure
+            if simulation.q.shape != q.shape or simulation.p.shape != p.shape:
+                raise RecordingError(f'{run.reader.path}: holds samples of another dimension '
+                                     'than its scene')
+        yield stamp, q, p
+
+
+def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
+    """Return how many samples agree, and the first difference after them."""
+    count = 0
+    names = [coordinate.name for coordinate in simulation.hamiltonian.coordinates]
+    for stamp, q, p in _simulated(run, simulation):
+        for kind, recorded, simulated in (('q', q, simulation.q), ('p', p, simulation.p)):
+            # By their bits: -0.0 is not 0.0.
+            different = np.flatnonzero(recorded.view(np.uint64) != np.ascontiguousarray(
+                simulated).view(np.uint64))
+            if different.size:
+                i = different[0]
+                return count, Difference(stamp, f'{kind} of {names[i]}', float(recorded[i]),
+                                         float(simulated[i]))
+        count += 1
+    return count, None
+
+
+def _margin(run: RecordedRun) -> Margin:
+    """
+    Return the sample whose difference exceeds what round-off explains the most.
+
+    Each step rounds; what it rounds is carried on like a change of the initial state, whose
+    growth a second simulation measures.
+    """
+    own = _simulation(run)
+    try:
+        shaken = _simulation(run, _SHAKE)
+    except ValueError:
+        # A constraint does not let the state be moved; a growth is then not known.
+        shaken = _simulation(run)
+    size = max(np.abs(own.q).max(), np.abs(own.p).max())
+    change, growth, worst = _SHAKE * size, 1.0, Margin(0.0, 0.0, 0)
+    for stamp, q, p in _simulated(run, own, shaken):
+        state = np.concatenate([own.q, own.p])
+        size = max(size, float(np.abs(state).max()))
+        moved = np.abs(np.concatenate([shaken.q, shaken.p]) - state).max()
+        growth = max(growth, float(moved) / change)
+        difference = float(np.abs(np.concatenate([q, p]) - state).max())
+        steps = own.steps - run.first_step
+        explained = _PLACES * _EPSILON * size * steps * growth
+        if difference * worst.explained >= worst.difference * explained:
+            worst = Margin(difference, explained, stamp)
+    return worst

@@ -1,0 +1,56 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two simulators in one graph, each in a namespace of its own."""
+
+from pathlib import Path
+import subprocess
+import sys
+
+from processes import finish, read_bag
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import Float64MultiArray
+
+SCENES = {'left': 'exact_pendulum', 'right': 'exact_harmonic_oscillator'}
+
+
+def start(folder: Path, namespace: str, scene: str) -> subprocess.Popen:
+    code = 'from hnn_vi_ros.cli import simulator; simulator()'
+    values = {'scene': scene, 'duration': 2, 'record_path': namespace, 'rerun_sink': 'none',
+              'discovery_time': 20}
+    return subprocess.Popen(
+        [sys.executable, '-c', code, '--ros-args', '-r', f'__ns:=/{namespace}',
+         *[word for name, value in values.items() for word in ('-p', f'{name}:={value}')]],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_two_simulators_in_two_namespaces_do_not_interfere(tmp_path):
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('listener', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    heard = {namespace: [] for namespace in SCENES}
+    processes = [start(tmp_path, *item) for item in SCENES.items()]
+    try:
+        for namespace, messages in heard.items():
+            node.create_subscription(Float64MultiArray, f'/{namespace}/hnn_simulator/q',
+                                     lambda m, to=messages: to.append(m.data.tolist()), 100)
+        while any(process.poll() is None for process in processes):
+            executor.spin_once(timeout_sec=0.05)
+        for _ in range(50):
+            executor.spin_once(timeout_sec=0.01)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+    assert [finish(process)[0] for process in processes] == [0, 0]
+    for namespace in SCENES:
+        recorded = read_bag(tmp_path / namespace)
+        assert {topic for topic in recorded if not topic.startswith(f'/{namespace}/')} <= {
+            '/diagnostics'}
+        assert heard[namespace] == [
+            message.data.tolist() for _, message in recorded[f'/{namespace}/hnn_simulator/q']]
+        assert len(heard[namespace]) == 200
+    assert heard['left'] != heard['right']
