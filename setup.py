@@ -79,6 +79,7 @@ setup(
             'paper_figures = hnn_vi_ros.cli:paper_figures',
             'recover_bag = hnn_vi_ros.cli:recover_bag',
             'replay = hnn_vi_ros.cli:replay',
+            'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
             'scene = hnn_vi_ros.cli:scene',
             'simulator = hnn_vi_ros.cli:simulator',
             'train = hnn_vi_ros.cli:train',

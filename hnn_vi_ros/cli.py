@@ -45,6 +45,11 @@ def replay() -> NoReturn:
     _run('hnn_vi_ros.ros.replay_node')
 
 
+def rerun_bridge() -> NoReturn:
+    """Show a running simulator or a bag in rerun."""
+    _run('hnn_vi_ros.ros.rerun_bridge')
+
+
 def train() -> NoReturn:
     """Train a Hamiltonian neural network."""
     _run('hnn_vi_ros.learning.train')

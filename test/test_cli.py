@@ -36,7 +36,7 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
     ('train', 'torch', 'torch'), ('train', 'yaml', 'pyyaml'),
     ('paper_figures', 'pydantic', 'pydantic'), ('work_precision', 'scipy', 'scipy'),
     ('recover_bag', 'zstandard', 'zstandard'),
-    ('replay', 'std_srvs', 'ros-jazzy-common-interfaces'),
+    ('replay', 'std_srvs', 'ros-jazzy-common-interfaces'), ('rerun_bridge', 'rerun', 'rerun-sdk'),
 ])
 def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, package):
     result = run(executable, hidden)
@@ -67,7 +67,7 @@ def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     ('train', ['--config', 'nothing']), ('simulator', ['--ros-args', '-p', 'scene:=nothing']),
     ('paper_figures', ['--out', '/dev/null/x']), ('scene', ['--check', 'nothing']),
     ('scene', ['--explain', 'nothing']), ('work_precision', ['--scene', 'nothing']),
-    ('recover_bag', ['nothing']), ('replay', ['nothing']),
+    ('recover_bag', ['nothing']), ('replay', ['nothing']), ('rerun_bridge', ['nothing']),
 ])
 def test_error_of_the_user_is_one_line_and_no_traceback(executable, arguments):
     result = run(executable, 'a_package_that_nobody_needs', *arguments)

@@ -1,0 +1,104 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rerun bridge: what it shows of a bag and of a running simulator, from its own process."""
+
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
+from hnn_vi_ros.ros.declaring import rows
+import numpy as np
+from processes import finish, start, wait_until
+import pytest
+from recorded import record_run
+from test_rerun_sink import read
+
+README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
+
+
+def start_bridge(*words: object) -> subprocess.Popen:
+    code = 'from hnn_vi_ros.cli import rerun_bridge; rerun_bridge()'
+    return subprocess.Popen([sys.executable, '-c', code, *map(str, words)],
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def to_file(path: Path) -> list[str]:
+    return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
+
+
+def test_bridge_shows_the_very_samples_of_a_bag(tmp_path):
+    samples = {}
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300,
+                     change=lambda sample: samples.update({sample.step: sample}))
+    status, _, log = finish(start_bridge(bag, *to_file(tmp_path / 'a.rrd')))
+    assert status == 0 and '300 samples shown' in log
+    entities = read(tmp_path / 'a.rrd')
+    steps = entities['/state/q']['step']
+    # 30 of 3 s each, and the last sample.
+    assert 90 <= len(steps) <= 92 and steps[-1] == max(samples)
+    for entity, name in (('/state/q', 'q'), ('/state/p', 'p'), ('/energy/H', 'energy'),
+                         ('/energy/error', 'energy_error'),
+                         ('/energy/modified', 'modified_energy')):
+        found = [row[0] for row in entities[entity]['Scalars:scalars']]
+        expected = [float(np.ravel(getattr(samples[step], name))[0]) for step in steps]
+        # Of H0 and the modified energy, sums of a few terms: a few units in the last place.
+        assert np.allclose(found, expected, rtol=4e-15, atol=4e-15), entity
+    assert [row[0] for row in entities['/state/q']['Scalars:scalars']] == [
+        samples[step].q[0] for step in steps]
+
+
+def test_bridge_shows_a_running_simulator_and_leaves_it_alone(tmp_path):
+    (tmp_path / 'oscillator.yaml').write_text(
+        'hamiltonian: {kind: harmonic_oscillator}\nintegrator: {kind: variational_euler}\n'
+        'step_size: 0.01\ninitial_state: {q: [1.0], p: [0.0]}\nmechanism: mass_spring\n')
+    recording = tmp_path / 'live.rrd'
+    bridge = start_bridge(*to_file(recording))
+    time.sleep(3.0)
+    simulator = start(tmp_path, duration=3, rerun_sink='none', record='false',
+                      discovery_time=20)
+    assert finish(simulator)[0] == 0
+    wait_until(lambda: recording.exists() and recording.stat().st_size > 10_000)
+    time.sleep(0.5)
+    bridge.send_signal(signal.SIGINT)
+    status, _, log = finish(bridge, 20.0)
+    assert status == 0 and 'showing /hnn_simulator' in log
+    entities = read(recording)
+    # 30 samples a simulated second, each whole: the variational Euler method's first step.
+    steps = entities['/state/q']['step']
+    assert steps == sorted(set(steps)) and len(steps) > 60
+    q, p = (np.ravel(entities[f'/state/{name}']['Scalars:scalars']) for name in 'qp')
+    energy = np.ravel(entities['/energy/H']['Scalars:scalars'])
+    assert np.allclose(energy, 0.5 * (q * q + p * p), rtol=1e-15)
+    assert '/world/mass' in entities
+
+
+@pytest.mark.parametrize('words, told', [
+    (['nothing'], 'No such file'), (['--ros-args', '-p', 'rerun_sink:=file'], 'rerun_path'),
+    (['--ros-args', '-p', 'rerun_sink:=paper'], 'rerun_sink'),
+])
+def test_mistake_is_one_line(words, told):
+    status, _, error = finish(start_bridge(*words))
+    assert status == 1
+    assert told in error.splitlines()[-1]
+
+
+@pytest.mark.parametrize('port', ['0', '65536', '-1', 'x', '1.5'])
+def test_port_out_of_its_range_is_a_parameter_error(port):
+    with pytest.raises(ParameterError, match='expected a port'):
+        target_of({'rerun_sink': 'serve', 'rerun_path': port})
+
+
+def test_targets_are_those_of_the_sinks(tmp_path):
+    assert target_of({'rerun_sink': 'serve', 'rerun_path': ''}) == 9876
+    assert target_of({'rerun_sink': 'serve', 'rerun_path': '1234'}) == 1234
+    assert target_of({'rerun_sink': 'connect', 'rerun_path': ''}).startswith('rerun+http://')
+    assert target_of({'rerun_sink': 'file', 'rerun_path': 'a.rrd'}) == Path('a.rrd')
+
+
+def test_readme_table_of_the_bridge_is_that_of_the_node():
+    assert rows(PARAMETERS) in README
