@@ -60,10 +60,12 @@ def run_motion(job: Job) -> Measured:
     simulation, measured = job.simulation(), Measured()
     unknowns = simulation.integrator.unknowns(simulation.hamiltonian.dimension)
     measured.residual_limit = max(8, *unknowns) * _EPS if unknowns else math.nan
-    _run_first(job, simulation, measured)
-    if measured.failure is None:
-        simulation.restart(job.set_up.q, job.set_up.p)
-        _run_all(job, simulation, measured)
+    # Some states are on their way to infinity.
+    with np.errstate(over='ignore', invalid='ignore'):
+        _run_first(job, simulation, measured)
+        if measured.failure is None:
+            simulation.restart(job.set_up.q, job.set_up.p)
+            _run_all(job, simulation, measured)
     within = job.set_up.within
     if within is not None and simulation.integrator.symplectic \
             and within < measured.first_word < math.inf:
@@ -176,14 +178,13 @@ def _guards(job: Job, simulation: Simulation) -> Iterator[Guard]:
 
 def _energies(simulation: Simulation, q: np.ndarray, p: np.ndarray
               ) -> tuple[np.ndarray, np.ndarray]:
-    """Return H and H~ of states, which may be on their way to infinity; NaN where no H~ is."""
+    """Return H and H~ of states; H~ is NaN where there is none."""
     hamiltonian = simulation.hamiltonian
-    with np.errstate(over='ignore', invalid='ignore'):
-        energy = hamiltonian.energy(q, p)
-        if simulation.modified_energy is None:
-            return energy, np.full(energy.shape, math.nan)
-        return energy, simulation.integrator.modified_energy(
-            simulation.step_size, energy, *hamiltonian.gradient(q, p))
+    energy = hamiltonian.energy(q, p)
+    if simulation.modified_energy is None:
+        return energy, np.full(energy.shape, math.nan)
+    return energy, simulation.integrator.modified_energy(
+        simulation.step_size, energy, *hamiltonian.gradient(q, p))
 
 
 def _show(watch: Watch, simulation: Simulation, states: tuple[np.ndarray, np.ndarray],
