@@ -104,6 +104,8 @@ PARAMETERS = (
                   'that to a lifecycle manager', changes=START),
     Specification('scene', 'harmonic_oscillator',
                   'name of a shipped scene, or path of a scene file (.yaml)'),
+    Specification('resume', '', 'bag to go on from: its last state, and the scene that it was '
+                  'recorded from in the place of `scene`; empty begins anew'),
     Specification('real_time_factor', 1.0,
                   'simulated seconds per wall second; 0 runs as fast as possible', '1',
                   0.0, 1e6, changes=ALWAYS),

@@ -42,6 +42,8 @@ class Prepared(NamedTuple):
         The open files.
     events : list of Event
         What is to be told.
+    origin : int
+        Stamp of step 0 [ns].
 
     """
 
@@ -51,6 +53,7 @@ class Prepared(NamedTuple):
     report: str
     recording: Recording
     events: list[Event]
+    origin: int
 
 
 def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
@@ -77,13 +80,15 @@ def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
     """
     begin('loading the scene')
     factor = values['real_time_factor']
-    scene = load_scene(values['scene']).with_overrides(
-        values['step_size'] or None, values['integrator'] or None)
+    scene, step, origin = _load(values)
     begin('choosing the integrator')
     scene, events = resolve(scene, 1.0 / values['publish_rate'], factor, logger)
     begin('compiling the kernel')
     simulation = _compile(scene, logger)
-    sampler = Sampler(simulation, values['publish_rate'])
+    if step:
+        simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
+        events.append((f'resumed {values["resume"]} at t = {simulation.time:.9g} s', 'INFO'))
+    sampler = Sampler(simulation, values['publish_rate'], origin)
     sampler.count(values['duration'])
     check_pace(factor, sampler.tick)
     begin('looking ahead')
@@ -96,8 +101,23 @@ def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
         logger.info('measuring what each effect adds to a step')
     report = scene_report(scene, simulation, cost, values['explain'])
     begin('opening the files')
-    recording = Recording(logger, scene, simulation, values, topics, box)
-    return Prepared(scene, simulation, box, report, recording, events)
+    recording = Recording(logger, scene, simulation, values, topics, box, origin)
+    return Prepared(scene, simulation, box, report, recording, events, origin)
+
+
+def _load(values: dict) -> tuple[Scene, int, int]:
+    """Return the scene, and the step and the stamp of step 0 [ns] from which it goes on."""
+    overrides = {name: values[name] for name in ('step_size', 'integrator') if values[name]}
+    if not values['resume']:
+        return load_scene(values['scene']).with_overrides(
+            overrides.get('step_size'), overrides.get('integrator')), 0, 0
+    if overrides:
+        raise ParameterError(f'parameter {next(iter(overrides))}: cannot be changed in a run that '
+                             'is resumed; leave it out, or leave out resume')
+    # Imported here: it reads bags, which few runs begin with.
+    from hnn_vi_ros.ros.recorded_run import resume
+    found = resume(values['resume'])
+    return found.scene, found.step, found.origin
 
 
 def check_pace(real_time_factor: float, tick: float) -> None:

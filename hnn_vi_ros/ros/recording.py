@@ -50,6 +50,8 @@ class Recording:
         What the bag holds.
     box : tuple of np.ndarray, shape (d, 2) each
         Lowest and highest q and p that the picture leaves room for.
+    origin : int
+        Stamp of step 0 [ns].
 
     Attributes
     ----------
@@ -67,14 +69,14 @@ class Recording:
 
     def __init__(self, logger: RcutilsLogger, scene: Scene, simulation: Simulation,
                  values: dict, topics: Sequence[Topic],
-                 box: tuple[np.ndarray, np.ndarray]):
+                 box: tuple[np.ndarray, np.ndarray], origin: int = 0):
         self._logger, self._simulation = logger, simulation
         self._values, self._topics, self._box = values, topics, box
         self.problem = ''
         self._bag_wanted = values['record']
         self._folder: Path | None = None
         self._used: set[Path] = set()
-        self._choose_files(scene)
+        self._choose_files(scene, origin)
         try:
             self._open_bag()
             self._open_picture()
@@ -82,7 +84,7 @@ class Recording:
             self.close()
             raise
 
-    def renew(self, scene: Scene) -> None:
+    def renew(self, scene: Scene, origin: int) -> None:
         """
         Close the files and go on in new ones, beside them; nothing is ever overwritten.
 
@@ -90,11 +92,13 @@ class Recording:
         ----------
         scene : Scene
             With the initial state from which the simulation goes on.
+        origin : int
+            Stamp of step 0 [ns].
 
         """
         self.close()
         self.report()
-        self._choose_files(scene)
+        self._choose_files(scene, origin)
         for sink in (self._open_bag, self._open_picture):
             try:
                 sink()
@@ -209,9 +213,11 @@ class Recording:
             sys.stdout.write('\n'.join(lines) + '\n')
             sys.stdout.flush()
 
-    def _choose_files(self, scene: Scene) -> None:
+    def _choose_files(self, scene: Scene, origin: int) -> None:
         """Choose names; the first ones as they were asked for, later ones with a number."""
         self._scene, self.samples = scene, 0
+        # From where the scene's initial state is: a bag may be begun later.
+        self._begin = origin, self._simulation.steps
         self._bag_sink = self._picture_sink = None
         picture, sink = self._values['rerun_path'], self._values['rerun_sink']
         self._bags = [self._free_bag()] if self._bag_wanted else []
@@ -238,7 +244,7 @@ class Recording:
         if not self._bag_wanted:
             return
         attachments = {
-            'scene.yaml': resolved_scene(self._scene, self._simulation),
+            'scene.yaml': resolved_scene(self._scene, self._simulation, *self._begin),
             'parameters.yaml': self._values}
         self._bag_sink = McapSink(self._bags[-1], self._topics, {
             name: yaml.safe_dump(data, sort_keys=False).encode()

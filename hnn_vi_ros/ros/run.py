@@ -57,7 +57,7 @@ class Run:
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step = 1, math.inf
-        self.sampler = Sampler(self.simulation, values['publish_rate'])
+        self.sampler = Sampler(self.simulation, values['publish_rate'], prepared.origin)
         self.pacer = Pacer(self.sampler.tick, values['real_time_factor'])
         self._diagnostics = DiagnosticsPublisher(
             node, topics.diagnostics, self._scene.name)
@@ -86,7 +86,7 @@ class Run:
         """Watch and record from an initial state on."""
         scene, values, self._monitor = self._scene, self._values, monitor
         samples = self.sampler.count(values['duration'])
-        self._last_step = samples * self.sampler.every
+        self._last_step = self.simulation.steps + samples * self.sampler.every
         self.recording.event(', '.join([
             f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
             *(effect.kind for effect in scene.effects),
@@ -222,7 +222,7 @@ class Run:
         self.sampler = Sampler(self.simulation, self._values['publish_rate'], origin)
         monitor = self._make_monitor()
         self._topics.follow(monitor)
-        self.recording.renew(self._scene)
+        self.recording.renew(self._scene, origin)
         paused = self.status.paused
         self._begin(monitor)
         self.status.paused = paused

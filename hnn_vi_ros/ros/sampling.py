@@ -61,7 +61,7 @@ class Sampler:
 
     def count(self, duration: float) -> float:
         """Return the number of samples that a duration [s] asks for; 0 is for ever."""
-        longest = _LONGEST_RUN - self._origin * 1e-9
+        longest = _LONGEST_RUN - self.stamp * 1e-9
         samples = round(min(duration or math.inf, longest) / self.tick)
         if samples == 0:
             raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
