@@ -201,7 +201,7 @@ def test_confined_step_outside_the_box_is_symplectic_to_60_digits(method: str):
 
 
 def test_confined_hamiltonian_wants_a_box():
-    with pytest.raises(ValueError, match='Tao has no box'):
+    with pytest.raises(ValueError, match='Tao has no training box'):
         ConfinedHamiltonian(Tao())
 
 

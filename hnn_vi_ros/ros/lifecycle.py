@@ -3,6 +3,7 @@
 """A managed node whose transitions may take long and may be refused, and that outlives both."""
 
 from collections.abc import Awaitable, Callable
+import sys
 import threading
 from typing import Any
 
@@ -25,6 +26,8 @@ _PUBLIC = {
     Transition.TRANSITION_INACTIVE_SHUTDOWN: 'on_shutdown',
     Transition.TRANSITION_ACTIVE_SHUTDOWN: 'on_shutdown',
 }
+# How long a thread may hold the interpreter while another one wants it [s].
+_TURN = 2e-4
 
 
 class ManagedNode(LifecycleNodeMixin, Node):
@@ -103,10 +106,14 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # A daemon: nobody waits for a compilation that is not needed any more.
         thread = threading.Thread(target=run, daemon=True)
         self._threads.append(thread)
+        # Else whoever serves waits 5 ms for the interpreter after each call to the system.
+        before = sys.getswitchinterval()
+        sys.setswitchinterval(_TURN)
         thread.start()
         try:
             return await future
         finally:
+            sys.setswitchinterval(before)
             self._threads.remove(thread)
 
     async def _on_change_state(self, request: ChangeState.Request,

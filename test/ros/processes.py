@@ -21,10 +21,15 @@ def start(folder: Path, **parameters: object) -> subprocess.Popen:
     # Names like __ns are ROS's own.
     arguments = [word for name, value in values.items() for word in (
         '-r' if name.startswith('__') else '-p', f'{name}:={value}')]
-    code = 'from hnn_vi_ros.cli import simulator; simulator()'
+    return start_executable('simulator', '--ros-args', *arguments, folder=folder)
+
+
+def start_executable(name: str, *words: object, folder: Path | None = None) -> subprocess.Popen:
+    """Start one of the package's executables."""
+    code = f'from hnn_vi_ros.cli import {name}; {name}()'
     # Files, not pipes: a pipe that nobody empties stops who writes to it.
     outputs = tempfile.TemporaryFile('w+'), tempfile.TemporaryFile('w+')
-    process = subprocess.Popen([sys.executable, '-c', code, '--ros-args', *arguments], cwd=folder,
+    process = subprocess.Popen([sys.executable, '-c', code, *map(str, words)], cwd=folder,
                                stdout=outputs[0], stderr=outputs[1])
     started[process] = outputs
     return process

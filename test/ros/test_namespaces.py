@@ -2,27 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two simulators in one graph, each in a namespace of its own."""
 
-from pathlib import Path
-import subprocess
-import sys
 
-from processes import finish, read_bag
+from processes import finish, read_bag, start
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64MultiArray
 
 SCENES = {'left': 'exact_pendulum', 'right': 'exact_harmonic_oscillator'}
-
-
-def start(folder: Path, namespace: str, scene: str) -> subprocess.Popen:
-    code = 'from hnn_vi_ros.cli import simulator; simulator()'
-    values = {'scene': scene, 'duration': 2, 'record_path': namespace, 'rerun_sink': 'none',
-              'discovery_time': 20}
-    return subprocess.Popen(
-        [sys.executable, '-c', code, '--ros-args', '-r', f'__ns:=/{namespace}',
-         *[word for name, value in values.items() for word in ('-p', f'{name}:={value}')]],
-        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def test_two_simulators_in_two_namespaces_do_not_interfere(tmp_path):
@@ -32,7 +19,9 @@ def test_two_simulators_in_two_namespaces_do_not_interfere(tmp_path):
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     heard = {namespace: [] for namespace in SCENES}
-    processes = [start(tmp_path, *item) for item in SCENES.items()]
+    processes = [start(tmp_path, scene=scene, duration=2, record_path=namespace,
+                       rerun_sink='none', discovery_time=20, __ns=f'/{namespace}')
+                 for namespace, scene in SCENES.items()]
     try:
         for namespace, messages in heard.items():
             node.create_subscription(Float64MultiArray, f'/{namespace}/hnn_simulator/q',

@@ -7,7 +7,6 @@ from pathlib import Path
 import re
 import signal
 import subprocess
-import sys
 import time
 
 from hnn_vi_ros import load_scene
@@ -20,7 +19,7 @@ from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from mcap.writer import Writer
 import numpy as np
-from processes import finish, wait_until
+from processes import finish, start_executable, wait_until
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -40,9 +39,7 @@ README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
 
 
 def start_replay(bag: Path, *options: object) -> subprocess.Popen:
-    code = 'from hnn_vi_ros.cli import replay; replay()'
-    return subprocess.Popen([sys.executable, '-c', code, str(bag), *map(str, options)],
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return start_executable('replay', bag, *options)
 
 
 class Listener:

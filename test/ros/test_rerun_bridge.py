@@ -5,7 +5,6 @@
 from pathlib import Path
 import signal
 import subprocess
-import sys
 import time
 
 from hnn_vi_ros import load_scene
@@ -13,7 +12,7 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
 from hnn_vi_ros.ros.declaring import rows
 import numpy as np
-from processes import finish, start, wait_until
+from processes import finish, start, start_executable, wait_until
 import pytest
 from recorded import record_run
 from test_rerun_sink import read
@@ -22,9 +21,7 @@ README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
 
 
 def start_bridge(*words: object) -> subprocess.Popen:
-    code = 'from hnn_vi_ros.cli import rerun_bridge; rerun_bridge()'
-    return subprocess.Popen([sys.executable, '-c', code, *map(str, words)],
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return start_executable('rerun_bridge', *words)
 
 
 def to_file(path: Path) -> list[str]:
