@@ -47,6 +47,8 @@ def calm(**changes) -> Measured:
                        'symplectic': 1e-13, **changes})
 
 
+# Most of it is compilation, where nothing is on disk yet.
+@pytest.mark.timeout(1200)
 def test_quick_run_comes_out_as_committed(tmp_path, capsys):
     assert hard_cases.main(['--quick', '--out', str(tmp_path)]) == 0, capsys.readouterr().out
     page = (tmp_path / 'hard_cases.md').read_text()
