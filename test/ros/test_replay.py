@@ -155,7 +155,7 @@ def test_services_pause_step_and_go_on_with_the_clock_of_the_bag(bag, listener):
     listener.spin_until(lambda: listener.counts == {1})
     assert step.message == 't = 0.010000000 s'
     step = listener.call(Trigger, '/hnn_replay/step', Trigger.Request())
-    listener.spin_until(lambda: listener.counts == {2} and stamps[-1] == 20_000_000)
+    listener.spin_until(lambda: listener.counts == {2})
     assert step.message == 't = 0.020000000 s'
     playing = listener.call(SetBool, '/hnn_replay/set_pause', SetBool.Request(data=False))
     assert (playing.success, playing.message) == (True, 'playing')
@@ -163,7 +163,8 @@ def test_services_pause_step_and_go_on_with_the_clock_of_the_bag(bag, listener):
     assert not refused.success and 'paused' in refused.message
     listener.spin_until(lambda: listener.counts == {200})
     assert finish(replay)[0] == 0
-    assert stamps == sorted(set(stamps)) and stamps[0] > 0
+    # Best effort: some may be lost, none comes twice or late.
+    assert len(stamps) > 20 and stamps == sorted(set(stamps)) and stamps[0] > 0
 
 
 def test_window_topics_and_rate_are_chosen_by_parameters(bag, listener):

@@ -108,8 +108,10 @@ def test_hour_of_the_node_takes_no_more_memory_as_it_goes(runs, measured):
     for number, (folder, seen) in enumerate(runs, start=1):
         whole = size_of_log(folder)
         warm = [memory for size, memory in seen if size > WARM * whole and memory > 0.0]
-        assert len(warm) >= 10
-        growth = max(warm) - warm[0]
+        assert len(warm) >= 20
+        # Medians: buffers come and go.
+        tenth = len(warm) // 10
+        growth = float(np.median(warm[-tenth:]) - np.median(warm[:tenth]))
         measured('memory is flat over an hour of simulated time: growth [MB]',
                  f'pendulum, run {number}', growth, '5')
         assert growth < 5.0
