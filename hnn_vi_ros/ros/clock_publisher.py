@@ -10,12 +10,12 @@ from rosgraph_msgs.msg import Clock
 CLOCK_TOPIC = ('/clock', Clock)
 CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 # Each message costs every node with use_sim_time; 100 Hz of simulated time [ns].
-_PERIOD = 10_000_000
+CLOCK_PERIOD = 10_000_000
 
 
 class ClockPublisher:
     """
-    Publish the stamps of samples, none twice and at most a hundred per simulated second.
+    Publish the stamps [ns] of samples, none twice and at most a hundred per simulated second.
 
     Parameters
     ----------
@@ -30,8 +30,11 @@ class ClockPublisher:
 
     def publish(self, stamp: int) -> None:
         """Publish a stamp, if it is time to; one that is less than the last begins anew."""
-        if 0 <= stamp - self._last < _PERIOD:
-            return
-        self._last = stamp
+        if not 0 <= stamp - self._last < CLOCK_PERIOD:
+            self._last = stamp
+            self.tell(stamp)
+
+    def tell(self, stamp: int) -> None:
+        """Publish a stamp."""
         self._message.clock.sec, self._message.clock.nanosec = divmod(stamp, 10**9)
         self._publisher.publish(serialize_message(self._message))

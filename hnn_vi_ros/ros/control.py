@@ -6,6 +6,7 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.run import LONGEST_CALL, Run
 from hnn_vi_ros.ros.topics import Topics
 from rclpy.clock import Clock, ClockType
@@ -13,8 +14,6 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-# Subscribers whose number has not changed for so long are taken for all there are [s].
-_SETTLED = 0.5
 # Wall time between two messages on /diagnostics [s].
 _DIAGNOSTICS_PERIOD = 1.0
 
@@ -57,7 +56,7 @@ class Control:
         self._run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None
-        self._discovering = False
+        self._discovery: Discovery | None = None
         # Steps of the request that is being worked on, and who waits for its end.
         self._left, self._asked, self._waiting = 0, 0, None
 
@@ -69,11 +68,10 @@ class Control:
     def activate(self) -> None:
         """Go on, for the first time once subscribers that are there have been found."""
         self.active = True
-        if self._timer is None and not self._discovering:
-            self._discovering = True
-            self._start_by = time.monotonic() + self._discovery_time
-            self._subscribers = (0, time.monotonic())
-            self._add_timer(0.02, self._start_when_discovered)
+        if self._timer is None and self._discovery is None:
+            self._discovery = Discovery(
+                lambda: self._topics.subscribers, self._discovery_time)
+            self._add_timer(DISCOVERY_PERIOD, self._start_when_discovered)
         self._schedule()
 
     def deactivate(self) -> None:
@@ -152,13 +150,8 @@ class Control:
             self._timer.cancel()
 
     def _start_when_discovered(self) -> None:
-        """Start once discovery is over, or its time: DDS takes some 1.5 s to find a node."""
-        now = time.monotonic()
-        count, since = self._subscribers
-        found = self._topics.subscribers
-        if found != count:
-            self._subscribers = (found, now)
-        elif now >= self._start_by or (found and now - since > _SETTLED):
+        """Start once discovery is over."""
+        if self._discovery.over:
             self._node.destroy_timer(self._timers.pop())
             self._run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self._run.publish_diagnostics)

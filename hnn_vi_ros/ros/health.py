@@ -3,14 +3,14 @@
 """The guards that a run calls for, and what becomes of their alarms."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 import math
 import time
 
-from hnn_vi_ros.diagnostics import energy_scale
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import (
-    Alarm, BarrierGuard, BoxGuard, EnergyGuard, Guard, ResolutionGuard)
+from hnn_vi_ros.guards.base import Alarm, Guard
+from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.pacing import OverrunGuard
 from hnn_vi_ros.ros.recording import Recording
@@ -18,49 +18,9 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 STEP_FAILED = 'step failed'
-# Of the energies in play: a change at once that is no oscillation any more.
-LARGEST_JUMP = 10.0
 # Wall time between two log lines of the same kind [s].
 _REPEATED = 10.0
 _UNITS = {BoxGuard.kind: 'half-widths', OverrunGuard.kind: '1', STEP_FAILED: '1'}
-
-
-def make_guards(simulation: Simulation, box: tuple[np.ndarray, np.ndarray], band_limit: float,
-                change_limit: float) -> Iterator[Guard]:
-    """
-    Yield the guards that apply to a simulation.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        In its initial state.
-    box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p of the motion, for the energies in play where the initial
-        state shows none: at rest at H = 0.
-    band_limit, change_limit : float
-        See ResolutionGuard and EnergyGuard.
-
-    """
-    hamiltonian, method = simulation.hamiltonian, simulation.integrator
-    if hamiltonian.box is not None:
-        yield BoxGuard(hamiltonian.box)
-    scale = _energies_in_play(simulation, simulation.q, simulation.p) \
-        or _energies_in_play(simulation, box[0][:, 1], box[1][:, 1])
-    if scale > 0.0:
-        yield EnergyGuard(change_limit, LARGEST_JUMP, scale)
-    if not simulation.conservative:
-        return
-    if scale > 0.0:
-        order = method.order if simulation.modified_energy is None else 2
-        yield ResolutionGuard(band_limit, scale, simulation.step_size, order)
-    if hamiltonian.barrier is not None:
-        name, energy = hamiltonian.barrier
-        yield BarrierGuard(name, energy - simulation.energy)
-
-
-def _energies_in_play(simulation: Simulation, q: np.ndarray, p: np.ndarray) -> float:
-    hamiltonian = simulation.hamiltonian
-    return energy_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
 
 
 class Health:

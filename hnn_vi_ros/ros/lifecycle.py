@@ -8,6 +8,7 @@ import threading
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.ros.graph import THREAD_TURN
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -26,8 +27,6 @@ _PUBLIC = {
     Transition.TRANSITION_INACTIVE_SHUTDOWN: 'on_shutdown',
     Transition.TRANSITION_ACTIVE_SHUTDOWN: 'on_shutdown',
 }
-# How long a thread may hold the interpreter while another one wants it [s].
-_TURN = 2e-4
 
 
 class ManagedNode(LifecycleNodeMixin, Node):
@@ -106,9 +105,8 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # A daemon: nobody waits for a compilation that is not needed any more.
         thread = threading.Thread(target=run, daemon=True)
         self._threads.append(thread)
-        # Else whoever serves waits 5 ms for the interpreter after each call to the system.
         before = sys.getswitchinterval()
-        sys.setswitchinterval(_TURN)
+        sys.setswitchinterval(THREAD_TURN)
         thread.start()
         try:
             return await future

@@ -5,7 +5,7 @@
 from collections.abc import Callable, Iterable
 import time
 
-from hnn_vi_ros.guards import Alarm, Guard
+from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.ros.energy_record import EnergyRecord
 from hnn_vi_ros.ros.timing import Timing
 from hnn_vi_ros.simulation import Simulation

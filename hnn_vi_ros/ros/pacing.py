@@ -5,7 +5,7 @@
 from collections.abc import Callable
 import time
 
-from hnn_vi_ros.guards import Alarm, Guard, Observed
+from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 
 # More debt than this is given up: the run is then slower than asked, but loses no step.
 LARGEST_DEBT = 1.0

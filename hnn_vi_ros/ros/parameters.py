@@ -152,9 +152,10 @@ _BY_NAME = {item.name: item for item in PARAMETERS}
 _DOUBLES = {item.name for item in PARAMETERS if isinstance(item.default, float)}
 
 
-def declare_parameters(node: Node) -> dict[str, Value]:
+def declare_parameters(node: Node, table: Sequence[Specification] = PARAMETERS
+                       ) -> dict[str, Value]:
     """
-    Declare every parameter of the table and return the values, checked.
+    Declare every parameter of a table and return the values, checked.
 
     Raises
     ------
@@ -163,7 +164,7 @@ def declare_parameters(node: Node) -> dict[str, Value]:
 
     """
     values = {}
-    for specification in PARAMETERS:
+    for specification in table:
         name = specification.name
         try:
             parameter = node.declare_parameter(
@@ -245,13 +246,14 @@ def _with_doubles(parameters: list[Parameter]) -> list[Parameter]:
             for item in parameters]
 
 
-def markdown_table() -> str:
-    """Return the parameters as the rows of the README's table."""
-    rows = []
-    for item in PARAMETERS:
+def markdown_table(table: Sequence[Specification] = PARAMETERS) -> str:
+    """Return parameters as rows of the README: when they change is told where that differs."""
+    rows, differs = [], len({item.changes for item in table}) > 1
+    for item in table:
         choices = f' ({", ".join(item.choices)})' if item.choices else ''
-        rows.append(f'| `{item.name}` | {_shown(item.default)} | {item.unit} | {item.changes} '
-                    f'| {item.description}{choices} |')
+        changes = f'{item.changes} | ' if differs else ''
+        rows.append(f'| `{item.name}` | {_shown(item.default)} | {item.unit} | {changes}'
+                    f'{item.description}{choices} |')
     return '\n'.join(rows)
 
 

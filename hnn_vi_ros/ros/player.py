@@ -10,12 +10,11 @@ import threading
 import time
 from typing import Protocol
 
+from hnn_vi_ros.ros.clock_publisher import CLOCK_PERIOD
 import numpy as np
 
 # Read ahead: so many batches, each of so many messages and bytes at most.
 _BATCHES, _MESSAGES, _BYTES = 16, 256, 2**18
-# Bag time between two messages on /clock [ns].
-CLOCK_PERIOD = 10_000_000
 # Timing errors that are kept.
 _ERRORS = 1_000_000
 # The time a step may take to be done [s].

@@ -23,8 +23,8 @@ import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 import yaml
 
-_VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
-_SERVER_PORT = 9876
+VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
+SERVER_PORT = 9876
 # Samples that the picture shows, per second of wall time.
 _FRAME_RATE = 30.0
 
@@ -222,8 +222,8 @@ class Recording:
         picture, sink = self._values['rerun_path'], self._values['rerun_sink']
         self._bags = [self._free_bag()] if self._bag_wanted else []
         self._picture = self._free(picture, 'recording.rrd') if sink == 'file' else None
-        self._target = {'file': self._picture, 'serve': _SERVER_PORT, 'none': None,
-                        'connect': picture or _VIEWER_URL}[sink]
+        self._target = {'file': self._picture, 'serve': SERVER_PORT, 'none': None,
+                        'connect': picture or VIEWER_URL}[sink]
 
     def _free_bag(self) -> Path:
         return self._free(self._values['record_path'], 'bag')
@@ -257,7 +257,7 @@ class Recording:
         # Imported here: a run without a picture starts without the viewer's libraries.
         from hnn_vi_ros.sinks.rerun_sink import RerunSink
         if values['rerun_sink'] == 'serve':
-            self._logger.info(f'rerun viewers can connect to {_VIEWER_URL}')
+            self._logger.info(f'rerun viewers can connect to {VIEWER_URL}')
         mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None
         pace = values['real_time_factor']
         self._picture_sink = RerunSink(

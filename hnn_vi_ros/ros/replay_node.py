@@ -9,33 +9,25 @@ from importlib import import_module
 from pathlib import Path
 import signal
 import sys
-import time
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
-from hnn_vi_ros.ros.declaring import declare_read_only, Value
+from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
+from hnn_vi_ros.ros.graph import (
+    Discovery, DISCOVERY_PERIOD, init_ros, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.messages import type_hash
+from hnn_vi_ros.ros.parameters import declare_parameters, Value
 from hnn_vi_ros.ros.player import Player, read_ahead
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
-from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
-
-_CLOCK = '/clock'
-# Threads take turns after so long [s]; Python's 5 ms would make messages late.
-_TURN = 2e-4
-# Subscribers whose number has not changed for so long are taken for all there are [s].
-_SETTLED = 0.5
 
 
 class ReplayNode(Node):
@@ -64,7 +56,7 @@ class ReplayNode(Node):
     def __init__(self, bag: Path, values: dict[str, Value]):
         super().__init__('hnn_replay', parameter_overrides=[
             Parameter(name, value=value) for name, value in values.items()])
-        values = declare_read_only(self, PARAMETERS)
+        values = declare_parameters(self, PARAMETERS)
         self._reader = BagReader(bag)
         self._publishers_of = self._open(values)
         first = self._reader.first + round(values['start_offset'] * 1e9)
@@ -76,31 +68,28 @@ class ReplayNode(Node):
         if values['duration']:
             last = min(last, first + round(values['duration'] * 1e9))
         if values['publish_clock']:
-            self._clock_publisher = self.create_publisher(
-                ClockMessage, _CLOCK, QoSProfile(
-                    depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+            self._clock_publisher = ClockPublisher(
+                self.create_publisher(*reversed(CLOCK_TOPIC), CLOCK_QOS))
         self.player = Player(
             lambda: read_ahead(self._reader.messages(self._publishers_of, first, last)),
-            self._publish, self._tell_time if values['publish_clock'] else None, first, last,
+            self._publish, self._clock_publisher.tell if values['publish_clock'] else None,
+            first, last,
             values['rate'], values['loop'], values['start_paused'])
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
-        self._start_by = time.monotonic() + values['discovery_time']
-        self._subscribers = (0, time.monotonic())
-        self._discovery = self.create_timer(
-            0.02, self._start_when_discovered, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._discovery = Discovery(self._count_subscribers, values['discovery_time'])
+        self._timer = self.create_timer(
+            DISCOVERY_PERIOD, self._start_when_discovered,
+            clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def started(self) -> bool:
         """Return whether playing has begun."""
-        return self._discovery.is_canceled()
+        return self._timer.is_canceled()
 
     def wait_for_delivery(self) -> None:
-        """Let matched subscribers receive what is still on its way, for at most a second."""
-        deadline = time.monotonic() + 1.0
-        for publisher in set(self._publishers_of.values()):
-            publisher.wait_for_all_acked(
-                Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+        """Let matched subscribers receive what is still on its way."""
+        wait_for_delivery(set(self._publishers_of.values()))
 
     def report(self) -> str:
         """Return how many messages were published, and how late."""
@@ -121,7 +110,7 @@ class ReplayNode(Node):
         publishers: dict[int, Publisher] = {}
         for number, channel in self._reader.channels.items():
             name = channel.topic
-            if (wanted and name not in wanted) or (values['publish_clock'] and name == _CLOCK):
+            if (wanted and name not in wanted) or (values['publish_clock'] and name == CLOCK_TOPIC[0]):
                 continue
             try:
                 if name not in topics:
@@ -152,20 +141,13 @@ class ReplayNode(Node):
     def _publish(self, message: Recorded) -> None:
         self._publishers_of[message.channel].publish(message.data)
 
-    def _tell_time(self, stamp: int) -> None:
-        message = ClockMessage()
-        message.clock.sec, message.clock.nanosec = divmod(stamp, 10**9)
-        self._clock_publisher.publish(message)
+    def _count_subscribers(self) -> int:
+        return sum(publisher.get_subscription_count()
+                   for publisher in self._publishers_of.values())
 
     def _start_when_discovered(self) -> None:
-        now = time.monotonic()
-        count, since = self._subscribers
-        found = sum(publisher.get_subscription_count()
-                    for publisher in self._publishers_of.values())
-        if found != count:
-            self._subscribers = (found, now)
-        elif now >= self._start_by or (found and now - since > _SETTLED):
-            self._discovery.cancel()
+        if self._discovery.over:
+            self._timer.cancel()
             # A collection of all that was ever imported would stop all threads for 0.1 s.
             gc.collect()
             gc.freeze()
@@ -208,14 +190,11 @@ def main(argv: list[str]) -> int:
         return 0 if verdict.good else 1
     given = {item.name: item.check(value) for item in PARAMETERS
              if (value := getattr(options, item.name)) is not None}
-    try:
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, ValueError) as problem:
-        raise ParameterError(f'ROS arguments: {" ".join(str(problem).split())}') from problem
+    init_ros(argv)
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: received.append(number))
-    sys.setswitchinterval(_TURN)
+    sys.setswitchinterval(THREAD_TURN)
     try:
         return _play(ReplayNode(options.bag, given), received)
     finally:

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the replay node, which are its options as well."""
 
-from hnn_vi_ros.ros.parameters import Specification
+from dataclasses import replace
 
-PARAMETERS = (
+from hnn_vi_ros.ros.parameters import Specification, START
+
+PARAMETERS = tuple(replace(item, changes=START) for item in (
     Specification('rate', 1.0, 'seconds of the bag per second of wall time', '1', 1e-3, 1e3),
     Specification('loop', False, 'begin again at the end'),
     Specification('start_offset', 0.0, 'time of the bag that is left out at its start', 's',
@@ -18,4 +20,4 @@ PARAMETERS = (
     Specification('discovery_time', 2.0,
                   'the first message waits at most this long for subscribers that are there '
                   'already, so that they miss none', 's', 0.0, 60.0),
-)
+))

@@ -9,12 +9,13 @@ import signal
 import time
 from typing import Any
 
-from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED
-from hnn_vi_ros.ros.declaring import declare_read_only
+from hnn_vi_ros.ros.graph import init_ros
 from hnn_vi_ros.ros.messages import TICK_TOPICS
+from hnn_vi_ros.ros.parameters import declare_parameters
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.sinks.rerun_sink import Target
 import rclpy
@@ -22,7 +23,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 import yaml
@@ -49,7 +49,7 @@ class RerunBridge(Node):
 
     def __init__(self):
         super().__init__('hnn_rerun_bridge')
-        self._values = declare_read_only(self, PARAMETERS)
+        self._values = declare_parameters(self, PARAMETERS)
         self.target = target_of(self._values)
         self.problem: HnnViRosError | None = None
         self._described, self._scenes = '', 0
@@ -146,10 +146,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
         'folder of a bag, or its .mcap file, to show in place of a running simulator'))
     bag = parser.parse_args(remove_ros_args(argv)).bag
-    try:
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, ValueError) as problem:
-        raise ParameterError(f'ROS arguments: {" ".join(str(problem).split())}') from problem
+    init_ros(argv)
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: received.append(number))

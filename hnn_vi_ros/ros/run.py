@@ -7,9 +7,12 @@ import math
 import time
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import BoxGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
-from hnn_vi_ros.ros.health import Health, make_guards, STEP_FAILED
+from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.ros.preparation import check_pace, Prepared
@@ -74,8 +77,9 @@ class Run:
 
     def _make_monitor(self) -> Monitor:
         scene, sampler, values = self._scene, self.sampler, self._values
-        guards = [*make_guards(self.simulation, self._box, values['energy_band_limit'],
-                               values['energy_change_limit'])]
+        guards = [*make_guards(self.simulation, values['energy_band_limit'],
+                               values['energy_change_limit'],
+                               self.simulation.hamiltonian.barrier, self._box)]
         if values['real_time_factor']:
             guards.append(OverrunGuard(self.pacer))
         return Monitor(

@@ -10,6 +10,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.graph import init_ros
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
 from hnn_vi_ros.ros.parameters import Parameters
@@ -23,7 +24,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
 
@@ -176,10 +176,7 @@ class SimulatorNode(ManagedNode):
 
 def main(argv: list[str]) -> int:
     """Run the node until its duration is over, a guard stops it, or SIGINT or SIGTERM arrives."""
-    try:
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, ValueError) as problem:
-        raise ParameterError(f'ROS arguments: {" ".join(str(problem).split())}') from problem
+    init_ros(argv)
     if others := remove_ros_args(argv):
         rclpy.shutdown()
         raise ParameterError(f'unknown argument {others[0]!r}; parameters are given as: '

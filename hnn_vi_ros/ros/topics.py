@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-import time
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
@@ -12,6 +11,7 @@ from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
+from hnn_vi_ros.ros.graph import wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.monitor import Monitor
@@ -20,7 +20,6 @@ from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.phase_portrait import frames_of, reach_of
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
-from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -178,11 +177,8 @@ class Topics:
         return sum(publisher.get_subscription_count() for publisher in self._publishers)
 
     def wait_for_delivery(self) -> None:
-        """Let matched subscribers receive what is still on its way, for at most a second."""
-        deadline = time.monotonic() + 1.0
-        for publisher in (*self._publishers, self.diagnostics):
-            publisher.wait_for_all_acked(
-                Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+        """Let matched subscribers receive what is still on its way."""
+        wait_for_delivery((*self._publishers, self.diagnostics))
 
     def _publisher(self, topic: str, message_type: type, qos: QoSProfile | int) -> Publisher:
         with _valid_qos(topic):

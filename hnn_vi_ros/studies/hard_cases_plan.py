@@ -33,7 +33,6 @@ class Guards(StrictModel):
 
     under_resolved: Positive
     drift: Positive
-    jump: Positive
 
 
 class Methods(StrictModel):

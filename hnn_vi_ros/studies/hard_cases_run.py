@@ -6,10 +6,11 @@ from collections.abc import Iterator
 import math
 
 from hnn_vi_ros.diagnostics import (
-    block_maxima, energy_band, energy_scale, reversal_defect, rounding_walk, secular_change,
+    block_maxima, energy_band, reversal_defect, rounding_walk, secular_change,
     stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import Alarm, BarrierGuard, BoxGuard, EnergyGuard, Guard, ResolutionGuard
+from hnn_vi_ros.guards import energies_in_play, make_guards
+from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.studies.hard_cases_gates import Measured
@@ -43,7 +44,8 @@ class Watch:
 
     def __init__(self, job: Job, simulation: Simulation):
         self.alarms = []
-        self._guards = list(_guards(job, simulation))
+        self._guards = list(make_guards(
+            simulation, job.guards.under_resolved, job.guards.drift, _barrier(job, simulation)))
         self._heard: set[str] = set()
 
     def update(self, sample: Sample) -> None:
@@ -157,23 +159,18 @@ def observe(simulation: Simulation) -> Sample:
 
 
 def scale_of(simulation: Simulation) -> float:
-    """Return the size of the energies in play [J]; see diagnostics."""
-    return energy_scale(simulation.energy, simulation.q, simulation.p, simulation.dH_dq,
-                        simulation.dH_dp)
+    """Return the size of the energies in play [J]; see guards."""
+    return energies_in_play(simulation, simulation.q, simulation.p)
 
 
-def _guards(job: Job, simulation: Simulation) -> Iterator[Guard]:
-    hamiltonian, method = simulation.hamiltonian, simulation.integrator
-    limits, scale = job.guards, scale_of(simulation)
-    if hamiltonian.box is not None:
-        yield BoxGuard(hamiltonian.box)
-    order = method.order if simulation.modified_energy is None else 2
-    yield ResolutionGuard(limits.under_resolved, scale, simulation.step_size, order)
-    yield EnergyGuard(limits.drift, limits.jump, scale)
-    if job.set_up.saddles:
-        d = hamiltonian.dimension
-        top = min(stationary_energy(hamiltonian, z[:d], z[d:]) for z in job.set_up.saddles)
-        yield BarrierGuard(job.case.barrier, top - simulation.energy)
+def _barrier(job: Job, simulation: Simulation) -> tuple[str, float] | None:
+    """Return name and energy of the barrier that the case is about: that of the lowest saddle."""
+    if not job.set_up.saddles:
+        return None
+    hamiltonian = simulation.hamiltonian
+    d = hamiltonian.dimension
+    return job.case.barrier, min(
+        stationary_energy(hamiltonian, z[:d], z[d:]) for z in job.set_up.saddles)
 
 
 def _energies(simulation: Simulation, q: np.ndarray, p: np.ndarray

@@ -8,7 +8,6 @@ from tempfile import TemporaryDirectory
 import time
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from hnn_vi_ros.ros.health import make_guards
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
@@ -78,7 +77,7 @@ def _make_tick(node: Node, folder: Path
     box = look_ahead(simulation, 1.0).box
     sampler, topics = Sampler(simulation, 1.0 / simulation.step_size), Topics(node, False)
     monitor = Monitor(simulation, sampler.every, sampler.tick, None, lambda text, first: None,
-                      make_guards(simulation, box, *_LIMITS))
+                      make_guards(simulation, *_LIMITS, simulation.hamiltonian.barrier, box))
     topics.open(simulation, monitor, None, box, 'world')
     recording = Recording(
         node.get_logger(), scene, simulation,

@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError, StepFailure
-from hnn_vi_ros.guards import Alarm, BoxGuard
+from hnn_vi_ros.guards import BoxGuard
+from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.simulation import Simulation

@@ -11,11 +11,16 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.guards import Alarm, BarrierGuard, BoxGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.barrier import BarrierGuard
+from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
-from hnn_vi_ros.ros.health import Health, LARGEST_JUMP, make_guards
+from hnn_vi_ros.ros.health import Health
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.ros.parameters import PARAMETERS
@@ -204,20 +209,21 @@ def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'varia
 
 
 @pytest.mark.parametrize('simulation, expected', [
-    (simulation_of(), [EnergyGuard, ResolutionGuard]),
-    (simulation_of('pendulum'), [EnergyGuard, ResolutionGuard, BarrierGuard]),
+    (simulation_of(), [ResolutionGuard, EnergyGuard]),
+    (simulation_of('pendulum'), [ResolutionGuard, EnergyGuard, BarrierGuard]),
     (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)),
-     [EnergyGuard, ResolutionGuard, BarrierGuard]),
+     [ResolutionGuard, EnergyGuard, BarrierGuard]),
     (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]), [EnergyGuard]),
     # Gravity beside a pendulum's own moves its separatrix.
     (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]),
-     [EnergyGuard, ResolutionGuard]),
-    (Simulation.from_scene(load_scene('pendulum')), [BoxGuard, EnergyGuard, ResolutionGuard]),
+     [ResolutionGuard, EnergyGuard]),
+    (Simulation.from_scene(load_scene('pendulum')), [BoxGuard, ResolutionGuard, EnergyGuard]),
     # At rest at H = 0, energies are those of the motion's extent.
-    (simulation_of(q=(0.0,)), [EnergyGuard, ResolutionGuard]),
+    (simulation_of(q=(0.0,)), [ResolutionGuard, EnergyGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned', 'at rest'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
-    assert [type(guard) for guard in make_guards(simulation, BOX, 0.05, 0.02)] == expected
+    guards = make_guards(simulation, 0.05, 0.02, simulation.hamiltonian.barrier, BOX)
+    assert [type(guard) for guard in guards] == expected
 
 
 @pytest.mark.parametrize('hamiltonian, q', [('pendulum', [np.pi]), ('henon_heiles', [0.0, 1.0])])
@@ -231,8 +237,8 @@ def test_barrier_has_the_energy_of_its_saddle(hamiltonian, q):
 def test_guards_of_the_node_have_the_limits_of_the_study():
     defaults = {item.name: item.default for item in PARAMETERS}
     limits = load_plan().guards
-    assert (defaults['energy_band_limit'], defaults['energy_change_limit'], LARGEST_JUMP) == (
-        limits.under_resolved, limits.drift, limits.jump)
+    assert (defaults['energy_band_limit'], defaults['energy_change_limit']) == (
+        limits.under_resolved, limits.drift)
 
 
 @pytest.mark.parametrize('effect', [
@@ -245,7 +251,7 @@ def test_energy_that_work_accounts_for_raises_no_alarm(effect, method, q):
     simulation = simulation_of(method=method, q=(q,), effects=[effect])
     sampler = Sampler(simulation, 100.0)
     monitor = Monitor(simulation, 1, 0.01, None, pytest.fail,
-                      make_guards(simulation, BOX, 0.05, 0.02))
+                      make_guards(simulation, 0.05, 0.02, None, BOX))
     for _ in range(6000):
         assert monitor.watch(sampler.sample()) == []
         monitor.advance(1)
@@ -254,7 +260,7 @@ def test_energy_that_work_accounts_for_raises_no_alarm(effect, method, q):
 def test_energy_guard_measures_a_loss_by_the_work_that_was_turned_over():
     simulation = simulation_of()
     sample = Sampler(simulation, 100.0).sample()
-    guard, found = EnergyGuard(0.02, 10.0, 1.0), []
+    guard, found = EnergyGuard(0.02, 1.0), []
     for n in range(10_000):
         # 100 J go in and out; the account is short of 1 J, a hundredth of that.
         work = 50.0 if n % 2 else 0.0

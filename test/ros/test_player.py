@@ -6,7 +6,8 @@ import threading
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.ros.player import CLOCK_PERIOD, Player, read_ahead
+from hnn_vi_ros.ros.clock_publisher import CLOCK_PERIOD
+from hnn_vi_ros.ros.player import Player, read_ahead
 import numpy as np
 import pytest
 

@@ -11,7 +11,7 @@ import time
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
-from hnn_vi_ros.ros.declaring import rows
+from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.messages import qos_yaml
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_node import find_type, main
@@ -267,7 +267,7 @@ def test_option_out_of_its_range_is_a_parameter_error(bag):
 
 
 def test_readme_table_of_the_replay_is_that_of_the_node():
-    assert rows(PARAMETERS) in README
+    assert markdown_table(PARAMETERS) in README
 
 
 def test_replay_ends_in_time_when_it_is_terminated_before_it_begins(bag):

@@ -10,7 +10,7 @@ import time
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
-from hnn_vi_ros.ros.declaring import rows
+from hnn_vi_ros.ros.parameters import markdown_table
 import numpy as np
 from processes import finish, start, start_executable, wait_until
 import pytest
@@ -98,4 +98,4 @@ def test_targets_are_those_of_the_sinks(tmp_path):
 
 
 def test_readme_table_of_the_bridge_is_that_of_the_node():
-    assert rows(PARAMETERS) in README
+    assert markdown_table(PARAMETERS) in README

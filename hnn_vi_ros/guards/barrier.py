@@ -1,0 +1,31 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the energy is kept well enough to tell on which side of a barrier the motion is."""
+
+from hnn_vi_ros.guards.band import BandGuard
+from hnn_vi_ros.guards.base import Alarm
+
+
+class BarrierGuard(BandGuard):
+    """
+    The energy is kept better than its distance from that of a barrier.
+
+    Parameters
+    ----------
+    name : str
+        What the barrier is: 'separatrix', 'escape barrier'.
+    gap : float
+        Its energy less that of the motion [J]; negative above it.
+
+    """
+
+    kind = 'not resolved'
+
+    def __init__(self, name: str, gap: float):
+        super().__init__(abs(gap))
+        self.kind, self._name = f'{name} not resolved', name
+
+    def _alarm(self, step: int) -> Alarm:
+        return Alarm(self.kind, step, self.band, self.limit,
+                     f'the energy is kept only to {self.band:.2g} J, but the {self._name} is '
+                     f'{self.limit:.2g} J away: {self.kind}; use a smaller step_size')

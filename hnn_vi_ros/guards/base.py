@@ -1,0 +1,60 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What guards look at, and what they say."""
+
+from abc import ABC, abstractmethod
+import math
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+
+class Observed(Protocol):
+    """What guards look at; a Sample is one."""
+
+    step: int
+    q: np.ndarray
+    p: np.ndarray
+    energy: float
+    modified_energy: float
+    work: float
+
+
+class Alarm(NamedTuple):
+    """
+    What a guard found.
+
+    Parameters
+    ----------
+    kind : str
+        Which guard: the same words each time.
+    step : int
+        Steps since the start of the run.
+    value, limit : float
+        What was found, and what would have been allowed.
+    message : str
+        One line: what, by how much, remedy.
+
+    """
+
+    kind: str
+    step: int
+    value: float
+    limit: float
+    message: str
+
+
+class Guard(ABC):
+    """Something that must hold all the time; it costs about as much as ten additions."""
+
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def update(self, sample: Observed) -> Alarm | None:
+        """Look at the next sample; return an alarm when it stops to hold, not while it lasts."""
+
+
+def accounted_energy(sample: Observed) -> float:
+    """Return H~, or H where there is none, less the work done on the system [J]."""
+    modified = sample.modified_energy
+    return (sample.energy if math.isnan(modified) else modified) - sample.work

@@ -1,0 +1,73 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Joining the graph: ROS itself, subscribers that are there already, and what reaches them."""
+
+from collections.abc import Callable, Iterable
+import time
+
+from hnn_vi_ros.errors import ParameterError
+import rclpy
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
+
+# How long a thread may hold the interpreter while another one wants it [s]. With Python's 5 ms,
+# whoever serves would wait that long after each call to the system, and messages would be late.
+THREAD_TURN = 2e-4
+# Wall time between two looks at who subscribes [s].
+DISCOVERY_PERIOD = 0.02
+# Subscribers whose number has not changed for so long are taken for all there are [s].
+_SETTLED = 0.5
+# What the delivery of the last messages may take [s].
+_DELIVERY = 1.0
+
+
+def init_ros(argv: list[str]) -> None:
+    """
+    Initialise rclpy without its signal handlers, which would end the context at once.
+
+    Raises
+    ------
+    ParameterError
+        ROS does not understand its arguments; one line.
+
+    """
+    try:
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except (RuntimeError, ValueError) as problem:
+        raise ParameterError(f'ROS arguments: {" ".join(str(problem).split())}') from problem
+
+
+class Discovery:
+    """
+    Wait for subscribers that are there already: DDS takes some 1.5 s to find a node.
+
+    Parameters
+    ----------
+    subscribers : callable
+        Returns their number.
+    longest : float
+        Wall time after which it is over in any case [s].
+
+    """
+
+    def __init__(self, subscribers: Callable[[], int], longest: float):
+        self._subscribers = subscribers
+        self._count, self._since = 0, time.monotonic()
+        self._until = self._since + longest
+
+    @property
+    def over(self) -> bool:
+        """Look who is there; tell whether that is all."""
+        now, found = time.monotonic(), self._subscribers()
+        if found != self._count:
+            self._count, self._since = found, now
+            return False
+        return now >= self._until or (found > 0 and now - self._since > _SETTLED)
+
+
+def wait_for_delivery(publishers: Iterable[Publisher]) -> None:
+    """Let matched subscribers receive what is still on its way, for at most a second."""
+    deadline = time.monotonic() + _DELIVERY
+    for publisher in publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
