@@ -20,8 +20,9 @@ class EnergyGuard(Guard):
 
     It counts as lost or gained when, in the whole last third of the run, it is on one side of
     where it started by more than a share of the scale, and stays so while the run grows to five
-    times its length; or at once, by ten times the scale. An oscillation comes back before. Where effects have turned over more work
-    than the scale, in and out together, the shares are of that.
+    times its length; or at once, by ten times the scale. An oscillation comes back before. Where
+    effects have turned over more work than the scale, in and out together, the shares are of
+    that.
 
     Parameters
     ----------

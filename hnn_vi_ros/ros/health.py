@@ -15,7 +15,6 @@ from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK
 from hnn_vi_ros.ros.pacing import OverrunGuard
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.simulation import Simulation
-import numpy as np
 
 STEP_FAILED = 'step failed'
 # Wall time between two log lines of the same kind [s].

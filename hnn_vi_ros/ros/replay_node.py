@@ -110,7 +110,8 @@ class ReplayNode(Node):
         publishers: dict[int, Publisher] = {}
         for number, channel in self._reader.channels.items():
             name = channel.topic
-            if (wanted and name not in wanted) or (values['publish_clock'] and name == CLOCK_TOPIC[0]):
+            own_clock = values['publish_clock'] and name == CLOCK_TOPIC[0]
+            if own_clock or (wanted and name not in wanted):
                 continue
             try:
                 if name not in topics:

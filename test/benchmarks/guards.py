@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import time
 
 from benchmarks.measurement import compare, interleave, Row, Settings
+from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording

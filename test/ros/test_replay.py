@@ -11,8 +11,8 @@ import time
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
-from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.messages import qos_yaml
+from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_node import find_type, main
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS

@@ -109,7 +109,8 @@ def subscriber() -> Iterator[tuple[dict, SingleThreadedExecutor]]:
                                 '/hnn_simulator/energy': Float64,
                                 '/joint_states': JointState}.items():
         received[topic] = []
-        node.create_subscription(message_type, topic, received[topic].append, 10)
+        # A queue that no stall of this process overflows.
+        node.create_subscription(message_type, topic, received[topic].append, 1000)
     try:
         yield received, executor
     finally:
@@ -123,7 +124,7 @@ def test_subscriber_in_a_second_process_receives_every_sample_of_the_bag(folder,
     process = start(folder, duration=6, record_path='bag', rerun_sink='none', discovery_time=10)
     while process.poll() is None:
         executor.spin_once(timeout_sec=0.05)
-    for _ in range(200):
+    for _ in range(4000):
         executor.spin_once(timeout_sec=0.0)
     assert finish(process)[0] == 0
     recorded = read_bag(folder / 'bag')

@@ -10,9 +10,9 @@ from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+from processes import finish, start_executable
 import pytest
 from recorded import record_run
-from test_replay import start_replay
 
 # Learned and exact, implicit, driven in time, with noise.
 SCENES = ('harmonic_oscillator', 'exact_double_pendulum', 'damped_driven_pendulum',
@@ -125,7 +125,6 @@ def test_bag_without_states_or_scene_cannot_be_resumed(tmp_path):
 
 def test_verify_option_tells_the_verdict_and_its_status(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 20)
-    replay = start_replay(bag, '--verify')
-    out, _ = replay.communicate(timeout=120)
-    assert replay.returncode == 0, out
+    status, out, error = finish(start_executable('replay', bag, '--verify'), 120.0)
+    assert (status, error) == (0, '')
     assert '20 samples agree bit by bit' in out

@@ -7,13 +7,11 @@ import runpy
 import sys
 from types import ModuleType, SimpleNamespace
 
+from hnn_vi_ros.ros.parameters import PARAMETERS
+from hnn_vi_ros.ros.replay_parameters import PARAMETERS as REPLAY_PARAMETERS
 import pytest
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-from hnn_vi_ros.ros.parameters import PARAMETERS  # noqa: E402
-from hnn_vi_ros.ros.replay_parameters import PARAMETERS as REPLAY_PARAMETERS  # noqa: E402
-
-LAUNCH_FILES = Path(__file__).resolve().parents[1] / 'launch'
+LAUNCH_FILES = Path(__file__).resolve().parents[2] / 'launch'
 COMMON = {'namespace', 'log_level'}
 # Executable, its parameters, the words of its command line.
 FILES = {
