@@ -83,9 +83,16 @@ run: $(BUILT)
 	exec $(RUNNABLE)/simulator --ros-args \
 		-p "scene:='$${SCENE//$$quote/$$quote$$quote}'" -p 'duration:=$(DURATION)'
 
-# Plugins by name: those of a sourced ROS 2 were written for an older pytest.
+# Plugins by name: those of a sourced ROS 2 were written for an older pytest. Tests of one process
+# share the cores; those of processes that keep time come after, one at a time.
+PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/pytest -p timeout
 test: $(BUILT)
-	@$(ENVIRONMENT); PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 exec .venv/bin/pytest -p timeout $(ARGS)
+ifdef ARGS
+	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
+else
+	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --durations 15 --ignore test/ros
+	@$(ENVIRONMENT); $(PYTEST) --durations 15 test/ros
+endif
 
 $(PEERS): requirements/bench.txt $(INSTALLED)
 	@echo 'Adding what `make bench` compares with to .venv, once ...'
