@@ -63,7 +63,7 @@ setup(
     ],
     extras_require={
         'test': ['hypothesis>=6.100', 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5',
-             'rosbags>=0.10'],
+                 'rosbags>=0.10'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

@@ -81,9 +81,11 @@ def measured() -> Callable[[str, str, float, str], None]:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let the findings be written as a table."""
+    """Let files that tests compare with be renewed by them."""
     parser.addoption('--findings', type=Path, metavar='FILE',
                      help='write what the verification tests measured into a Markdown file')
+    parser.addoption('--policy', action='store_true',
+                     help='write the SROS2 policy of the simulator as it is in the graph')
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
+from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recorded_run import described_scene
 from hnn_vi_ros.simulation import Simulation
@@ -62,6 +64,29 @@ class BridgePicture:
         stamp = messages['joint_states'].header.stamp
         self._sink.write(self._sample(stamp.sec * 10**9 + stamp.nanosec, messages))
         self.samples += 1
+
+    def tell(self, message: DiagnosticArray, simulator: str) -> None:
+        """
+        Show alarms as events, and what steps cost, at the newest sample.
+
+        Parameters
+        ----------
+        message : DiagnosticArray
+            Of any node.
+        simulator : str
+            Full name of the one that is shown.
+
+        """
+        for status in message.status:
+            values = {item.key.partition(' ')[0]: item.value for item in status.values}
+            if status.name == f'{simulator[1:]}: health' and 'alarm' in values:
+                self._sink.event(f'{values["alarm"]}: {status.message}',
+                                 'ERROR' if status.level == ERROR else 'WARN')
+            elif status.name == f'{simulator[1:]}: timing':
+                median, p99, pace = (float(values.get(name, math.nan)) for name in (
+                    'microseconds_per_step_median', 'microseconds_per_step_p99',
+                    'real_time_factor'))
+                self._sink.timing((median, p99), pace)
 
     def close(self) -> None:
         """Send what is left; RecordingError if it is not taken."""

@@ -45,7 +45,7 @@ class DiagnosticsPublisher:
     Parameters
     ----------
     node : Node
-        The simulator, whose name each status begins with.
+        The simulator, whose full name each status begins with.
     publisher : Publisher
         Of diagnostic_msgs/DiagnosticArray.
     hardware_id : str
@@ -60,6 +60,8 @@ class DiagnosticsPublisher:
 
     def __init__(self, node: Node, publisher: Publisher, hardware_id: str):
         self._node, self._publisher, self._hardware_id = node, publisher, hardware_id
+        # With its namespace: /diagnostics is one topic for all simulators.
+        self._name = node.get_fully_qualified_name()[1:]
         self.topic = describe_topic(
             publisher.topic_name, DiagnosticArray, publisher.qos_profile)
 
@@ -68,7 +70,7 @@ class DiagnosticsPublisher:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [DiagnosticStatus(
-            level=status.level, name=f'{self._node.get_name()}: {status.component}',
+            level=status.level, name=f'{self._name}: {status.component}',
             message=status.message, hardware_id=self._hardware_id,
             values=[KeyValue(key=key, value=_shown(value))
                     for key, value in status.values.items()])

@@ -9,10 +9,12 @@ import signal
 import time
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED
+from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.graph import init_ros
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.parameters import declare_parameters
@@ -65,6 +67,8 @@ class RerunBridge(Node):
             last = name.rpartition('/')[2]
             self.create_subscription(
                 kind, name.replace('~', simulator), self._keeper(last), _QUEUE)
+        name, kind = DIAGNOSTICS_TOPIC
+        self.create_subscription(kind, name, lambda message: self._tell(message, simulator), _QUEUE)
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
@@ -72,9 +76,12 @@ class RerunBridge(Node):
         picture = BridgePicture(run.described, f'{run.reader.path}: its scene.yaml', self.target,
                                 bag.resolve().name)
         self._picture = picture
-        kinds = {name.rpartition('/')[2]: kind for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC)}
+        kinds = {name.rpartition('/')[2]: kind
+                 for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
         names = {number: channel.topic.rpartition('/')[2]
                  for number, channel in run.reader.channels.items()}
+        simulator = next((channel.topic.rpartition('/')[0] for channel in
+                          run.reader.channels.values() if channel.topic.endswith('/q')), '')
         tick, stamp = {}, -1
         for message in run.reader.messages(
                 [number for number, name in names.items() if name in kinds]):
@@ -82,7 +89,14 @@ class RerunBridge(Node):
                 self._show(tick)
                 tick, stamp = {}, message.time
             name = names[message.channel]
-            tick[name] = deserialize_message(message.data, kinds[name])
+            content = deserialize_message(message.data, kinds[name])
+            if name == 'diagnostics':
+                # An alarm belongs to the sample of its time, which is there by now.
+                self._show(tick)
+                tick = {}
+                self._tell(content, simulator)
+            else:
+                tick[name] = content
         self._show(tick)
         return picture.samples
 
@@ -138,6 +152,10 @@ class RerunBridge(Node):
                 self._picture.show(tick)
             except HnnViRosError as problem:
                 self.problem = problem
+
+    def _tell(self, message: DiagnosticArray, simulator: str) -> None:
+        if self._picture is not None:
+            self._picture.tell(message, simulator)
 
 
 def main(argv: list[str]) -> int:

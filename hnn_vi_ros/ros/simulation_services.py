@@ -16,6 +16,8 @@ _FEATURES = (
     'SIMULATION_RESET', 'SIMULATION_RESET_TIME', 'SIMULATION_RESET_STATE',
     'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING', 'SIMULATION_STATE_PAUSE',
     'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE')
+SERVICES = ('get_simulator_features', 'get_simulation_state', 'set_simulation_state',
+            'reset_simulation', 'step_simulation')
 
 
 def offer_simulation_interfaces(node: Node, simulator: 'Simulator', group: CallbackGroup) -> bool:
@@ -39,11 +41,9 @@ def offer_simulation_interfaces(node: Node, simulator: 'Simulator', group: Callb
         # Not installed: std_srvs do the same under other names.
         return False
     services = SimulationServices(messages, simulator)
-    for kind in ('GetSimulatorFeatures', 'GetSimulationState', 'SetSimulationState',
-                 'ResetSimulation', 'StepSimulation'):
-        name = ''.join(f'_{letter.lower()}' if letter.isupper() else letter for letter in kind)[1:]
-        node.create_service(
-            getattr(types, kind), f'~/{name}', getattr(services, name), callback_group=group)
+    for name in SERVICES:
+        kind = getattr(types, name.title().replace('_', ''))
+        node.create_service(kind, f'~/{name}', getattr(services, name), callback_group=group)
     return True
 
 

@@ -31,6 +31,8 @@ from std_msgs.msg import Float64MultiArray, String
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# An alarm is not to be replaced by the next report before it has arrived.
+_ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -64,7 +66,7 @@ class Topics:
         self._node, self._opened = node, []
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
         self._publishers = [self._publisher(*topic, 10) for topic in self._tick_topics]
-        self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _NEWEST)
+        self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
         self._clock = ClockPublisher(
             self._publisher(*CLOCK_TOPIC, CLOCK_QOS)) if clock else None
         self._accuracy: AccuracyEncoder | None = None

@@ -207,6 +207,8 @@ class McapSink:
 
     def _flush(self) -> None:
         self._writer.flush()
+        # What goes into a file that was removed is lost.
+        self._path.stat()
         self._next_flush = time.monotonic() + FLUSH_INTERVAL
 
     def _abandon(self, problem: OSError) -> RecordingError:

@@ -12,9 +12,10 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
 from hnn_vi_ros.ros.parameters import markdown_table
 import numpy as np
-from processes import finish, start, start_executable, wait_until
+from processes import finish, read_bag, start, start_executable, wait_until
 import pytest
 from recorded import record_run
+from test_health import events_of
 from test_rerun_sink import read
 
 README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
@@ -72,6 +73,34 @@ def test_bridge_shows_a_running_simulator_and_leaves_it_alone(tmp_path):
     energy = np.ravel(entities['/energy/H']['Scalars:scalars'])
     assert np.allclose(energy, 0.5 * (q * q + p * p), rtol=1e-15)
     assert '/world/mass' in entities
+
+
+def test_bridge_shows_alarms_and_timing_of_a_running_simulator_and_the_alarms_of_its_bag(tmp_path):
+    # At a step that does not resolve the close encounters.
+    (tmp_path / 'kepler.yaml').write_text(
+        'hamiltonian: {kind: kepler, mu: 1.0}\nintegrator: {kind: variational_euler}\n'
+        'step_size: 0.01\ninitial_state: {q: [1.9, 0.0], p: [0.0, 0.22941573387056177]}\n')
+    bridge = start_bridge(*to_file(tmp_path / 'live.rrd'))
+    time.sleep(3.0)
+    simulator = start(tmp_path, scene='kepler.yaml', duration=12, real_time_factor=3,
+                      rerun_sink='none', record_path='bag', discovery_time=20)
+    status, _, said = finish(simulator)
+    assert status == 0 and 'use step_size <=' in said
+    time.sleep(1.0)
+    bridge.send_signal(signal.SIGINT)
+    assert finish(bridge, 20.0)[0] == 0
+    again = start_bridge(tmp_path / 'bag', *to_file(tmp_path / 'again.rrd'))
+    assert finish(again)[0] == 0
+    alarms = [(stamp, 'WARN', f'under-resolved: {message.status[0].message}')
+              for stamp, message in read_bag(tmp_path / 'bag')['/diagnostics']]
+    shown = [event for event in events_of(tmp_path / 'again.rrd')
+             if event[2].startswith('under-resolved')]
+    assert shown == alarms != []
+    live = [text for _, _, text in events_of(tmp_path / 'live.rrd')]
+    assert [text for _, _, text in alarms] == [
+        text for text in live if text.startswith('under-resolved')]
+    figures = read(tmp_path / 'live.rrd')['/timing/microseconds_per_step']['Scalars:scalars']
+    assert all(0.0 < median <= p99 for median, p99 in figures) and len(figures) >= 2
 
 
 @pytest.mark.parametrize('words, told', [

@@ -1,0 +1,81 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The SROS2 policy allows the simulator what it does in the graph, and nothing else."""
+
+from pathlib import Path
+import signal
+from xml.etree import ElementTree
+
+from hnn_vi_ros.ros.simulation_services import SERVICES
+from peer import peer, Peer, SIMULATOR
+from processes import finish, start
+import pytest
+
+POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
+# All that a scene can call for: commands, and a mechanism that is drawn.
+SCENE = """\
+hamiltonian: {kind: double_pendulum}
+effects: [{kind: external_force, coordinates: [angle1]}]
+integrator: {kind: generalized_leapfrog}
+step_size: 0.002
+initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
+mechanism: double_pendulum
+"""
+
+
+def relative(names) -> list[str]:
+    """Return names as they are with a remapped node or namespace, sorted."""
+    return sorted(name.replace(f'{SIMULATOR}/', '~/') if name.startswith(f'{SIMULATOR}/')
+                  else name.removeprefix('/') if name == '/joint_states' else name
+                  for name in names)
+
+
+def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
+    """Return what the running simulator publishes, hears and answers."""
+    published, heard = other.topics_of_simulator()
+    services = {name for name, _ in other.node.get_service_names_and_types_by_node(
+        SIMULATOR[1:], '/')}
+    optional = {f'{SIMULATOR}/{name}' for name in SERVICES}
+    return {'publish': relative(published), 'subscribe': relative(heard),
+            'reply': relative(services | optional)}
+
+
+def describe(rights: dict[str, list[str]]) -> str:
+    """Return a policy in the format of SROS2, version 0.2.0."""
+    policy = ElementTree.Element('policy', version='0.2.0')
+    enclave = ElementTree.SubElement(
+        ElementTree.SubElement(policy, 'enclaves'), 'enclave', path=SIMULATOR)
+    profile = ElementTree.SubElement(ElementTree.SubElement(enclave, 'profiles'), 'profile',
+                                     ns='/', node=SIMULATOR[1:])
+    for right, names in rights.items():
+        kind = 'service' if right == 'reply' else 'topic'
+        group = ElementTree.SubElement(profile, f'{kind}s', {right: 'ALLOW'})
+        for name in names:
+            ElementTree.SubElement(group, kind).text = name
+    ElementTree.indent(policy)
+    return ElementTree.tostring(policy, encoding='unicode', xml_declaration=True) + '\n'
+
+
+def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
+        tmp_path: Path, request: pytest.FixtureRequest):
+    (tmp_path / 'arms.yaml').write_text(SCENE)
+    process = start(tmp_path, scene='arms.yaml', record='false', rerun_sink='none',
+                    publish_clock='true', publish_accuracy='true')
+    with peer() as other:
+        # All of its topics are there once it publishes.
+        other.spin_until(lambda: other.states)
+        other.spin(1.0)
+        found = describe(rights_in_the_graph(other))
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
+    if request.config.getoption('--policy'):
+        POLICY.write_text(found, encoding='utf-8')
+    assert POLICY.read_text(encoding='utf-8') == found, (
+        "make test ARGS='test/ros/test_security.py --policy' renews the policy")
+
+
+def test_policy_holds_no_wildcard_and_no_right_to_call_others():
+    profile = ElementTree.parse(POLICY).getroot().find('.//profile')
+    assert {(group.tag, *group.attrib) for group in profile} == {
+        ('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply')}
+    assert not any('*' in name.text for group in profile for name in group)
