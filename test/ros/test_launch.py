@@ -4,11 +4,13 @@
 
 from pathlib import Path
 import runpy
+import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 
 from hnn_vi_ros.ros.parameters import PARAMETERS
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS as REPLAY_PARAMETERS
+from processes import read_bag
 import pytest
 
 LAUNCH_FILES = Path(__file__).resolve().parents[2] / 'launch'
@@ -121,3 +123,27 @@ def test_launch_system_configures_the_managed_node_and_then_activates_it(descrip
         assert (event.event.lifecycle_node_matcher, event.event.transition_id) == (node, number)
     # Handlers stand before what they wait for.
     assert description.index(start) < description.index(node)
+
+
+SYSTEM = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+path, *words = sys.argv[1:]
+service = LaunchService()
+service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
+    PythonLaunchDescriptionSource(path),
+    launch_arguments=[tuple(word.split(':=', 1)) for word in words])]))
+sys.exit(service.run())
+"""
+
+
+@pytest.mark.parametrize('name', ['simulator', 'managed_simulator'])
+def test_launch_system_runs_the_simulator_to_its_end(tmp_path, name):
+    pytest.importorskip('launch_ros', reason='ros2 launch is not installed')
+    words = ['scene:=exact_pendulum', 'duration:=2.0', 'rerun_sink:=none', 'record_path:=bag',
+             'namespace:=arm']
+    subprocess.run([sys.executable, '-c', SYSTEM, LAUNCH_FILES / f'{name}.launch.py', *words],
+                   cwd=tmp_path, timeout=120, check=True)
+    assert len(read_bag(tmp_path / 'bag')['/arm/hnn_simulator/q']) == 200

@@ -110,13 +110,40 @@ def subscriber() -> Iterator[tuple[dict, SingleThreadedExecutor]]:
                                 '/joint_states': JointState}.items():
         received[topic] = []
         # A queue that no stall of this process overflows.
-        node.create_subscription(message_type, topic, received[topic].append, 1000)
+        node.create_subscription(message_type, topic, received[topic].append, 30_000)
     try:
         yield received, executor
     finally:
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
+
+
+def test_hundred_thousand_messages_are_recorded_and_received_none_lost_none_out_of_order(
+        folder, subscriber):
+    received, executor = subscriber
+    # 25,000 of each topic, with a queue for the stalls of a busy machine: half a second.
+    queues = {f'qos_overrides.{topic}.publisher.depth': 1000 for topic in received}
+    process = start(folder, duration=25, publish_rate=1000, step_size=0.001, real_time_factor=2,
+                    record_path='bag', rerun_sink='none', discovery_time=10, **queues)
+    while process.poll() is None:
+        executor.spin_once(timeout_sec=0.05)
+    until = time.monotonic() + 1.0
+    while time.monotonic() < until:
+        executor.spin_once(timeout_sec=0.0)
+    assert finish(process)[0] == 0
+    recorded = read_bag(folder / 'bag')
+    assert {topic: len(messages) for topic, messages in recorded.items()} == dict.fromkeys(
+        received, 25_000)
+    for messages in recorded.values():
+        assert [stamp for stamp, _ in messages] == list(range(
+            1_000_000, 25_000_000_001, 1_000_000))
+    for topic in ('/hnn_simulator/q', '/hnn_simulator/p'):
+        assert [m.data[0] for m in received[topic]] == [m.data[0] for _, m in recorded[topic]]
+    assert [m.data for m in received['/hnn_simulator/energy']] == [
+        m.data for _, m in recorded['/hnn_simulator/energy']]
+    assert [m.position[0] for m in received['/joint_states']] == [
+        m.position[0] for _, m in recorded['/joint_states']]
 
 
 def test_subscriber_in_a_second_process_receives_every_sample_of_the_bag(folder, subscriber):
