@@ -153,6 +153,8 @@ class Simulation:
     def energy(self) -> float:
         """Return H(q, p) [J], the sum of those of several trajectories."""
         kernel, z, d = self._kernel, self._z, self._kernel.dimension
+        if z.q.size == d:
+            return float(kernel.energy(kernel.parameters, z.q, z.p))
         return sum(float(kernel.energy(kernel.parameters, z.q[a:a + d], z.p[a:a + d]))
                    for a in range(0, z.q.size, d))
 
@@ -165,7 +167,7 @@ class Simulation:
     @property
     def work(self) -> float:
         """Return the work of all effects [J]."""
-        return float(self._system.live.work.sum())
+        return float(self._system.live.work.sum()) if self._system.labels else 0.0
 
     @property
     def budget(self) -> float:
@@ -173,13 +175,18 @@ class Simulation:
         return self.energy - self._energy0 - self.work
 
     @property
+    def energies(self) -> tuple[float, float | None]:
+        """Return the energy and the modified energy, for little more than one of them costs."""
+        energy = self.energy
+        if self._system.integrator is not self.integrator:
+            return energy, None
+        value = self.integrator.modified_energy(self.step_size, energy, self.dH_dq, self.dH_dp)
+        return energy, None if value is None else float(value)
+
+    @property
     def modified_energy(self) -> float | None:
         """Return the energy that the integrator nearly conserves [J], None if none is known."""
-        if self._system.integrator is not self.integrator:
-            return None
-        value = self.integrator.modified_energy(
-            self.step_size, self.energy, self.dH_dq, self.dH_dp)
-        return None if value is None else float(value)
+        return self.energies[1]
 
     def compile(self) -> float:  # noqa: A003
         """Compile the kernel now, not in the first step; return the wall time it took [s]."""
@@ -202,15 +209,7 @@ class Simulation:
             name: array.copy() for name, array in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
-        """
-        Go back to a snapshot; the steps that follow are those that followed it, bit by bit.
-
-        Raises
-        ------
-        KeyError, ValueError
-            It was taken from another kind of simulation.
-
-        """
+        """Go back to a snapshot of such a simulation: the same steps will follow, bit by bit."""
         self.steps, self._energy0 = int(snapshot['steps']), float(snapshot['energy0'])
         self._way = int(snapshot['way'])
         for name, array in self._arrays().items():

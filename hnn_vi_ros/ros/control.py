@@ -6,7 +6,7 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
+from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.run import LONGEST_CALL, Run
 from hnn_vi_ros.ros.topics import Topics
 from rclpy.clock import Clock, ClockType
@@ -153,6 +153,7 @@ class Control:
         """Start once discovery is over."""
         if self._discovery.over:
             self._node.destroy_timer(self._timers.pop())
+            freeze_memory()
             self._run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self._run.publish_diagnostics)
             self._timer = self._add_timer(self._run.pacer.timer_period, self._on_timer)

@@ -4,7 +4,6 @@
 
 import argparse
 from collections.abc import Sequence
-import gc
 from importlib import import_module
 from pathlib import Path
 import signal
@@ -13,7 +12,7 @@ import sys
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.graph import (
-    Discovery, DISCOVERY_PERIOD, init_ros, THREAD_TURN, wait_for_delivery)
+    Discovery, DISCOVERY_PERIOD, freeze_memory, init_ros, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.messages import type_hash
 from hnn_vi_ros.ros.parameters import declare_parameters, Value
 from hnn_vi_ros.ros.player import Player, read_ahead
@@ -149,9 +148,7 @@ class ReplayNode(Node):
     def _start_when_discovered(self) -> None:
         if self._discovery.over:
             self._timer.cancel()
-            # A collection of all that was ever imported would stop all threads for 0.1 s.
-            gc.collect()
-            gc.freeze()
+            freeze_memory()
             self.player.start()
 
     def _on_set_pause(self, request: SetBool.Request, response: SetBool.Response

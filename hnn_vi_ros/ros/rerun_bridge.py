@@ -68,7 +68,8 @@ class RerunBridge(Node):
             self.create_subscription(
                 kind, name.replace('~', simulator), self._keeper(last), _QUEUE)
         name, kind = DIAGNOSTICS_TOPIC
-        self.create_subscription(kind, name, lambda message: self._tell(message, simulator), _QUEUE)
+        self.create_subscription(
+            kind, name, lambda message: self._tell(message, simulator), _QUEUE)
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""

@@ -76,8 +76,7 @@ class Sampler:
     def sample(self) -> Sample:
         """Return the state, and the energies that belong to it."""
         simulation = self._simulation
-        energy, modified = simulation.energy, simulation.modified_energy
-        work = simulation.work
+        (energy, modified), work = simulation.energies, simulation.work
         budget = energy - self._energy0 - work
         return Sample(
             step=simulation.steps, stamp=self.stamp,

@@ -7,7 +7,7 @@ import signal
 from xml.etree import ElementTree
 
 from hnn_vi_ros.ros.simulation_services import SERVICES
-from peer import peer, Peer, SIMULATOR
+from peer import Peer, peer, SIMULATOR
 from processes import finish, start
 import pytest
 
