@@ -40,7 +40,7 @@ def init_ros(argv: list[str]) -> None:
 
 
 def freeze_memory() -> None:
-    """Leave what is there by now out of every garbage collection, which would stop all for 0.1 s."""
+    """Leave what is there out of every garbage collection, which would stop all for 0.1 s."""
     gc.collect()
     gc.freeze()
 
