@@ -17,5 +17,8 @@ def end_of_processes() -> Iterator[None]:
             process.kill()
             process.wait()
         for file in outputs:
+            # Shown by pytest if the test has failed.
+            file.seek(0)
+            print(file.read()[-5000:])
             file.close()
     processes.started.clear()

@@ -61,11 +61,14 @@ class Peer:
 
     def call_async(self, kind: type, name: str, **fields: Any) -> Any:
         """Call a service of the simulator; return the future of the response."""
+        return self.client(kind, name).call_async(kind.Request(**fields))
+
+    def client(self, kind: type, name: str) -> Any:
+        """Return the client of a service of the simulator, ready."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, f'{SIMULATOR}/{name}')
-        client = self._clients[name]
-        self.spin_until(client.service_is_ready)
-        return client.call_async(kind.Request(**fields))
+        self.spin_until(self._clients[name].service_is_ready)
+        return self._clients[name]
 
     def call(self, kind: type, name: str, **fields: Any) -> Any:
         """Call a service of the simulator and wait for the response."""

@@ -258,10 +258,7 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
                                          ('initial_state', JointState))}
         other.spin_until(lambda: other.states and all(
             publisher.get_subscription_count() for publisher in publishers.values()))
-        clients = {name: other.node.create_client(kind, f'{SIMULATOR}/{name}')
-                   for name, kind in services.items()}
-        for client in clients.values():
-            other.spin_until(client.service_is_ready)
+        clients = {name: other.client(kind, name) for name, kind in services.items()}
         # There is nothing else to send nonsense to.
         heard = other.topics_of_simulator()[1] - {'/parameter_events'}
         assert heard <= {f'{SIMULATOR}/commands', f'{SIMULATOR}/initial_state', '/clock'}
@@ -275,8 +272,6 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
             sent += 5
             other.spin(0.005)
         # It can still be brought to do what it is for.
-        for client in clients.values():
-            other.node.destroy_client(client)
         publishers[JointState].publish(JointState(
             name=names, position=[0.1] * len(names), velocity=[0.0] * len(names)))
         other.spin(1.0)
