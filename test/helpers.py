@@ -10,7 +10,8 @@ from math import comb
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.checkpoint import Box, Checkpoint, CoordinateCard, ModelCard
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.gauss import Gauss, Tableau
@@ -245,6 +246,6 @@ def random_checkpoint(widths: list[int], seed: int) -> Checkpoint:
         name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
         package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
         coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)])
-    return Checkpoint(
-        card, tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
-        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))
+    return Checkpoint(card, {'energy': Layers(
+        tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
+        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))})

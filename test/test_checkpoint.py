@@ -12,7 +12,8 @@ import sys
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.checkpoint import (
-    Box, Checkpoint, CoordinateCard, load_checkpoint, MAX_BYTES, ModelCard, save_checkpoint)
+    Checkpoint, Layers, load_checkpoint, MAX_BYTES, save_checkpoint)
+from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.resources import shipped_file
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -30,8 +31,8 @@ def make_checkpoint(**changes) -> Checkpoint:
         'box': Box(q=[[-1.0, 2.0]], p=[[0.1, 0.3]]), 'dataset': 'none', 'seed': 3,
         'losses': {'train_loss': 0.1 + 0.2}, 'training_command': 'train --config small',
         'package_version': '0.1.0', **changes})
-    return Checkpoint(card, (rng.normal(size=(3, 2)), rng.normal(size=(1, 3))),
-                      (rng.normal(size=3), rng.normal(size=1)))
+    return Checkpoint(card, {'energy': Layers((rng.normal(size=(3, 2)), rng.normal(size=(1, 3))),
+                                              (rng.normal(size=3), rng.normal(size=1)))})
 
 
 def write(path: Path, change=None, card=None, **tensors) -> Path:

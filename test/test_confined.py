@@ -8,9 +8,9 @@ from pathlib import Path
 from helpers import EPS, exact, jacobian, python_step, symplectic_defect, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import (
-    Checkpoint, load_checkpoint, ModelCard, save_checkpoint)
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.hamiltonians.confined import ConfinedHamiltonian, load_learned
+from hnn_vi_ros.hamiltonians.model_card import ModelCard
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.tao import Tao
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -219,7 +219,7 @@ def save_with(path: Path, confine: bool) -> None:
     """Save the shipped pendulum with another word on confinement in its card."""
     shipped = load_checkpoint(shipped_file('model', 'pendulum'))
     card = shipped.card.model_copy(update={'confine': confine})
-    save_checkpoint(path, Checkpoint(card, shipped.weights, shipped.biases))
+    save_checkpoint(path, Checkpoint(card, shipped.networks))
 
 
 @pytest.mark.parametrize('in_card', [False, True])

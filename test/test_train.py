@@ -11,8 +11,11 @@ from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.learning.config import find_config, load_config
-from hnn_vi_ros.learning.losses import nonlinearity, vector_field_loss
-from hnn_vi_ros.learning.network import EnergyNetwork
+from hnn_vi_ros.learning.choices import HNNChoice
+from hnn_vi_ros.learning.families.base import Scales
+from hnn_vi_ros.learning.families.hnn import HNN
+from hnn_vi_ros.learning.losses import mean_square, nonlinearity
+from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.resources import shipped_file, shipped_names
 from hypothesis import given, settings, strategies as st
@@ -36,6 +39,12 @@ adam_steps: 40
 lbfgs_steps: 40
 linearity: 0.01
 """
+
+
+def unscaled_hnn(d: int) -> HNN:
+    """Return a network of d coordinates and five hidden units whose data are of order one."""
+    zero, one = np.zeros(d), np.ones(d)
+    return HNN(HNNChoice(kind='hnn'), [5], Scales(*3 * [zero], *5 * [one], zero), seed=3)
 
 
 def tiny_config(folder: Path, more: str = '') -> str:
@@ -121,8 +130,8 @@ def test_longer_history_brings_lbfgs_further_in_as_many_steps(tmp_path):
 
 
 def test_exported_layers_are_the_network_with_its_energy_set(tmp_path):
-    network = EnergyNetwork([7, 6], np.array([50.0, 3.0, -2.0, 0.0]),
-                            np.array([9.0, 0.1, 4.0, 1.0]), 250.0, seed=1)
+    network = Perceptron([7, 6], np.array([50.0, 3.0, -2.0, 0.0]),
+                         np.array([9.0, 0.1, 4.0, 1.0]), np.array([250.0]), seed=1)
     z0, energy0 = np.array([45.0, 3.1, 0.0, 0.5]), -3.0
     weights, biases = network.layers(z0, energy0)
     z = network.centre.numpy() + network.scale.numpy() * np.random.default_rng(2).uniform(
@@ -131,31 +140,32 @@ def test_exported_layers_are_the_network_with_its_energy_set(tmp_path):
     for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
         a = np.tanh(a @ weight.T + bias)
     energies = (a @ weights[-1].T + biases[-1])[:, 0]
-    exact = network(torch.tensor(np.vstack([z, z0]))).detach().numpy()
+    exact = network(torch.tensor(np.vstack([z, z0]))).detach().numpy()[:, 0]
     # Round-off of terms of size energy_scale, and of inputs that lie 500 scales from zero.
     assert np.allclose(energies - energies[-1], exact - exact[-1], rtol=0.0, atol=250.0 * 1e-12)
     assert energies[-1] == pytest.approx(energy0, abs=250.0 * 1e-15)
 
 
 def test_vector_field_is_the_symplectic_gradient_of_the_energy():
-    network = EnergyNetwork([5], np.zeros(4), np.ones(4), 1.0, seed=3)
+    network = unscaled_hnn(2)
     z = torch.tensor(np.random.default_rng(4).normal(size=(6, 4)))
     field = network.vector_field(z).detach()
     step = 1e-5
     for i, (row, sign) in enumerate(((2, -1), (3, -1), (0, 1), (1, 1))):
         shift = step * torch.eye(4, dtype=torch.float64)[i]
-        slope = ((network(z + shift) - network(z - shift)) / (2.0 * step)).detach()
+        slope = (network.energy(z + shift) - network.energy(z - shift)).detach() / (2.0 * step)
         # Central differences: truncation step^2, round-off 1e-16 / step.
         assert torch.allclose(field[:, row], sign * slope, rtol=0.0, atol=1e-9)
 
 
 def test_losses_vanish_exactly_where_they_should():
-    network = EnergyNetwork([5], np.zeros(2), np.ones(2), 1.0, seed=3)
+    network = unscaled_hnn(1)
     z = torch.tensor(np.random.default_rng(4).normal(size=(6, 2)))
     unit = torch.ones(2, dtype=torch.float64)
     field = network.vector_field(z).detach()
-    assert vector_field_loss(network, z, field, unit).item() == 0.0
-    assert vector_field_loss(network, z, field + 2.0, 2.0 * unit).item() == pytest.approx(1.0)
+    assert mean_square(network.vector_field(z) - field, unit).item() == 0.0
+    errors = network.vector_field(z) - (field + 2.0)
+    assert mean_square(errors, 2.0 * unit).item() == pytest.approx(1.0)
     assert nonlinearity(network, z, z, unit).item() == 0.0
     assert nonlinearity(network, z, z.flip(0), unit).item() > 0.0
 

@@ -4,22 +4,24 @@
 Trained networks on disk: one safetensors file, its metadata the model card.
 
 The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ... in
-the order of the layers, with tanh between them; the input is (q, p), the one output is H. The
-metadata entry ``model_card`` is a ModelCard as JSON. Nothing in it is ever executed.
+the order of the layers, with tanh between them, of the one network of a model. Those of a model
+of several networks begin with the network's name, as in ``potential.linear1.weight``. The metadata
+entry ``model_card`` is a ModelCard as JSON. Nothing in it is ever executed.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 import json
 import os
 from pathlib import Path
 import stat
-from typing import Annotated, Literal
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.yaml_file import StrictModel
+from hnn_vi_ros.hamiltonians.model_card import ModelCard
 import numpy as np
-from pydantic import Field, model_validator, ValidationError
+from pydantic import ValidationError
 import safetensors
 import safetensors.numpy
 
@@ -30,89 +32,52 @@ _ANEW = 'copy the file again, or train the model anew'
 # How a file begins that torch.save or pickle wrote: a zip archive, or a protocol 2 to 5 pickle.
 _PICKLES = (b'PK\x03\x04', b'\x80\x02', b'\x80\x03', b'\x80\x04', b'\x80\x05')
 
-Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+class Layers(NamedTuple):
+    """
+    A multilayer perceptron, one entry a layer.
 
+    Parameters
+    ----------
+    weights : tuple of np.ndarray, each (outputs, inputs)
+        In float64.
+    biases : tuple of np.ndarray, each (outputs,)
+        In float64.
 
-class CoordinateCard(StrictModel):
-    """One generalised coordinate of a model and its conjugate momentum."""
+    """
 
-    name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=64, description=(
-        'a letter or underscore, then letters, digits, underscores'))
-    q_unit: str = Field('1', max_length=32, description='unit of the coordinate')
-    p_unit: str = Field('1', max_length=32, description='unit of the momentum')
-
-
-class Box(StrictModel):
-    """A box in phase space: for each coordinate the bounds [low, high] of q and of p."""
-
-    q: list[Interval] = Field(min_length=1)
-    p: list[Interval] = Field(min_length=1)
-
-    @model_validator(mode='after')
-    def _check(self) -> 'Box':
-        if len(self.q) != len(self.p):
-            raise ValueError(f'{len(self.q)} intervals of q but {len(self.p)} of p')
-        for low, high in (*self.q, *self.p):
-            if not 0.0 < high - low < np.inf:
-                raise ValueError(
-                    f'[{low:g}, {high:g}] is not an interval of positive, finite size')
-        return self
-
-
-class ModelCard(StrictModel):
-    """What a model is, what it was learned from, and how well."""
-
-    format_version: Literal[1] = 1
-    name: str = Field(min_length=1, max_length=255)
-    family: Literal['hnn'] = 'hnn'
-    activation: Literal['tanh'] = 'tanh'
-    widths: list[Annotated[int, Field(ge=1, le=100_000)]] = Field(
-        min_length=3, max_length=100, description='of all layers, input and output included')
-    coordinates: list[CoordinateCard] = Field(min_length=1)
-    box: Box = Field(description='bounds of the data that the model was trained on')
-    dataset: str
-    seed: int
-    losses: dict[str, float]
-    training_command: str
-    package_version: str
-    confine: bool = Field(False, description=(
-        'whether H holds states near the box, unless a scene says otherwise'))
-
-    @model_validator(mode='after')
-    def _check(self) -> 'ModelCard':
-        d = len(self.coordinates)
-        if len({coordinate.name for coordinate in self.coordinates}) != d:
-            raise ValueError('two coordinates have the same name')
-        if len(self.box.q) != d:
-            raise ValueError(f'the box has {len(self.box.q)} coordinates, expected {d}')
-        if (self.widths[0], self.widths[-1]) != (2 * d, 1):
-            raise ValueError(f'widths {self.widths} must begin with {2 * d}, for (q, p) of '
-                             f'{d} coordinates, and end with 1, for H')
-        return self
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
 class Checkpoint:
     """
-    A trained network.
+    A trained model.
 
     Parameters
     ----------
     card : ModelCard
         What it is.
-    weights : tuple of np.ndarray, each (outputs, inputs)
-        One float64 matrix a layer.
-    biases : tuple of np.ndarray, each (outputs,)
-        One float64 vector a layer.
+    networks : mapping of str to Layers
+        By name, those of the card's layout.
     sha256 : str
         Of the file that it was loaded from; empty for one that was not.
 
     """
 
     card: ModelCard
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
+    networks: Mapping[str, Layers]
     sha256: str = ''
+
+    @property
+    def weights(self) -> tuple[np.ndarray, ...]:
+        """Return the weights of the network of H, in families that have one."""
+        return self.networks['energy'].weights
+
+    @property
+    def biases(self) -> tuple[np.ndarray, ...]:
+        """Return the biases of the network of H, in families that have one."""
+        return self.networks['energy'].biases
 
 
 def load_checkpoint(path: str | Path) -> Checkpoint:
@@ -147,13 +112,14 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         raise ModelError(f'{path}: not a safetensors file ({_one_line(problem)}); {_ANEW}'
                          ) from problem
     card = _card(path, metadata or {})
-    weights, biases = [], []
-    for name, shape in _expected_shapes(card).items():
-        (weights if name.endswith('weight') else biases).append(
-            _tensor(path, name, shape, tensors.pop(name, None)))
+    networks = {}
+    for network in card.layout:
+        layers = [[_tensor(path, name, shape, tensors.pop(name, None)) for name, shape in layer]
+                  for layer in _expected_layers(card, network)]
+        networks[network] = Layers(*zip(*layers))
     if tensors:
         raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
-    return Checkpoint(card, tuple(weights), tuple(biases), sha256(raw).hexdigest())
+    return Checkpoint(card, networks, sha256(raw).hexdigest())
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
@@ -174,15 +140,18 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
 
     """
     path = Path(path)
-    parts = [part for pair in zip(checkpoint.weights, checkpoint.biases, strict=True)
-             for part in pair]
     tensors = {}
-    for (name, shape), part in zip(_expected_shapes(checkpoint.card).items(), parts, strict=True):
-        if part.shape != shape or not np.isfinite(part).all():
-            raise ModelError(f'{path}: {name} has shape {part.shape}, expected {shape}, '
-                             'all values finite')
-        tensors[name] = np.ascontiguousarray(part, dtype='<f8')
-    raw = safetensors.numpy.save(tensors, {'model_card': checkpoint.card.model_dump_json()})
+    for network in checkpoint.card.layout:
+        layers = zip(*checkpoint.networks[network], strict=True)
+        for layer, parts in zip(
+                _expected_layers(checkpoint.card, network), layers, strict=True):
+            for (name, shape), part in zip(layer, parts, strict=True):
+                if part.shape != shape or not np.isfinite(part).all():
+                    raise ModelError(f'{path}: {name} has shape {part.shape}, expected {shape}, '
+                                     'all values finite')
+                tensors[name] = np.ascontiguousarray(part, dtype='<f8')
+    card = checkpoint.card.model_dump_json(exclude_none=True)
+    raw = safetensors.numpy.save(tensors, {'model_card': card})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _write_new(path, raw)
@@ -234,12 +203,13 @@ def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
                          'hnn_vi_ros that wrote it') from problem
 
 
-def _expected_shapes(card: ModelCard) -> dict[str, tuple[int, ...]]:
-    shapes: dict[str, tuple[int, ...]] = {}
-    for layer, (inputs, outputs) in enumerate(zip(card.widths, card.widths[1:]), start=1):
-        shapes[f'linear{layer}.weight'] = (outputs, inputs)
-        shapes[f'linear{layer}.bias'] = (outputs,)
-    return shapes
+def _expected_layers(card: ModelCard, network: str
+                     ) -> Iterator[tuple[tuple[str, tuple[int, ...]], ...]]:
+    """Yield for each layer of a network the names and shapes of its weight and its bias."""
+    widths, prefix = card.layout[network], '' if card.networks is None else f'{network}.'
+    for layer, (inputs, outputs) in enumerate(zip(widths, widths[1:]), start=1):
+        name = f'{prefix}linear{layer}'
+        yield (f'{name}.weight', (outputs, inputs)), (f'{name}.bias', (outputs,))
 
 
 def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict | None

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians.checkpoint import CoordinateCard
+from hnn_vi_ros.hamiltonians.model_card import CoordinateCard
+from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
 from hnn_vi_ros.learning.dataset import Dataset, ExactData, MeasuredData, sample_exact
 from hnn_vi_ros.learning.measured_log import read_measured_log
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
@@ -29,8 +30,10 @@ class TrainingConfig(StrictModel):
     description: str = Field('', max_length=1000)
     coordinates: list[CoordinateCard] = Field(min_length=1)
     data: Annotated[ExactData | MeasuredData, Field(discriminator='kind')]
+    family: FamilyChoice = Field(HNNChoice(kind='hnn'), description='what is learned')
+    loss: LossChoice = Field(VectorField(kind='vector_field'), description='how')
     hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
-        [64, 64], min_length=1, max_length=16, description='widths of the hidden layers')
+        [64, 64], min_length=1, max_length=16, description='widths of the hidden layers, of each network')
     seed: int = Field(0, ge=0, lt=2**63, description='of data, split and initial weights')
     validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description='of the data, held out')
     adam_steps: int = Field(1000, ge=1, le=1_000_000)
@@ -55,7 +58,15 @@ class TrainingConfig(StrictModel):
         for key, length in lengths.items():
             if length != d:
                 raise ValueError(f'{key} has {length} coordinates, but coordinates names {d}')
+        self._check_loss()
         return self
+
+    def _check_loss(self) -> None:
+        if self.loss.kind not in self.family.losses:
+            raise ValueError(f'loss: {self.loss.kind} does not train the family '
+                             f'{self.family.kind}; valid: {", ".join(self.family.losses)}')
+        if self.linearity and self.loss.kind != 'vector_field':
+            raise ValueError(f'linearity: needs the loss vector_field, not {self.loss.kind}')
 
 
 def find_config(config: str) -> Path:

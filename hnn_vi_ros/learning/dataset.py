@@ -2,19 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data to learn from: states (q, p) with their rates of change (dq/dt, dp/dt)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import signature
 from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import Box, Interval
+from hnn_vi_ros.hamiltonians.model_card import Box, Interval
 from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 MIN_ROWS = 10
+# Instants count as evenly spaced if they differ from even ones by less than this share of the
+# interval: enough for clocks written with few digits, less than a dropped sample.
+UNEVENNESS = 0.1
 _MOST_DRAWS = 10_000
 
 Names = list[Annotated[str, Field(min_length=1)]]
@@ -134,6 +137,12 @@ class Dataset:
         Rows that depend on one another share a block; a split keeps a block together.
     description : str
         Where the data comes from, for the model card.
+    t : np.ndarray, shape (N,), optional
+        When [s], for rows of a block that follow one another; a row of random states has none.
+    accelerations : np.ndarray, shape (N, d), optional
+        d2q/dt2 [1/s2], where known.
+    commands : np.ndarray, shape (N, m), optional
+        What was commanded.
 
     """
 
@@ -143,6 +152,9 @@ class Dataset:
     dp_dt: np.ndarray
     block: np.ndarray
     description: str
+    t: np.ndarray | None = None
+    accelerations: np.ndarray | None = None
+    commands: np.ndarray | None = None
 
     def checked(self) -> 'Dataset':
         """
@@ -177,8 +189,49 @@ class Dataset:
 
     def rows(self, chosen: np.ndarray) -> 'Dataset':
         """Return the rows that a mask of shape (N,) chooses."""
-        return Dataset(self.q[chosen], self.p[chosen], self.dq_dt[chosen], self.dp_dt[chosen],
-                       self.block[chosen], self.description)
+        parts = {name: part[chosen] for name, part in vars(self).items()
+                 if isinstance(part, np.ndarray)}
+        return replace(self, **parts)
+
+    def windows(self, step_size: float, count: int) -> np.ndarray:
+        """
+        Return which rows follow one another at even times.
+
+        Parameters
+        ----------
+        step_size : float
+            Time from one to the next [s].
+        count : int
+            How many each.
+
+        Returns
+        -------
+        np.ndarray of int, shape (M, count)
+            Every such sequence; all rows of one are in one block.
+
+        Raises
+        ------
+        DataError
+            There are none.
+
+        """
+        found = []
+        if self.t is not None:
+            for block in np.unique(self.block):
+                rows = np.flatnonzero(self.block == block)
+                first = self.t[rows]
+                near = UNEVENNESS * np.median(np.diff(first)) if len(rows) > 1 else 0.0
+                times = first[:, None] + step_size * np.arange(count)
+                at = np.searchsorted(first, times - near)
+                inside = at[:, -1] < len(rows)
+                at, times = at[inside], times[inside]
+                found.append(rows[at[(np.abs(first[at] - times) <= near).all(axis=1)]])
+        windows = np.concatenate(found) if found else np.empty((0, count), dtype=int)
+        if not len(windows):
+            raise DataError(f'{self.description}: no {count} rows follow one another every '
+                            f'{step_size:g} s, as the loss needs; give data sampled at times of '
+                            'which step_size is a multiple, such as exact data with a trajectory')
+        return windows
 
 
 def sample_exact(data: ExactData, seed: int) -> Dataset:

@@ -1,27 +1,28 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Train a Hamiltonian neural network: ``ros2 run hnn_vi_ros train --config NAME``.
+Train a model of a mechanical system: ``ros2 run hnn_vi_ros train --config NAME``.
 
-H(q, p) is fitted so that (H_p, -H_q) matches (dq/dt, dp/dt): first by Adam, which finds a good
-valley, then by L-BFGS, which descends it. All in float64, on all the data at once, and the
-same on the same machine for the same seed.
+A model of the configuration's family is fitted so that its loss is small, for the plain network
+H(q, p) the error of (H_p, -H_q) against (dq/dt, dp/dt): first by Adam, which finds a good valley,
+then by L-BFGS, which descends it. All in float64, on all the data at once, and the same on the
+same machine for the same seed.
 """
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import os
 from pathlib import Path
 import shlex
 import time
 
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, ModelCard, save_checkpoint
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.hamiltonians.model_card import ModelCard
 from hnn_vi_ros.learning.config import find_config, load_config, make_dataset, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.losses import nonlinearity, vector_field_loss
-from hnn_vi_ros.learning.network import EnergyNetwork
+from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.version import __version__
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -36,7 +37,6 @@ LBFGS_SCALE = 1e8
 # less than this share of the loss.
 INTERVAL = 20
 LEAST_GAIN = 1e-6
-PAIRS = 256  # of states, for the preference for a linear field
 
 Note = Callable[[int, float, bool], None]  # step, loss, whether to look at the validation loss
 
@@ -52,66 +52,14 @@ class History:
     adam_steps: int = 0
 
 
-class Problem:
-    """
-    The data as tensors, a fresh network, and the loss that it is trained on.
-
-    Parameters
-    ----------
-    config : TrainingConfig
-        Widths, seed, split and preferences.
-    dataset : Dataset
-        What to learn from.
-
-    """
-
-    def __init__(self, config: TrainingConfig, dataset: Dataset):
-        train, validation = dataset.split(config.validation_fraction, config.seed)
-        self.z, self.rates = _tensors(train)
-        self.z_validation, self.rates_validation = _tensors(validation)
-        self.unit = self.rates.square().mean(dim=0).sqrt()
-        box = np.array([*dataset.box.q, *dataset.box.p])
-        self.centre, self.half = box.mean(axis=1), 0.5 * np.ptp(box, axis=1)
-        # (H_p, -H_q) of order `unit` for a perceptron whose slopes are of order one.
-        q_half, p_half = np.split(self.half, 2)
-        energy_scale = float(np.mean(self.unit.numpy() * np.concatenate([p_half, q_half])))
-        self.network = EnergyNetwork(config.hidden, self.centre, self.half, energy_scale,
-                                     config.seed)
-        rng = np.random.default_rng(config.seed)
-        self.pairs = [torch.tensor(self.centre + self.half * rng.uniform(-1, 1, (PAIRS, len(box))))
-                      for _ in range(2)]
-        self.linearity = config.linearity
-
-    def loss(self) -> torch.Tensor:
-        """Return what training makes small."""
-        loss = vector_field_loss(self.network, self.z, self.rates, self.unit)
-        if self.linearity:
-            loss = loss + self.linearity * nonlinearity(self.network, *self.pairs, self.unit)
-        return loss
-
-    def final_losses(self) -> dict[str, float]:
-        """Return the losses, and the RMS errors on the held-out data in its own units."""
-        network, unit = self.network, self.unit
-        errors = network.vector_field(self.z_validation) - self.rates_validation
-        q_errors, p_errors = errors.detach().chunk(2, dim=1)
-        values = {
-            'train_loss': vector_field_loss(network, self.z, self.rates, unit),
-            'validation_loss': (errors / unit).square().mean(),
-            'field_rms': errors.square().mean().sqrt(),
-            'dq_dt_rms': q_errors.square().mean().sqrt(),
-            'dp_dt_rms': p_errors.square().mean().sqrt(),
-        }
-        return {name: float(value.detach()) for name, value in values.items()}
-
-
 def fit(problem: Problem, config: TrainingConfig, progress: tqdm) -> History:
     """
-    Train the network of a problem in place.
+    Train the model of a problem in place.
 
     Parameters
     ----------
     problem : Problem
-        Its network is changed.
+        Its model is changed.
     config : TrainingConfig
         Numbers of steps and the learning rate.
     progress : tqdm
@@ -132,9 +80,7 @@ def fit(problem: Problem, config: TrainingConfig, progress: tqdm) -> History:
         history.train.append(loss)
         history.train_step.append(step)
         if look:
-            held_out = vector_field_loss(problem.network, problem.z_validation,
-                                         problem.rates_validation, problem.unit)
-            history.validation.append(float(held_out.detach()))
+            history.validation.append(problem.validation_loss())
             history.validation_step.append(step)
         progress.update(step - progress.n)
         progress.set_postfix_str(f'loss {loss:.2e}', refresh=False)
@@ -145,7 +91,7 @@ def fit(problem: Problem, config: TrainingConfig, progress: tqdm) -> History:
 
 
 def _run_adam(problem: Problem, config: TrainingConfig, note: Note) -> None:
-    adam = torch.optim.Adam(problem.network.parameters(), lr=config.learning_rate)
+    adam = torch.optim.Adam(problem.family.parameters(), lr=config.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, config.adam_steps)
     for step in range(config.adam_steps):
         adam.zero_grad()
@@ -158,7 +104,7 @@ def _run_adam(problem: Problem, config: TrainingConfig, note: Note) -> None:
 
 def _run_lbfgs(problem: Problem, config: TrainingConfig, note: Note) -> None:
     lbfgs = torch.optim.LBFGS(
-        problem.network.parameters(), max_iter=INTERVAL, max_eval=10 * INTERVAL,
+        problem.family.parameters(), max_iter=INTERVAL, max_eval=10 * INTERVAL,
         history_size=config.lbfgs_history, tolerance_grad=0.0, tolerance_change=0.0,
         line_search_fn='strong_wolfe')
 
@@ -208,15 +154,27 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str
     with tqdm(total=config.adam_steps + config.lbfgs_steps, desc=name, unit='step',
               disable=None) as progress:
         history = fit(problem, config, progress)
-    reference = config.reference
-    z0 = problem.centre if reference is None else np.array([*reference.q, *reference.p])
-    weights, biases = problem.network.layers(z0, 0.0 if reference is None else reference.energy)
+    return describe(problem, config, dataset, name, command), history
+
+
+def describe(problem: Problem, config: TrainingConfig, dataset: Dataset, name: str, command: str
+             ) -> Checkpoint:
+    """Return a trained model with its card; see train."""
+    family, reference = problem.family, config.reference
+    box = replace(dataset, p=family.momenta(dataset)).box
+    centre = np.mean([*box.q, *box.p], axis=1)
+    z0 = centre if reference is None else np.array([*reference.q, *reference.p])
+    networks = family.networks(z0, 0.0 if reference is None else reference.energy)
+    widths = {key: [layers.weights[0].shape[1], *(len(bias) for bias in layers.biases)]
+              for key, layers in networks.items()}
+    several = {'networks': widths} if len(widths) > 1 else {'widths': [*widths.values()][0]}
     card = ModelCard(
-        name=name, widths=problem.network.widths, coordinates=config.coordinates,
-        box=dataset.box, dataset=dataset.description, seed=config.seed,
+        name=name, family=config.family.kind, **several, **family.constants(),
+        scheme=config.loss.scheme, coordinates=config.coordinates,
+        box=box, dataset=dataset.description, seed=config.seed,
         losses=problem.final_losses(), training_command=command, package_version=__version__,
         confine=config.confine)
-    return Checkpoint(card, weights, biases), history
+    return Checkpoint(card, networks)
 
 
 def plot_history(history: History, name: str, path: Path) -> None:
@@ -286,9 +244,3 @@ def _check_output(out: Path) -> Path:
         raise ParameterError(f'--out {out}: cannot be written ({problem.strerror}); name another '
                              'file') from problem
     return curve
-
-
-def _tensors(dataset: Dataset) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the states (q, p) and the rates (dq/dt, dp/dt), each (N, 2 d)."""
-    return (torch.tensor(np.hstack([dataset.q, dataset.p])),
-            torch.tensor(np.hstack([dataset.dq_dt, dataset.dp_dt])))

@@ -4,7 +4,8 @@
 
 from collections.abc import Callable
 
-from hnn_vi_ros.hamiltonians.checkpoint import Box, Checkpoint, CoordinateCard, ModelCard
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.studies.peers import jax_energy
 import jax
@@ -22,9 +23,9 @@ def random_network(widths: list[int], seed: int) -> Checkpoint:
         name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
         package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
         coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)])
-    return Checkpoint(
-        card, tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
-        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))
+    return Checkpoint(card, {'energy': Layers(
+        tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
+        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))})
 
 
 def jax_gradient(checkpoint: Checkpoint) -> Callable[[jax.Array], jax.Array]:
