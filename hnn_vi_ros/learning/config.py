@@ -9,8 +9,7 @@ from typing import Annotated
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians.model_card import CoordinateCard
 from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
-from hnn_vi_ros.learning.dataset import Dataset, ExactData, MeasuredData, sample_exact
-from hnn_vi_ros.learning.measured_log import read_measured_log
+from hnn_vi_ros.learning.sources import dimension, Source
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.yaml_file import load_yaml, StrictModel
 from pydantic import Field, model_validator
@@ -29,11 +28,12 @@ class TrainingConfig(StrictModel):
 
     description: str = Field('', max_length=1000)
     coordinates: list[CoordinateCard] = Field(min_length=1)
-    data: Annotated[ExactData | MeasuredData, Field(discriminator='kind')]
+    data: Source
     family: FamilyChoice = Field(HNNChoice(kind='hnn'), description='what is learned')
     loss: LossChoice = Field(VectorField(kind='vector_field'), description='how')
     hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
-        [64, 64], min_length=1, max_length=16, description='widths of the hidden layers, of each network')
+        [64, 64], min_length=1, max_length=16, description=(
+            'widths of the hidden layers, of each network'))
     seed: int = Field(0, ge=0, lt=2**63, description='of data, split and initial weights')
     validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description='of the data, held out')
     adam_steps: int = Field(1000, ge=1, le=1_000_000)
@@ -50,8 +50,7 @@ class TrainingConfig(StrictModel):
     @model_validator(mode='after')
     def _check(self) -> 'TrainingConfig':
         d = len(self.coordinates)
-        lengths = {'data': len(self.data.box.q if isinstance(self.data, ExactData)
-                               else self.data.q)}
+        lengths = {'data': dimension(self.data)} if dimension(self.data) else {}
         if self.reference is not None:
             lengths |= {'reference.q': len(self.reference.q),
                         'reference.p': len(self.reference.p)}
@@ -97,37 +96,3 @@ def find_config(config: str) -> Path:
 def load_config(path: Path) -> TrainingConfig:
     """Read and validate a training configuration; a DataError names file, line and key."""
     return load_yaml(path, TrainingConfig, DataError)
-
-
-def make_dataset(config: TrainingConfig, source: Path, log: str | None) -> Dataset:
-    """
-    Sample or read the data of a configuration.
-
-    Parameters
-    ----------
-    config : TrainingConfig
-        What to learn from.
-    source : Path
-        The file of the configuration; a relative ``data.path`` is looked up beside it, then in
-        the working directory.
-    log : str or None
-        A measured log in place of ``data.path``.
-
-    Raises
-    ------
-    DataError
-        The data cannot be read, or a log is given for exact data.
-
-    """
-    if isinstance(config.data, ExactData):
-        if log is not None:
-            raise DataError(f'{source}: its data is exact, so --data {log} has no use; leave it')
-        return sample_exact(config.data, config.seed)
-    if log is None and not config.data.path:
-        raise DataError(f'{source}: data.path is empty; pass the log with --data FILE')
-    path = source.parent / config.data.path
-    if log is not None:
-        path = Path(log)
-    elif not os.path.isfile(path):
-        path = Path(config.data.path)
-    return read_measured_log(path, config.data)

@@ -3,123 +3,23 @@
 """Data to learn from: states (q, p) with their rates of change (dq/dt, dp/dt)."""
 
 from dataclasses import dataclass, replace
-from inspect import signature
-from typing import Annotated, Literal
+from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.model_card import Box, Interval
-from hnn_vi_ros.yaml_file import StrictModel
+from hnn_vi_ros.hamiltonians.model_card import Box
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field
 
 MIN_ROWS = 10
 # Instants count as evenly spaced if they differ from even ones by less than this share of the
 # interval: enough for clocks written with few digits, less than a dropped sample.
 UNEVENNESS = 0.1
-_MOST_DRAWS = 10_000
 
 Names = list[Annotated[str, Field(min_length=1)]]
-
-
-class ExactHamiltonian(StrictModel):
-    """An analytic Hamiltonian by name; further keys are its parameters, as in a scene."""
-
-    model_config = ConfigDict(extra='allow')
-    __pydantic_extra__: dict[str, float]
-
-    kind: Literal[tuple(HAMILTONIANS)]  # type: ignore[valid-type]
-
-    @model_validator(mode='after')
-    def _check(self) -> 'ExactHamiltonian':
-        valid = list(signature(HAMILTONIANS[self.kind]).parameters)
-        unknown = sorted(set(self.__pydantic_extra__) - set(valid))
-        if unknown:
-            raise ValueError(f'unknown key {unknown[0]}; valid keys: {", ".join(valid) or "none"}')
-        self.create()
-        return self
-
-    def create(self) -> Hamiltonian:
-        """Build the Hamiltonian."""
-        return HAMILTONIANS[self.kind](**self.__pydantic_extra__)
-
-
-class ExactData(StrictModel):
-    """States drawn at random from a box, their rates computed from an exact Hamiltonian."""
-
-    kind: Literal['exact']
-    hamiltonian: ExactHamiltonian
-    box: Box
-    samples: int = Field(1000, ge=MIN_ROWS, le=1_000_000)
-    edge_share: float = Field(0.0, ge=0.0, lt=1.0, description=(
-        'chance of each value to lie on a bound: corners of many dimensions are else left empty'))
-    radius: Interval | None = Field(None, description=(
-        'bounds of the length of q: an annulus of the box, for an H that is singular at q = 0'))
-    energy: Interval | None = Field(None, description=(
-        'bounds of H: the part of the box that motions of these energies visit'))
-
-    @model_validator(mode='after')
-    def _check(self) -> 'ExactData':
-        for name in ('radius', 'energy'):
-            bounds = getattr(self, name)
-            if bounds is not None and not bounds[0] < bounds[1]:
-                raise ValueError(f'{name} = {bounds} must be [low, high] with low < high')
-        return self
-
-
-class SavitzkyGolay(StrictModel):
-    """Derivatives of a polynomial fitted in a sliding window; needs even sampling."""
-
-    kind: Literal['savitzky_golay'] = 'savitzky_golay'
-    window: float = Field(gt=0.0, description='length of the window [s]')
-    degree: int = Field(3, ge=1, le=9, description='of the polynomial')
-
-
-class SmoothingSpline(StrictModel):
-    """Derivatives of a smoothing cubic spline; takes uneven sampling."""
-
-    kind: Literal['smoothing_spline']
-    smoothing: float | None = Field(None, ge=0.0, description=(
-        'weight of the squared second derivative; without it, generalised cross-validation'))
-
-
-class MeasuredData(StrictModel):
-    """A measured log: a text file with one row of numbers for each instant."""
-
-    kind: Literal['measured']
-    path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
-    delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] = 'whitespace'
-    comment: str = Field('#', min_length=1, description='prefix of lines to skip')
-    columns: Names = Field(min_length=3, description='names of all columns, in order')
-    trial: str | None = Field(None, description='column that numbers separate recordings')
-    time: str = Field(description='column of time [s]')
-    q: Names = Field(min_length=1, description='columns of the coordinates')
-    p: Names = Field(min_length=1, description='columns of the momenta, or of the velocities')
-    mass: list[Annotated[float, Field(gt=0.0)]] | None = Field(
-        None, description='p = mass * column, for each coordinate; default 1')
-    dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
-    dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
-    derivatives: SavitzkyGolay | SmoothingSpline | None = Field(
-        None, discriminator='kind', description='how missing derivatives are estimated')
-
-    @model_validator(mode='after')
-    def _check(self) -> 'MeasuredData':
-        groups = {'q': self.q, 'p': self.p, 'dq_dt': self.dq_dt, 'dp_dt': self.dp_dt,
-                  'mass': self.mass}
-        for key, group in groups.items():
-            if group is not None and len(group) != len(self.q):
-                raise ValueError(f'{key} has {len(group)} entries, expected {len(self.q)}, '
-                                 'one for each coordinate')
-        used = [self.time, *self.q, *self.p, *(self.dq_dt or []), *(self.dp_dt or [])]
-        used += [] if self.trial is None else [self.trial]
-        for name in used:
-            if self.columns.count(name) != 1 or used.count(name) != 1:
-                raise ValueError(f'column {name} must stand once in columns and be used once')
-        if self.derivatives is None and not (self.dq_dt and self.dp_dt):
-            raise ValueError('derivatives is missing, since the log lacks dq_dt or dp_dt; '
-                             'for example derivatives: {kind: savitzky_golay, window: 0.3}')
-        return self
+Mass = (Annotated[list[Annotated[float, Field(gt=0.0)]], Field(min_length=1)]
+        | Annotated[list[list[float]], Field(min_length=1)])
+Block = Annotated[float | None, Field(gt=0.0, description=(
+    'length of the blocks of time that a split keeps together [s]'))]
 
 
 @dataclass(frozen=True)
@@ -138,7 +38,9 @@ class Dataset:
     description : str
         Where the data comes from, for the model card.
     t : np.ndarray, shape (N,), optional
-        When [s], for rows of a block that follow one another; a row of random states has none.
+        When [s]; it increases within a trajectory. States drawn at random have none.
+    trajectory : np.ndarray of int, shape (N,), optional
+        Rows of one motion share a number; without it, those of a block are one.
     accelerations : np.ndarray, shape (N, d), optional
         d2q/dt2 [1/s2], where known.
     commands : np.ndarray, shape (N, m), optional
@@ -153,6 +55,7 @@ class Dataset:
     block: np.ndarray
     description: str
     t: np.ndarray | None = None
+    trajectory: np.ndarray | None = None
     accelerations: np.ndarray | None = None
     commands: np.ndarray | None = None
 
@@ -207,7 +110,7 @@ class Dataset:
         Returns
         -------
         np.ndarray of int, shape (M, count)
-            Every such sequence; all rows of one are in one block.
+            Every such sequence; all rows of one are of one trajectory.
 
         Raises
         ------
@@ -217,8 +120,9 @@ class Dataset:
         """
         found = []
         if self.t is not None:
-            for block in np.unique(self.block):
-                rows = np.flatnonzero(self.block == block)
+            numbers = self.block if self.trajectory is None else self.trajectory
+            for number in np.unique(numbers):
+                rows = np.flatnonzero(numbers == number)
                 first = self.t[rows]
                 near = UNEVENNESS * np.median(np.diff(first)) if len(rows) > 1 else 0.0
                 times = first[:, None] + step_size * np.arange(count)
@@ -234,76 +138,38 @@ class Dataset:
         return windows
 
 
-def sample_exact(data: ExactData, seed: int) -> Dataset:
+def _bounds(values: np.ndarray) -> list[list[float]]:
+    return np.stack([values.min(axis=0), values.max(axis=0)], axis=-1).tolist()
+
+
+def mass_matrix(mass: Mass | None, d: int) -> np.ndarray:
     """
-    Draw states from a box and compute their rates, dq/dt = H_p and dp/dt = -H_q.
+    Return the matrix M of p = M dq/dt, shape (d, d).
 
     Parameters
     ----------
-    data : ExactData
-        The Hamiltonian, the box and the number of samples.
-    seed : int
-        Of the random numbers; the same seed gives the same data.
+    mass : list of float, list of list of float, or None
+        The masses, or the whole matrix by rows; None is 1 for each coordinate.
+    d : int
+        Number of coordinates.
 
     Raises
     ------
-    DataError
-        The box has another number of coordinates than the Hamiltonian.
+    ValueError
+        It has another size, or is not symmetric and positive definite.
 
     """
-    hamiltonian = data.hamiltonian.create()
-    if len(data.box.q) != hamiltonian.dimension:
-        raise DataError(f'data.box has {len(data.box.q)} coordinates, but {data.hamiltonian.kind} '
-                        f'has {hamiltonian.dimension}; give one interval of q and of p for each')
-    rng = np.random.default_rng(seed)
-    q, p = _draw_states(data, hamiltonian, rng)
-    dH_dq, dH_dp = hamiltonian.gradient(q, p)
-    kind, parameters = data.hamiltonian.kind, data.hamiltonian.__pydantic_extra__
-    described = ', '.join(f'{key}={value:g}' for key, value in parameters.items())
-    return Dataset(q, p, dH_dp, -dH_dq, np.arange(data.samples),
-                   f'{data.samples} exact samples of {kind}({described})').checked()
+    if mass is None:
+        return np.eye(d)
+    if len(mass) != d or any(isinstance(row, list) and len(row) != d for row in mass):
+        raise ValueError(f'mass has {len(mass)} entries, expected {d}, one for each coordinate, '
+                         f'or {d} rows of {d} numbers')
+    matrix = np.array(mass) if isinstance(mass[0], list) else np.diag(mass)
+    if not (np.array_equal(matrix, matrix.T) and np.linalg.eigvalsh(matrix)[0] > 0.0):
+        raise ValueError('mass must be a symmetric matrix with positive eigenvalues')
+    return matrix
 
 
-def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
-                 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and p of shape (samples, d), drawn anew until all are within the bounds."""
-    q, p = _draw(data.box.q, data, rng), _draw(data.box.p, data, rng)
-    bad = ~_is_within(data, hamiltonian, q, p)
-    for _ in range(_MOST_DRAWS):
-        if not bad.any():
-            return q, p
-        again = np.flatnonzero(bad)
-        q[again] = _draw(data.box.q, data, rng)[again]
-        p[again] = _draw(data.box.p, data, rng)[again]
-        bad[again] = ~_is_within(data, hamiltonian, q[again], p[again])
-    raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too little of '
-                    'data.box is within these bounds; give wider ones or a smaller box')
-
-
-def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray
-               ) -> np.ndarray:
-    """Tell which states are within the bounds of radius and energy."""
-    within = np.ones(len(q), dtype=bool)
-    if data.radius is not None:
-        low, high = data.radius
-        length = np.linalg.norm(q, axis=1)
-        within &= (low <= length) & (length <= high)
-    if data.energy is not None:
-        low, high = data.energy
-        energy = hamiltonian.energy(q, p)
-        within &= (low <= energy) & (energy <= high)
-    return within
-
-
-def _draw(bounds: list[list[float]], data: ExactData, rng: np.random.Generator) -> np.ndarray:
-    """Return values of shape (samples, d), uniform between the bounds or on one of them."""
-    low, high = np.transpose(bounds)
-    values = rng.uniform(low, high, size=(data.samples, len(bounds)))
-    if data.edge_share > 0.0:
-        edges = np.where(rng.random(values.shape) < 0.5, low, high)
-        values = np.where(rng.random(values.shape) < data.edge_share, edges, values)
-    return values
-
-
-def _bounds(values: np.ndarray) -> list[list[float]]:
-    return np.stack([values.min(axis=0), values.max(axis=0)], axis=-1).tolist()
+def time_blocks(t: np.ndarray, length: float) -> np.ndarray:
+    """Return the number, from 0 on, of the block of time that each row is in."""
+    return np.floor((t - t[0]) / length).astype(int)

@@ -5,22 +5,61 @@
 from hashlib import sha256
 import os
 from pathlib import Path
+from typing import Literal
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.dataset import Dataset, MeasuredData, SavitzkyGolay
+from hnn_vi_ros.learning.dataset import (
+    Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
+from hnn_vi_ros.learning.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
+from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
-from scipy.signal import savgol_filter
+from pydantic import Field, model_validator
 
 MAX_BYTES = 256 << 20
 MAX_VALUE = 1e100  # whose square is still a number
-# Instants of a log that counts as evenly sampled differ from even ones by less than this share
-# of the interval: enough for clocks written with few digits, less than a dropped sample.
-UNEVENNESS = 0.1
 # Blocks of neighbouring rows in a trial whose derivatives come from one spline through all rows.
 BLOCKS = 20
 
 _SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
+
+
+class MeasuredData(StrictModel):
+    """A measured log: a text file with one row of numbers for each instant."""
+
+    kind: Literal['measured']
+    path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
+    delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] = 'whitespace'
+    comment: str = Field('#', min_length=1, description='prefix of lines to skip')
+    columns: Names = Field(min_length=3, description='names of all columns, in order')
+    trial: str | None = Field(None, description='column that numbers separate recordings')
+    time: str = Field(description='column of time [s]')
+    q: Names = Field(min_length=1, description='columns of the coordinates')
+    p: Names = Field(min_length=1, description='columns of the momenta, or of the velocities')
+    mass: Mass | None = Field(None, description=(
+        'p = mass * columns: one for each coordinate, or a matrix by rows; default 1'))
+    dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
+    dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
+    derivatives: SavitzkyGolay | SmoothingSpline | None = Field(
+        None, discriminator='kind', description='how missing derivatives are estimated')
+    block: Block = None
+
+    @model_validator(mode='after')
+    def _check(self) -> 'MeasuredData':
+        groups = {'q': self.q, 'p': self.p, 'dq_dt': self.dq_dt, 'dp_dt': self.dp_dt}
+        for key, group in groups.items():
+            if group is not None and len(group) != len(self.q):
+                raise ValueError(f'{key} has {len(group)} entries, expected {len(self.q)}, '
+                                 'one for each coordinate')
+        mass_matrix(self.mass, len(self.q))
+        used = [self.time, *self.q, *self.p, *(self.dq_dt or []), *(self.dp_dt or [])]
+        used += [] if self.trial is None else [self.trial]
+        for name in used:
+            if self.columns.count(name) != 1 or used.count(name) != 1:
+                raise ValueError(f'column {name} must stand once in columns and be used once')
+        if self.derivatives is None and not (self.dq_dt and self.dp_dt):
+            raise ValueError('derivatives is missing, since the log lacks dq_dt or dp_dt; '
+                             'for example derivatives: {kind: savitzky_golay, window: 0.3}')
+        return self
 
 
 def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
@@ -49,16 +88,15 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
     column = {name: table[:, i] for i, name in enumerate(data.columns)}
     trials = column[data.trial] if data.trial else np.zeros(len(table))
     parts, start = [], 0
-    for trial in np.unique(trials):
+    for number, trial in enumerate(np.unique(trials)):
         rows = np.flatnonzero(trials == trial)
-        part = _trial({name: values[rows] for name, values in column.items()},
-                      data, path, lines[rows])
-        part[-1][:] += start
-        start = part[-1].max() + 1
-        parts.append(part)
-    merged = [np.concatenate(arrays) for arrays in zip(*parts)]
-    return Dataset(*merged, f'{path.name} ({len(table)} rows, '
-                            f'sha256 {sha256(raw).hexdigest()[:16]})').checked()
+        *arrays, block = _trial({name: values[rows] for name, values in column.items()},
+                                data, path, lines[rows])
+        parts.append((*arrays, block + start, np.full(len(block), number)))
+        start += block.max(initial=0) + 1
+    *states, t, block, trajectory = (np.concatenate(arrays) for arrays in zip(*parts))
+    description = f'{path.name} ({len(table)} rows, sha256 {sha256(raw).hexdigest()[:16]})'
+    return Dataset(*states, block, description, t, trajectory).checked()
 
 
 def _read(path: Path) -> bytes:
@@ -113,20 +151,21 @@ def _number(path: Path, line: int, index: int, field: str, name: str) -> float:
 
 def _trial(column: dict[str, np.ndarray], data: MeasuredData, path: Path, lines: np.ndarray
            ) -> tuple[np.ndarray, ...]:
-    """Return q, p, dq/dt, dp/dt, each (N, d), and the block of each row, for one trial."""
+    """Return q, p, dq/dt, dp/dt, each (N, d), and time and block of each row, for one trial."""
     t = column[data.time]
     backward = np.flatnonzero(np.diff(t) <= 0.0)
     if backward.size:
         raise DataError(f'{path}:{lines[backward[0] + 1]}: column {data.time}: time must '
                         'increase from row to row; sort the rows, or name the column that '
                         'separates recordings in data.trial')
-    mass = np.array(data.mass or [1.0] * len(data.q))
+    mass = mass_matrix(data.mass, len(data.q))
     q = np.stack([column[name] for name in data.q], axis=-1)
-    p = np.stack([column[name] for name in data.p], axis=-1) * mass
+    p = np.stack([column[name] for name in data.p], axis=-1) @ mass
     rates = [None if names is None else np.stack([column[name] for name in names], axis=-1)
              for names in (data.dq_dt, data.dp_dt)]
     if rates[0] is not None and rates[1] is not None:
-        return q, p, rates[0], rates[1], np.arange(len(t))
+        block = np.arange(len(t)) if data.block is None else time_blocks(t, data.block)
+        return q, p, rates[0], rates[1], t, block
     window = _window(t, data.derivatives, path, lines)
     states = [q, p]
     for i, rate in enumerate(rates):
@@ -139,7 +178,9 @@ def _trial(column: dict[str, np.ndarray], data: MeasuredData, path: Path, lines:
                                 'data.derivatives') from problem
     whole = slice(window // 2, len(t) - window // 2)
     block = np.arange(len(t)) // (window or max(len(t) // BLOCKS, 1))
-    return tuple(array[whole] for array in (*states, *rates, block))
+    if data.block is not None:
+        block = time_blocks(t, data.block)
+    return tuple(array[whole] for array in (*states, *rates, t, block))
 
 
 def _window(t: np.ndarray, method: object, path: Path, lines: np.ndarray) -> int:
@@ -161,38 +202,3 @@ def _window(t: np.ndarray, method: object, path: Path, lines: np.ndarray) -> int
                         f'{window} of the {len(t)} rows of this trial, expected '
                         f'{method.degree + 2} to {len(t) - 1}')
     return window
-
-
-def differentiate(t: np.ndarray, values: np.ndarray, method: object, window: int
-                  ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Smooth measured values and estimate their derivative.
-
-    Parameters
-    ----------
-    t : np.ndarray, shape (N,)
-        Increasing instants [s]; evenly spaced for a SavitzkyGolay method.
-    values : np.ndarray, shape (N, d)
-        What was measured then.
-    method : SavitzkyGolay or SmoothingSpline
-        How to smooth.
-    window : int
-        Rows in the window of a SavitzkyGolay method.
-
-    Returns
-    -------
-    tuple of np.ndarray, shape (N, d)
-        The smoothed values and their derivatives [1/s].
-
-    References
-    ----------
-    A. Savitzky, M. Golay, Analytical Chemistry 36 (1964), doi:10.1021/ac60214a047.
-
-    """
-    if isinstance(method, SavitzkyGolay):
-        spacing = (t[-1] - t[0]) / (len(t) - 1)
-        return tuple(savgol_filter(values, window, method.degree, deriv=order, delta=spacing,
-                                   axis=0) for order in (0, 1))
-    splines = [make_smoothing_spline(t, column, lam=method.smoothing) for column in values.T]
-    return (np.stack([spline(t) for spline in splines], axis=-1),
-            np.stack([spline.derivative()(t) for spline in splines], axis=-1))

@@ -20,9 +20,10 @@ import time
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.hamiltonians.model_card import ModelCard
-from hnn_vi_ros.learning.config import find_config, load_config, make_dataset, TrainingConfig
+from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.version import __version__
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -201,7 +202,8 @@ def main(argv: Sequence[str] | None = None) -> None:
                         help='a shipped training configuration, or a YAML file')
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='the model file to write (default: models/<name>.safetensors)')
-    parser.add_argument('--data', metavar='FILE', help='a measured log, instead of data.path')
+    parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
+                        help='a measured log, or bags, instead of data.path')
     parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
     arguments = parser.parse_args(argv)
     # Small networks gain nothing from more threads, and sums come out the same on any machine.
@@ -214,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 f'--seed {arguments.seed}: expected an integer from 0 to 2^63 - 1')
         config = config.model_copy(update={'seed': arguments.seed})
     out = arguments.out or Path('models') / f'{source.stem}.safetensors'
-    dataset = make_dataset(config, source, arguments.data)
+    dataset = make_dataset(config.data, config.seed, source, arguments.data)
     curve = _check_output(out)
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *(argv or ())])
     start = time.perf_counter()
