@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError, Force, Live, Potential, StepEffect
@@ -48,6 +49,11 @@ class JoinedHamiltonian(Hamiltonian):
     def box(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the box in which the base was learned."""
         return self.base.box
+
+    @property
+    def smooth(self) -> bool:
+        """Tell whether the gradient of the base is continuous."""
+        return self.base.smooth
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -129,6 +135,11 @@ class System:
         joined = [(effects[i], self._parameters[i]) for i in self._all(Potential, MagneticField)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
         integrator.check(self.hamiltonian)
+        if not hamiltonian.smooth:
+            warnings.warn(
+                'the gradient of H jumps, as that of every relu network does: no method keeps its '
+                'order there, and implicit steps may find no solution; train with another '
+                'activation', stacklevel=3)
         split = [i for i in self._all(StepEffect) if i not in self._forces(integrator)]
         self._assemble(integrator, self._forces(integrator), split)
 

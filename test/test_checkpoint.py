@@ -135,7 +135,7 @@ def test_wrong_tensor_gives_model_error(tmp_path, tensors, words):
     (lambda card: card.update(widths=[2, 0, 1]), ['widths']),
     (lambda card: card.update(widths=[2, 10**9, 1]), ['widths']),
     (lambda card: card.update(widths=[2, 1]), ['widths']),
-    (lambda card: card.update(activation='sine'), ['activation']),
+    (lambda card: card.update(activation='cosine'), ['activation']),
     (lambda card: card['box'].update(q=[[1.0, 1.0]]), ['box', 'positive']),
     (lambda card: card['box'].update(q=[[2.0, 1.0]]), ['box', 'positive']),
     (lambda card: card['box'].update(q=[[-1.7e308, 1.7e308]]), ['box', 'finite']),

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The written-out gradient of the network against automatic differentiation by torch."""
 
+from dataclasses import replace
+
 from helpers import EPS, random_checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.perceptron_memory import MAX_STATES
@@ -17,6 +19,28 @@ WIDTHS = [[2, 1, 1], [2, 200, 200, 1], [4, 33, 7, 1], [6, 64, 64, 64, 1], [2, 5,
           [20, 5, 1, 9, 1], [2, 16, 300, 20, 1], [2, 600, 600, 1]]
 
 
+class Sine(torch.nn.Module):
+    """The sine of every number."""
+
+    def forward(self, z: torch.Tensor) -> torch.Tensor:
+        """Return sin z."""
+        return torch.sin(z)
+
+
+MODULES = {'tanh': torch.nn.Tanh, 'sine': Sine, 'relu': torch.nn.ReLU,
+           # torch takes z itself for softplus(z) from a threshold on, at 20 unless told.
+           'softplus': lambda: torch.nn.Softplus(threshold=40.0)}
+CASES = [('tanh', widths) for widths in WIDTHS] + [
+    (activation, widths) for activation in MODULES if activation != 'tanh'
+    for widths in ([2, 1, 1], [4, 33, 7, 1], [6, 64, 64, 64, 1], [2, 16, 300, 20, 1])]
+
+
+def random_hamiltonian(activation: str, widths: list[int], seed: int) -> NeuralHamiltonian:
+    checkpoint = random_checkpoint(widths, seed)
+    card = checkpoint.card.model_copy(update={'activation': activation})
+    return NeuralHamiltonian(replace(checkpoint, card=card))
+
+
 def as_torch(hamiltonian: NeuralHamiltonian) -> torch.nn.Sequential:
     """Return the same network as a torch module."""
     layers: list[torch.nn.Module] = []
@@ -25,13 +49,13 @@ def as_torch(hamiltonian: NeuralHamiltonian) -> torch.nn.Sequential:
         layer = torch.nn.Linear(weight.shape[1], weight.shape[0], dtype=torch.float64)
         layer.weight.data = torch.from_numpy(weight)
         layer.bias.data = torch.from_numpy(bias)
-        layers += [layer, torch.nn.Tanh()]
+        layers += [layer, MODULES[checkpoint.card.activation]()]
     return torch.nn.Sequential(*layers[:-1])
 
 
-@pytest.mark.parametrize('widths', WIDTHS, ids=str)
-def test_neural_gradient_agrees_with_torch_autograd_to_1e_12(widths: list[int]):
-    hamiltonian = NeuralHamiltonian(random_checkpoint(widths, seed=sum(widths)))
+@pytest.mark.parametrize('activation, widths', CASES, ids=str)
+def test_neural_gradient_agrees_with_torch_autograd_to_1e_12(activation: str, widths: list[int]):
+    hamiltonian = random_hamiltonian(activation, widths, seed=sum(widths))
     d = hamiltonian.dimension
     z = np.random.default_rng(7).normal(size=(50, 2 * d))
     x = torch.from_numpy(z).requires_grad_(True)
@@ -43,9 +67,10 @@ def test_neural_gradient_agrees_with_torch_autograd_to_1e_12(widths: list[int]):
     assert np.abs(difference).max() <= 1e-12
 
 
-@pytest.mark.parametrize('widths', WIDTHS, ids=str)
-def test_neural_hessian_vector_agrees_with_torch_autograd_to_1e_11(widths: list[int]):
-    hamiltonian = NeuralHamiltonian(random_checkpoint(widths, seed=sum(widths)))
+@pytest.mark.parametrize('activation, widths', CASES, ids=str)
+def test_neural_hessian_vector_agrees_with_torch_autograd_to_1e_11(
+        activation: str, widths: list[int]):
+    hamiltonian = random_hamiltonian(activation, widths, seed=sum(widths))
     d = hamiltonian.dimension
     z, v = np.random.default_rng(7).normal(size=(2, 11, 2 * d))
     _, expected = torch.autograd.functional.hvp(
@@ -54,17 +79,19 @@ def test_neural_hessian_vector_agrees_with_torch_autograd_to_1e_11(widths: list[
     assert np.abs(product - expected.numpy()).max() <= 1e-11
 
 
+@pytest.mark.parametrize('activation', MODULES)
 @pytest.mark.parametrize('n_states', [0, 1, 3, MAX_STATES, 19])
-def test_neural_gradient_of_a_batch_is_that_of_its_states(n_states: int):
-    hamiltonian = NeuralHamiltonian(random_checkpoint([4, 33, 40, 7, 1], seed=9))
+def test_neural_gradient_of_a_batch_is_that_of_its_states(n_states: int, activation: str):
+    hamiltonian = random_hamiltonian(activation, [4, 33, 40, 7, 1], seed=9)
     q, p = np.random.default_rng(2).normal(size=(2, n_states, 2))
     batch = np.array(hamiltonian.gradient(q, p))
     for s in range(n_states):
         assert np.abs(batch[:, s] - hamiltonian.gradient(q[s], p[s])).max() <= 1e-14
 
 
-def test_neural_gradient_counts_no_references():
-    hamiltonian = NeuralHamiltonian(random_checkpoint([2, 8, 8, 1], seed=1))
+@pytest.mark.parametrize('activation', MODULES)
+def test_neural_gradient_counts_no_references(activation: str):
+    hamiltonian = random_hamiltonian(activation, [2, 8, 8, 1], seed=1)
 
     @numba.njit
     def repeat(gradient, parameters, n, q, p, dH_dq, dH_dp):
@@ -107,8 +134,41 @@ def test_torch_fallback_says_so_and_gives_the_same_trajectory():
     assert np.abs(np.array(runs[0]) - np.array(runs[1])).max() <= 100 * 8 * EPS
 
 
-def test_neural_gradient_keeps_not_a_number():
-    hamiltonian = NeuralHamiltonian(random_checkpoint([2, 8, 1], seed=1))
+@pytest.mark.parametrize('activation', MODULES)
+def test_neural_gradient_keeps_not_a_number(activation: str):
+    hamiltonian = random_hamiltonian(activation, [2, 8, 1], seed=1)
     dH_dq, dH_dp = hamiltonian.gradient(np.array([np.nan]), np.array([0.0]))
     assert np.isnan(dH_dq).all()
     assert np.isnan(dH_dp).all()
+
+
+@pytest.mark.parametrize('activation', MODULES)
+def test_neural_gradient_scale_bounds_its_rounding_error(activation: str):
+    hamiltonian = random_hamiltonian(activation, [2, 32, 32, 1], seed=6)
+    scale = np.array(hamiltonian.kernel.gradient_scale) * EPS
+    z = np.random.default_rng(3).uniform(-1.0, 1.0, (200, 2))
+    x = torch.from_numpy(z).requires_grad_(True)
+    (other,) = torch.autograd.grad(as_torch(hamiltonian)(x).sum(), x)
+    difference = np.abs(np.hstack(hamiltonian.gradient(z[:, :1], z[:, 1:])) - other.numpy())
+    # Two ways of rounding, each within the scale; it is measured at 64 states, with 4 to spare.
+    assert (difference.max(axis=0) <= 2.0 * scale).all()
+    assert (scale < 100.0 * EPS).all()
+
+
+def test_relu_network_is_not_smooth_and_says_so_once():
+    hamiltonian = random_hamiltonian('relu', [2, 8, 1], seed=1)
+    with pytest.warns(UserWarning, match='gradient of H jumps') as caught:
+        Simulation(hamiltonian, INTEGRATORS['variational_euler'](), 0.01, [0.3], [0.1])
+    assert len(caught) == 1
+    for activation in ('tanh', 'sine', 'softplus'):
+        assert random_hamiltonian(activation, [2, 8, 1], seed=1).smooth
+
+
+@pytest.mark.parametrize('activation', ['sine', 'softplus'])
+def test_networks_of_every_smooth_activation_are_simulated(activation: str):
+    hamiltonian = random_hamiltonian(activation, [2, 16, 16, 1], seed=5)
+    simulation = Simulation(hamiltonian, INTEGRATORS['gauss4'](), 0.01, [0.3], [0.1])
+    before = simulation.energy
+    simulation.advance(200)
+    # Order 4: (0.01)^4 times derivatives of order one.
+    assert abs(simulation.energy - before) < 1e-8

@@ -68,6 +68,11 @@ class Hamiltonian(ABC):
         return None
 
     @property
+    def smooth(self) -> bool:
+        """Tell whether the gradient of H is continuous, as all methods of order 2 and more need."""
+        return True
+
+    @property
     def barrier(self) -> tuple[str, float] | None:
         """Return the name and the energy [J] of what confines low motions; None if unknown."""
         return None

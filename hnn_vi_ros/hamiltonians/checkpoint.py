@@ -4,9 +4,10 @@
 Trained networks on disk: one safetensors file, its metadata the model card.
 
 The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ... in
-the order of the layers, with tanh between them, of the one network of a model. Those of a model
-of several networks begin with the network's name, as in ``potential.linear1.weight``. The metadata
-entry ``model_card`` is a ModelCard as JSON. Nothing in it is ever executed.
+the order of the layers, with the card's activation between them, of the one network of a model.
+Those of a model of several networks begin with the network's name, as in
+``potential.linear1.weight``. The metadata entry ``model_card`` is a ModelCard as JSON. Nothing in
+it is ever executed.
 """
 
 from collections.abc import Iterator, Mapping

@@ -66,6 +66,11 @@ class ConfinedHamiltonian(Hamiltonian):
         return self.base.box
 
     @property
+    def smooth(self) -> bool:
+        """Tell whether the gradient of the base is continuous."""
+        return self.base.smooth
+
+    @property
     def provenance(self) -> dict[str, str]:
         """Return what identifies the data behind the base, and that it is confined."""
         return self.base.provenance | {'confined': 'to its training box'}

@@ -65,7 +65,7 @@ class ModelCard(StrictModel):
     format_version: Literal[1] = 1
     name: str = Field(min_length=1, max_length=255)
     family: Literal[tuple(FAMILIES)] = 'hnn'  # type: ignore[valid-type]
-    activation: Literal['tanh'] = 'tanh'
+    activation: Literal['tanh', 'sine', 'relu', 'softplus'] = 'tanh'
     widths: Widths | None = Field(None, description=(
         'of all layers of the one network, input and output included'))
     networks: dict[str, Widths] | None = Field(None, description=(

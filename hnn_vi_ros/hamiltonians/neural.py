@@ -1,10 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Hamiltonian neural network: a tanh network H(q, p), its gradient written out."""
+"""The Hamiltonian neural network: a perceptron H(q, p), its gradient written out."""
 
 from functools import cached_property
 
 from hnn_vi_ros.hamiltonians import perceptron
+from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.perceptron_memory import pack
@@ -18,11 +19,12 @@ _EPS = float(np.finfo(np.float64).eps)
 
 class NeuralHamiltonian(Hamiltonian):
     """
-    A trained multilayer perceptron with tanh between its layers, H(q, p) = w . a_K + b.
+    A trained multilayer perceptron with an activation f between its layers, H = w . a_K + b.
 
-    With a_0 = (q, p), a_l = tanh(W_l a_(l-1) + b_l), the gradient is propagated back by
-    g_K = w, g_(l-1) = W_l^T ((1 - a_l^2) g_l), so (H_q, H_p) = g_0: two passes through the
-    weights, no automatic differentiation.
+    With a_0 = (q, p), z_l = W_l a_(l-1) + b_l, a_l = f(z_l), the gradient is propagated back by
+    g_K = w, g_(l-1) = W_l^T (f'(z_l) g_l), so (H_q, H_p) = g_0: two passes through the weights,
+    no automatic differentiation. f is tanh, the sine, softplus or relu, as the model card says.
+    With relu, H_q and H_p jump: it is not ``smooth``.
 
     Parameters
     ----------
@@ -47,6 +49,11 @@ class NeuralHamiltonian(Hamiltonian):
         return np.array(box.q), np.array(box.p)
 
     @property
+    def smooth(self) -> bool:
+        """Tell whether the gradient of H is continuous."""
+        return ACTIVATIONS[self.checkpoint.card.activation].smooth
+
+    @property
     def provenance(self) -> dict[str, str]:
         """Return the digest of the model file."""
         return {'model_sha256': self.checkpoint.sha256}
@@ -54,7 +61,8 @@ class NeuralHamiltonian(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        parameters = pack(self.checkpoint.weights, self.checkpoint.biases)
+        parameters = pack(self.checkpoint.weights, self.checkpoint.biases,
+                          self.checkpoint.card.activation)
         return Kernel(perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
                       parameters, self.dimension, self._gradient_scale(parameters), compiled=True)
 
@@ -78,11 +86,14 @@ class NeuralHamiltonian(Hamiltonian):
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         """Return (H_q, H_p) at states of shape (m, 2 d), in extended precision."""
-        layers = [z.astype(np.longdouble)]
+        value, slope, _ = ACTIVATIONS[self.checkpoint.card.activation]
+        a, slopes = z.astype(np.longdouble), []
         weights, biases = self.checkpoint.weights, self.checkpoint.biases
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            layers.append(np.tanh(layers[-1] @ weight.T.astype(np.longdouble) + bias))
+            z = a @ weight.T.astype(np.longdouble) + bias
+            a = value(z)
+            slopes.append(slope(z))
         gradient = np.tile(weights[-1][0].astype(np.longdouble), (len(z), 1))
-        for weight, layer in zip(weights[-2::-1], layers[:0:-1], strict=True):
-            gradient = (gradient * (1.0 - layer * layer)) @ weight
+        for weight, slope_l in zip(weights[-2::-1], slopes[::-1], strict=True):
+            gradient = (gradient * slope_l) @ weight
         return gradient

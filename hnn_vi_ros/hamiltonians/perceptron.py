@@ -1,28 +1,26 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A tanh network, its gradient and its second derivative as compiled loops over plain arrays.
+A network, its gradient and its second derivative as compiled loops over plain arrays.
 
-With a_0 = (q, p), a_l = tanh(W_l a_(l-1) + b_l) and H = w . a_K + b, the gradient is propagated
-back by g_K = w, delta_l = (1 - a_l^2) g_l, g_(l-1) = W_l^T delta_l, so (H_q, H_p) = g_0. The
-derivatives of these lines along a_0' = v, marked by a dash, end in H''(q, p) v = g_0'.
+With a_0 = (q, p), z_l = W_l a_(l-1) + b_l, a_l = f(z_l) and H = w . a_K + b, the gradient is
+propagated back by g_K = w, delta_l = f'(z_l) g_l, g_(l-1) = W_l^T delta_l, so (H_q, H_p) = g_0.
+The derivatives of these lines along a_0' = v, marked by a dash, end in H''(q, p) v = g_0'.
 
 Parameters are those of perceptron_memory.pack: a_l of state s is nodes[s, l], and with K + 1
-rows for each, g_l, a_l' and g_l' follow. Layers are done in tiles of eight rows of weights.
+rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Layers are done in tiles of eight rows of weights.
 """
 
+from hnn_vi_ros.hamiltonians.activations import (
+    activate, FASTMATH, scale, scale_forth, scale_tangent)
 from hnn_vi_ros.hamiltonians.perceptron_memory import MAX_STATES, ROW, TILE
-from hnn_vi_ros.hamiltonians.vector_tanh import tanh
 import numba
 import numpy as np
 
-# Sums may be reordered to vectorise; NaN and infinity keep their meaning, or the checks for
-# non-finite states would be optimised away.
-_FASTMATH = {'contract', 'reassoc', 'nsz', 'arcp'}
-_compiled = numba.njit(cache=True, fastmath=_FASTMATH, error_model='numpy')
+_compiled = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy')
 # The gradient is inlined even into the caller's loop: across a call each array that is passed on
 # is counted, and a count is as slow as twenty additions.
-_inlined = numba.njit(cache=True, fastmath=_FASTMATH, error_model='numpy', forceinline=True)
+_inlined = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy', forceinline=True)
 
 # Weights that are used forward and back while they stay in the nearest cache, 32 KiB.
 _BLOCK = 4096
@@ -158,10 +156,10 @@ def _block_forth(parameters: tuple, at: int, s: int, layer: int, first: int, las
                  tangent: bool) -> None:
     sizes = parameters[0]
     _product(parameters, at, s, layer, sizes[layer - 1], first, last)
-    _activate(parameters, s, layer, first, last)
+    activate(parameters, s, layer, first, last)
     if tangent:
         _product(parameters, at, s, 2 * sizes.size + layer, sizes[layer - 1], first, last)
-        _scale(parameters, s, layer, 2 * sizes.size, first, last)
+        scale_forth(parameters, s, layer, first, last)
 
 
 @_inlined
@@ -170,9 +168,9 @@ def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last
     sizes = parameters[0]
     g = sizes.size
     if tangent:
-        _scale_tangent(parameters, s, layer, first, last)
+        scale_tangent(parameters, s, layer, first, last)
         _transposed_product(parameters, at, s, 3 * g + layer, sizes[layer - 1], first, last)
-    _scale(parameters, s, layer, g, first, last)
+    scale(parameters, s, layer, g, first, last)
     _transposed_product(parameters, at, s, g + layer, sizes[layer - 1], first, last)
 
 
@@ -180,19 +178,19 @@ def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last
 def _first_layer(parameters: tuple, s: int, tangent: bool) -> None:
     sizes = parameters[0]
     _columns(parameters, s, 0)
-    _activate(parameters, s, 1, 0, sizes[1] // TILE)
+    activate(parameters, s, 1, 0, sizes[1] // TILE)
     if tangent:
         _columns(parameters, s, 2 * sizes.size)
-        _scale(parameters, s, 1, 2 * sizes.size, 0, sizes[1] // TILE)
+        scale_forth(parameters, s, 1, 0, sizes[1] // TILE)
 
 
 @_inlined
 def _first_layer_back(parameters: tuple, s: int, tangent: bool) -> None:
     sizes = parameters[0]
     if tangent:
-        _scale_tangent(parameters, s, 1, 0, sizes[1] // TILE)
+        scale_tangent(parameters, s, 1, 0, sizes[1] // TILE)
         _transposed_columns(parameters, s, 3 * sizes.size)
-    _scale(parameters, s, 1, sizes.size, 0, sizes[1] // TILE)
+    scale(parameters, s, 1, sizes.size, 0, sizes[1] // TILE)
     _transposed_columns(parameters, s, sizes.size)
 
 
@@ -257,33 +255,3 @@ def _transposed_product(parameters: tuple, at: int, s: int, row: int, n_in: int,
                 + tiles[w, 2, j] * d2 + tiles[w, 3, j] * d3
                 + tiles[w, 4, j] * d4 + tiles[w, 5, j] * d5
                 + tiles[w, 6, j] * d6 + tiles[w, 7, j] * d7)
-
-
-# In the loops below, an index without a sign cannot count from the end of an array, the check of
-# which would keep them from vectorising.
-@_inlined
-def _activate(parameters: tuple, s: int, layer: int, first: int, last: int) -> None:
-    """Replace z by tanh(z + b_l), in the tiles first to last."""
-    sizes, rows, _, nodes, _ = parameters
-    bias = sizes[0] + layer - 1
-    for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
-        nodes[s, layer, i] = tanh(nodes[s, layer, i] + rows[bias, i])
-
-
-@_inlined
-def _scale(parameters: tuple, s: int, layer: int, row: int, first: int, last: int) -> None:
-    """Multiply row + layer by 1 - a_l^2, in the tiles first to last."""
-    nodes = parameters[3]
-    for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
-        nodes[s, row + layer, i] *= 1.0 - nodes[s, layer, i] * nodes[s, layer, i]
-
-
-@_inlined
-def _scale_tangent(parameters: tuple, s: int, layer: int, first: int, last: int) -> None:
-    """Replace g_l' by delta_l' = (1 - a_l^2) g_l' - 2 a_l a_l' g_l."""
-    nodes, g = parameters[3], parameters[0].size
-    for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
-        a = nodes[s, layer, i]
-        nodes[s, 3 * g + layer, i] = (
-            (1.0 - a * a) * nodes[s, 3 * g + layer, i]
-            - 2.0 * a * nodes[s, 2 * g + layer, i] * nodes[s, g + layer, i])

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the compiled loops of perceptron.py find the weights, and where they work."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 # Eight rows of weights, used together, are a tile; layers are padded with zeros to whole tiles.
@@ -15,7 +17,41 @@ ROW = 2 * _LINE
 MAX_STATES = 32
 
 
-def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...]) -> tuple:
+class Sine(NamedTuple):
+    """Parameters of a network with the sine between its layers; see ``pack``."""
+
+    sizes: np.ndarray
+    rows: np.ndarray
+    tiles: np.ndarray
+    nodes: np.ndarray
+    node_tiles: np.ndarray
+
+
+class Relu(NamedTuple):
+    """Parameters of a network with max(0, z) between its layers; see ``pack``."""
+
+    sizes: np.ndarray
+    rows: np.ndarray
+    tiles: np.ndarray
+    nodes: np.ndarray
+    node_tiles: np.ndarray
+
+
+class Softplus(NamedTuple):
+    """Parameters of a network with log(1 + exp(z)) between its layers; see ``pack``."""
+
+    sizes: np.ndarray
+    rows: np.ndarray
+    tiles: np.ndarray
+    nodes: np.ndarray
+    node_tiles: np.ndarray
+
+
+_KINDS = {'sine': Sine, 'relu': Relu, 'softplus': Softplus}
+
+
+def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
+         activation: str = 'tanh') -> tuple:
     """
     Return the parameters of the functions of perceptron.py, with their scratch memory.
 
@@ -27,6 +63,9 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...]) -> tup
         W_1, ..., W_K and w, the last with one output.
     biases : tuple of np.ndarray, each (outputs,)
         b_1, ..., b_K and b.
+    activation : str
+        What stands between the layers. The parameters are a plain tuple for tanh; for another,
+        one of the classes above, whose type tells compiled code which.
 
     Returns
     -------
@@ -37,7 +76,8 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...]) -> tup
         the biases b_1, ..., b_K, w, b; from the next whole tile on the rows of W_2, ..., W_K.
     nodes, node_tiles : np.ndarray
         The same scratch memory, (MAX_STATES, 4 K + 4, width) and (MAX_STATES, 4 K + 4,
-        width / 8, 8): a_0, ..., a_K of each state, then all g, then all a', then all g'.
+        width / 8, 8): a_0, ..., a_K of each state, then all g, then all a', then all g'. If it
+        is not tanh, 2 K + 2 rows more: all slopes f'(z_l), then their derivatives f'(z_l)'.
 
     """
     first, *middle, last = weights
@@ -51,9 +91,11 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...]) -> tup
     for weight, n_out in zip(middle, sizes[2:], strict=True):
         rows[at:at + weight.shape[0], :weight.shape[1]] = weight
         at += n_out
-    nodes = _aligned(MAX_STATES, 4 * sizes.size, width)
-    return (sizes, rows, rows.reshape(-1, TILE, width),
-            nodes, nodes.reshape(*nodes.shape[:2], -1, TILE))
+    kind = _KINDS.get(activation)
+    nodes = _aligned(MAX_STATES, (4 if kind is None else 6) * sizes.size, width)
+    parameters = (sizes, rows, rows.reshape(-1, TILE, width),
+                  nodes, nodes.reshape(*nodes.shape[:2], -1, TILE))
+    return parameters if kind is None else kind(*parameters)
 
 
 def _padded(n: int, multiple: int) -> int:
