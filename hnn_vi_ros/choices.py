@@ -25,9 +25,10 @@ class InitialState(StrictModel):
 
 
 class LearnedChoice(StrictModel):
-    """A Hamiltonian neural network from a model file."""
+    """The Hamiltonian of a trained model of any family."""
 
-    kind: Literal['hnn'] = Field(description='a Hamiltonian neural network from a model file')
+    kind: Literal['hnn', 'learned'] = Field(description=(
+        'that of a trained model, a Hamiltonian neural network or one of another family'))
     model: str = Field(min_length=1, max_length=4096, description=(
         'a shipped model, one trained into models/ of the working directory, or the path of a '
         '.safetensors file'))

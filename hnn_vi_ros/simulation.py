@@ -11,6 +11,7 @@ from hnn_vi_ros.compilation import entry_point
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.learned import warn_of_scheme
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import BEYOND, Integrator, NOT_FINITE, OK, Point, REASONS
 from hnn_vi_ros.loops import advance, assemble
@@ -51,7 +52,7 @@ class Simulation:
     hamiltonian : Hamiltonian
         H with the potentials among the effects.
     conservative, takes_commands : bool
-        Whether no effect does work, and whether one is an external force.
+        Whether no effect does work, and whether one takes commands.
     steps : int
         Steps taken since the initial state.
     q, p : np.ndarray, shape (d,) or (m d,), with forces (d,) or (m, d)
@@ -59,8 +60,7 @@ class Simulation:
     dH_dq, dH_dp : np.ndarray, of the shape of q
         -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
     rescued : int
-        Steps that were taken otherwise than by the integrator: in parts, or by the implicit
-        midpoint rule.
+        Steps that were taken in parts, or by the implicit midpoint rule instead.
     residual : float
         Relative residual of the last implicit step [1].
     gradients : int
@@ -141,6 +141,7 @@ class Simulation:
         scene = scene.resolved()
         parts = scene.create_hamiltonian(), scene.create_integrator(), scene.step_size
         effects, state = scene.create_effects(), scene.initial_state
+        warn_of_scheme(parts[0], scene.integrator.kind, scene.step_size)
         with scene.placed('initial_state'):
             return cls(*parts, state.q, state.p, effects, scene.on_failure)
 

@@ -60,6 +60,11 @@ class JoinedHamiltonian(Hamiltonian):
         """Return what identifies the data behind the base."""
         return self.base.provenance
 
+    @property
+    def scheme(self) -> tuple[str, float] | None:
+        """Return the method and step size [s] of the base."""
+        return self.base.scheme
+
     def twin(self) -> 'JoinedHamiltonian':
         """Return the same function with working memory of its own."""
         return JoinedHamiltonian(self.base.twin(), self._joined)

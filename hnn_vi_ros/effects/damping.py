@@ -9,6 +9,8 @@ import math
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.base import Force, Live, per_coordinate, StepEffect
 from hnn_vi_ros.effects.splitting import strang
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -24,13 +26,17 @@ class Damping(Force, StepEffect):
 
     Parameters
     ----------
-    rate : float or list of float
+    rate : float or list of float, optional
         gamma >= 0 [1/s], for all coordinates or for each.
+    model : str, optional
+        A model that has learned its friction (family dgnet), in place of the rate.
 
     Raises
     ------
+    ModelError
+        The model does not exist, is damaged, or has learned no friction.
     ValueError
-        A rate that is negative or not finite.
+        A rate that is negative or not finite; both, or none, of rate and model.
 
     References
     ----------
@@ -42,7 +48,14 @@ class Damping(Force, StepEffect):
 
     depends_on_momentum = True
 
-    def __init__(self, rate: float | list[float]):
+    def __init__(self, rate: float | list[float] | None = None, model: str | None = None):
+        if (rate is None) == (model is None):
+            raise ValueError('rate is required, or a model in its place')
+        if model is not None:
+            rate = load_checkpoint(model).card.friction
+            if rate is None:
+                raise ModelError(f'{model}: has learned no friction, as the family dgnet does; '
+                                 'give a rate')
         if not all(math.isfinite(value) and value >= 0.0 for value in np.ravel(rate)):
             raise ValueError(f'rate = {rate} must be at least 0 and finite')
         self.rate = rate

@@ -4,60 +4,87 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.compilation import identify, inlined
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, load_checkpoint
+from hnn_vi_ros.hamiltonians.outputs import evaluate_outputs, pack_outputs
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.phase_space import Coordinate
+import numba
 import numpy as np
 
 
 class ExternalForce(Force):
     """
-    The last commanded force on some coordinates, held until the next command or its time-out.
+    The last command, a force on some coordinates, held until the next command or its time-out.
 
     The node takes commands from ``~/commands``. A command that is not renewed ends after the
-    time-out, in simulated time, so that a controller that died does not push on (watchdog).
-    Energy account: the power f . H_p.
+    time-out, in simulated time, so that a controller that died does not push on (watchdog). With
+    the model of a control-affine network the command u drives all coordinates by the learned
+    input map, the force g(q) u. Energy account: the power f . H_p.
 
     Parameters
     ----------
-    coordinates : list of str
+    coordinates : list of str, optional
         The coordinates that a command has one number for, in this order.
     timeout : float
         How long a command holds, > 0 [s].
+    model : str, optional
+        A model with an input map (family control_affine), in place of the coordinates.
 
     Raises
     ------
+    ModelError
+        The model does not exist, is damaged, or has no input map.
     ValueError
-        The time-out is not positive, or no coordinate is named, or one twice.
+        The time-out is not positive, no coordinate is named, or one twice; both, or none, of
+        coordinates and model.
 
     References
     ----------
     J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001,
     part 3.
+    Y. D. Zhong, B. Dey, A. Chakraborty, Symplectic ODE-Net: Learning Hamiltonian Dynamics with
+    Control, ICLR 2020.
 
     """
 
     depends_on_momentum = False
 
-    def __init__(self, coordinates: list[str], timeout: float = 0.5):
+    def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
+                 model: str | None = None):
         check_positive(timeout=timeout)
-        if not coordinates or len(set(coordinates)) < len(coordinates):
+        if (coordinates is None) == (model is None):
+            raise ValueError('coordinates is required, or a model in its place')
+        if coordinates is not None and (
+                not coordinates or len(set(coordinates)) < len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.timeout = coordinates, float(timeout)
+        self._model = None if model is None else _with_input_map(model)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[np.ndarray]:
-        """Return the command, the clock and the coordinates' places."""
-        places = [coordinate_index(coordinates, name) for name in self.coordinates]
-        return live.command, live.clock, np.array(places)
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+        """Return the command, the clock, the numbers' places, and what adds their forces."""
+        if self._model is None:
+            places = np.array([coordinate_index(coordinates, name) for name in self.coordinates])
+            return live.command, live.clock, places, _add_by_place, (places,)
+        inputs, *_, entries = self._model.card.layout['input_map']
+        d = len(coordinates)
+        if inputs != d or entries > d * d:
+            raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} '
+                             f'coordinates, H has {d}, and takes no more numbers than that')
+        network = pack_outputs(self._model, 'input_map')
+        return (live.command, live.clock, np.arange(entries // d), _add_by_map,
+                (network, np.zeros(entries)))
 
     def take(self, values: Sequence[float], parameters: tuple) -> None:
         """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
-        command, clock, places = parameters
+        command, clock, places, *_ = parameters
         array = np.array(values, dtype=np.float64)
         if array.shape != places.shape or not np.isfinite(array).all():
-            raise ValueError(f'command {array.tolist()}: expected {places.size} finite numbers, '
-                             f'for {", ".join(self.coordinates)}')
+            names = f', for {", ".join(self.coordinates)}' if self.coordinates else ''
+            raise ValueError(f'command {array.tolist()}: expected {places.size} finite numbers'
+                             f'{names}')
         command[places], command[-1] = array, clock[0] + self.timeout
 
     @staticmethod
@@ -65,8 +92,39 @@ class ExternalForce(Force):
     def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the command while it holds."""
-        command, clock, places = parameters
+        command, clock, _, add, own = parameters
         # By the time at the start of the step: the force is constant over each step.
         if clock[0] < command[command.size - 1]:
-            for k in range(places.size):
-                f_p[places[k]] += command[places[k]]
+            add(own, command, q, p, f_p)
+
+
+def _with_input_map(model: str) -> Checkpoint:
+    checkpoint = load_checkpoint(model)
+    if 'input_map' not in checkpoint.networks:
+        raise ModelError(f'{model}: a model of the family {checkpoint.card.family} has no input '
+                         'map, as the family control_affine has; give coordinates')
+    return checkpoint
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _add_by_place(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
+                  ) -> None:
+    (places,) = own
+    for k in range(places.size):
+        f_p[places[k]] += command[places[k]]
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _add_by_map(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
+                ) -> None:
+    network, entries = own
+    evaluate_outputs(network, q, p, entries)
+    m = entries.size // f_p.size
+    for i in range(f_p.size):
+        for k in range(m):
+            f_p[i] += entries[i * m + k] * command[k]
+
+
+for _function in (_add_by_place, _add_by_map):
+    # As part of the parameters of compiled functions; see identify.
+    identify(_function)

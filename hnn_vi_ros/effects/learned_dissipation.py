@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from hnn_vi_ros.compilation import identify, inlined
 from hnn_vi_ros.effects.base import Force, Live
+from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
@@ -18,8 +19,8 @@ class LearnedDissipation(Force):
 
         q' = H_p + D_q,  p' = -H_q + D_p
 
-    D is a model like that of H, with the same coordinates. Energy account: the power
-    H_q . D_q + H_p . D_p.
+    D is a model like that of H, with the same coordinates, or the second network of a dissipative
+    HNN, whose first is H. Energy account: the power H_q . D_q + H_p . D_p.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ class LearnedDissipation(Force):
     Raises
     ------
     ModelError
-        The model does not exist or is damaged.
+        The model does not exist, is damaged, or holds no such network.
 
     References
     ----------
@@ -42,7 +43,13 @@ class LearnedDissipation(Force):
     depends_on_momentum = True
 
     def __init__(self, model: str):
-        self.network = NeuralHamiltonian(load_checkpoint(model))
+        checkpoint = load_checkpoint(model)
+        family = checkpoint.card.family
+        networks = {'hnn': 'energy', 'dissipative_hnn': 'dissipation'}
+        if family not in networks:
+            raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
+                             f'one of the family {" or ".join(networks)}')
+        self.network = NeuralHamiltonian(checkpoint, networks[family])
 
     @property
     def rounding(self) -> tuple[float, float]:

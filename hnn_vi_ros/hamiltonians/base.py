@@ -83,6 +83,11 @@ class Hamiltonian(ABC):
         return {}
 
     @property
+    def scheme(self) -> tuple[str, float] | None:
+        """Return the method and step size [s] that H was learned through and is right for."""
+        return None
+
+    @property
     def dimension(self) -> int:
         """Return the number d of degrees of freedom."""
         return len(self.coordinates)

@@ -7,9 +7,10 @@ from functools import cache, cached_property
 from pathlib import Path
 
 from hnn_vi_ros.compilation import composed, functions_of, inlined
+from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians.families import FAMILIES
 import numpy as np
 
 # States on each face of the box at which the gradient is looked at.
@@ -75,6 +76,11 @@ class ConfinedHamiltonian(Hamiltonian):
         """Return what identifies the data behind the base, and that it is confined."""
         return self.base.provenance | {'confined': 'to its training box'}
 
+    @property
+    def scheme(self) -> tuple[str, float] | None:
+        """Return the method and step size [s] of the base."""
+        return self.base.scheme
+
     def twin(self) -> 'ConfinedHamiltonian':
         """Return the same function with working memory of its own."""
         return ConfinedHamiltonian(self.base.twin())
@@ -111,10 +117,14 @@ def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
         Whether to hold states near the training box; None: as its model card says.
 
     """
-    network = NeuralHamiltonian(load_checkpoint(model))
-    if network.checkpoint.card.confine if confine is None else confine:
-        return ConfinedHamiltonian(network)
-    return network
+    checkpoint = load_checkpoint(model)
+    try:
+        learned = FAMILIES[checkpoint.card.family](checkpoint)
+    except ModelError as problem:
+        raise ModelError(f'{model}: {problem}') from problem
+    if checkpoint.card.confine if confine is None else confine:
+        return ConfinedHamiltonian(learned)
+    return learned
 
 
 # Parameters are not unpacked into names: each array that gets one is counted in every call.

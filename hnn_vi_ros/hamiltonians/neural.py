@@ -2,22 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Hamiltonian neural network: a perceptron H(q, p), its gradient written out."""
 
-from functools import cached_property
-
 from hnn_vi_ros.hamiltonians import perceptron
-from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
-from hnn_vi_ros.hamiltonians.perceptron_memory import pack
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 import numpy as np
 
-# States of the box at which rounding is measured.
-_SAMPLES = 64
-_EPS = float(np.finfo(np.float64).eps)
 
-
-class NeuralHamiltonian(Hamiltonian):
+class NeuralHamiltonian(LearnedHamiltonian):
     """
     A trained multilayer perceptron with an activation f between its layers, H = w . a_K + b.
 
@@ -30,6 +22,8 @@ class NeuralHamiltonian(Hamiltonian):
     ----------
     checkpoint : Checkpoint
         Weights W_l of shape (n_l, n_(l-1)), biases of shape (n_l,), and the model card.
+    network : str
+        Which of its networks, if it has several: that of H, or another of (q, p).
 
     References
     ----------
@@ -37,63 +31,13 @@ class NeuralHamiltonian(Hamiltonian):
 
     """
 
-    def __init__(self, checkpoint: Checkpoint):
-        self.checkpoint = checkpoint
-        self.coordinates = tuple(
-            Coordinate(c.name, c.q_unit, c.p_unit) for c in checkpoint.card.coordinates)
+    def __init__(self, checkpoint: Checkpoint, network: str = 'energy'):
+        super().__init__(checkpoint)
+        self._network = network
 
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of q and of p, each (d, 2), of the data that H was learned from."""
-        box = self.checkpoint.card.box
-        return np.array(box.q), np.array(box.p)
-
-    @property
-    def smooth(self) -> bool:
-        """Tell whether the gradient of H is continuous."""
-        return ACTIVATIONS[self.checkpoint.card.activation].smooth
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return the digest of the model file."""
-        return {'model_sha256': self.checkpoint.sha256}
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        parameters = pack(self.checkpoint.weights, self.checkpoint.biases,
-                          self.checkpoint.card.activation)
+    def _kernel(self) -> Kernel:
         return Kernel(perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
-                      parameters, self.dimension, self._gradient_scale(parameters), compiled=True)
-
-    def _gradient_scale(self, parameters: tuple) -> tuple[float, float]:
-        """
-        Return the rounding error of H_q and of H_p, in units of the unit round-off.
-
-        It is measured against extended precision at random states of the box; a bound from the
-        weights alone would grow exponentially with the depth.
-        """
-        d = self.dimension
-        low, high = np.concatenate(self.box).T
-        z = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 2 * d))
-        q, p = z[:, :d].ravel(), z[:, d:].ravel()
-        dH_dq, dH_dp = np.empty_like(q), np.empty_like(p)
-        perceptron.gradient(parameters, q, p, dH_dq, dH_dp)
-        exact = self._extended_gradient(z)
-        q_error = np.abs(dH_dq - exact[:, :d].ravel()).max()
-        p_error = np.abs(dH_dp - exact[:, d:].ravel()).max()
-        return 4.0 * float(q_error) / _EPS, 4.0 * float(p_error) / _EPS
+                      self._packed(self._network), self.dimension, (0.0, 0.0), compiled=True)
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        """Return (H_q, H_p) at states of shape (m, 2 d), in extended precision."""
-        value, slope, _ = ACTIVATIONS[self.checkpoint.card.activation]
-        a, slopes = z.astype(np.longdouble), []
-        weights, biases = self.checkpoint.weights, self.checkpoint.biases
-        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            z = a @ weight.T.astype(np.longdouble) + bias
-            a = value(z)
-            slopes.append(slope(z))
-        gradient = np.tile(weights[-1][0].astype(np.longdouble), (len(z), 1))
-        for weight, slope_l in zip(weights[-2::-1], slopes[::-1], strict=True):
-            gradient = (gradient * slope_l) @ weight
-        return gradient
+        return self._evaluated(self._network, z)[1][:, 0]

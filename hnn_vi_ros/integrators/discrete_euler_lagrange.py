@@ -5,7 +5,10 @@
 from collections.abc import Callable
 from importlib import import_module
 
-from hnn_vi_ros.hamiltonians.base import Kernel
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
+from hnn_vi_ros.hamiltonians.lagrangian import midpoint_action
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
 import numpy as np
 
@@ -28,16 +31,21 @@ class DiscreteEulerLagrange(Integrator):
 
     Parameters
     ----------
-    discrete_lagrangian : str
+    discrete_lagrangian : str, optional
         ``package.module:function``; the function takes tensors q0 and q1 of shape (d,) and the
         float h, and returns a tensor of one number. It must be smooth, and D_1 D_2 L_d regular.
     order : int
         The order of L_d, for the record.
+    model : str, optional
+        A learned Lagrangian, in place of a function: the midpoint rule for its action, of order 2,
+        L_d = h L((q0 + q1) / 2, (q1 - q0) / h). The Hamiltonian is to be the same model's.
 
     Raises
     ------
+    ModelError
+        The model does not exist, is damaged, or is of another family.
     ValueError
-        The function cannot be imported.
+        The function cannot be imported; both, or none, of a function and a model.
 
     References
     ----------
@@ -49,7 +57,14 @@ class DiscreteEulerLagrange(Integrator):
     explicit, symmetric, symplectic = False, False, True
     compiled, uses_hamiltonian, takes_forces = False, False, False
 
-    def __init__(self, discrete_lagrangian: str, order: int = 1):
+    def __init__(self, discrete_lagrangian: str | None = None, order: int = 1,
+                 model: str | None = None):
+        if (discrete_lagrangian is None) == (model is None):
+            raise ValueError('discrete_lagrangian is required, or a model in its place')
+        self._model = None if model is None else load_checkpoint(model)
+        if self._model is not None:
+            self.discrete_lagrangian, self.order = midpoint_action(self._model), 2
+            return
         module, _, name = discrete_lagrangian.partition(':')
         try:
             self.discrete_lagrangian: Callable = getattr(import_module(module), name)
@@ -59,6 +74,20 @@ class DiscreteEulerLagrange(Integrator):
                 f'{" ".join(str(problem).split())}; expected package.module:function'
             ) from problem
         self.order = order
+
+    def check(self, hamiltonian: Hamiltonian) -> None:
+        """
+        Refuse a Hamiltonian that is not that of the learned Lagrangian.
+
+        Raises
+        ------
+        UnsupportedSystem
+            Its momenta and energy are others; names the remedy.
+
+        """
+        if self._model and hamiltonian.provenance.get('model_sha256') != self._model.sha256:
+            raise UnsupportedSystem('discrete_euler_lagrange: its model is not that of the '
+                                    'Hamiltonian, whose momenta are others; name the same')
 
     def options(self, link: int = 0, dimension: int = 1) -> tuple:
         """Return the discrete Lagrangian."""

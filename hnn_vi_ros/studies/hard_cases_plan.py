@@ -66,7 +66,7 @@ class SetUp(StrictModel):
     @property
     def kind(self) -> str:
         """Return whether H is exact or learned."""
-        return LEARNED if self.hamiltonian['kind'] == 'hnn' else EXACT
+        return LEARNED if self.hamiltonian['kind'] in ('hnn', 'learned') else EXACT
 
 
 class Case(StrictModel):

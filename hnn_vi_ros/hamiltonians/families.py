@@ -1,0 +1,20 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Hamiltonian of each model family."""
+
+from hnn_vi_ros.hamiltonians.control_affine import ControlAffineHamiltonian
+from hnn_vi_ros.hamiltonians.lagrangian import LagrangianHamiltonian
+from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
+from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians.separable import SeparableHamiltonian
+from hnn_vi_ros.hamiltonians.variational import VariationalHamiltonian
+
+FAMILIES: dict[str, type[LearnedHamiltonian]] = {
+    'hnn': NeuralHamiltonian,
+    'separable_hnn': SeparableHamiltonian,
+    'dissipative_hnn': NeuralHamiltonian,
+    'dgnet': NeuralHamiltonian,
+    'vin': VariationalHamiltonian,
+    'lagrangian': LagrangianHamiltonian,
+    'control_affine': ControlAffineHamiltonian,
+}
