@@ -76,6 +76,7 @@ setup(
     entry_points={
         'console_scripts': [
             'hard_cases = hnn_vi_ros.cli:hard_cases',
+            'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
             'listener = hnn_vi_ros.cli:listener',
             'paper_figures = hnn_vi_ros.cli:paper_figures',
             'recover_bag = hnn_vi_ros.cli:recover_bag',

@@ -55,6 +55,11 @@ def train() -> NoReturn:
     _run('hnn_vi_ros.learning.train')
 
 
+def import_checkpoint() -> NoReturn:
+    """Turn a network of the original HNN code into a model."""
+    _run('hnn_vi_ros.learning.import_checkpoint')
+
+
 def paper_figures() -> NoReturn:
     """Regenerate the figures of the paper."""
     _run('hnn_vi_ros.studies.paper_figures')
