@@ -29,7 +29,7 @@ ARROWS = {
     'core': {'core'},
     'scene': {'core', 'scene'},
     'sinks': {'core', 'sinks'},
-    'learning': {'core', 'learning', 'scene'},
+    'learning': {'core', 'learning', 'scene', 'sinks'},
     'studies': {'core', 'scene', 'sinks', 'studies'},
     'ros': {'core', 'scene', 'sinks', 'studies', 'ros'},
     'cli': {'core', 'scene', 'sinks', 'learning', 'studies', 'ros', 'cli'},

@@ -69,7 +69,7 @@ class Hamiltonian(ABC):
 
     @property
     def smooth(self) -> bool:
-        """Tell whether the gradient of H is continuous, as all methods of order 2 and more need."""
+        """Tell whether the gradient of H is continuous, as every method's order supposes."""
         return True
 
     @property

@@ -8,7 +8,8 @@ propagated back by g_K = w, delta_l = f'(z_l) g_l, g_(l-1) = W_l^T delta_l, so (
 The derivatives of these lines along a_0' = v, marked by a dash, end in H''(q, p) v = g_0'.
 
 Parameters are those of perceptron_memory.pack: a_l of state s is nodes[s, l], and with K + 1
-rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Layers are done in tiles of eight rows of weights.
+rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Layers are done in
+tiles of eight rows of weights.
 """
 
 from hnn_vi_ros.hamiltonians.activations import (

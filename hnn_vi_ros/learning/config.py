@@ -50,7 +50,7 @@ class TrainingConfig(StrictModel):
     @model_validator(mode='after')
     def _check(self) -> 'TrainingConfig':
         d = len(self.coordinates)
-        lengths = {'data': dimension(self.data)} if dimension(self.data) else {}
+        lengths = {'data': dimension(self.data)}
         if self.reference is not None:
             lengths |= {'reference.q': len(self.reference.q),
                         'reference.p': len(self.reference.p)}

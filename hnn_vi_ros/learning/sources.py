@@ -8,16 +8,19 @@ from pathlib import Path
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.bag_data import BagData, read_bags
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.measured_log import MeasuredData, read_measured_log
 from pydantic import Field
 
-Source = Annotated[ExactData | MeasuredData, Field(discriminator='kind')]
+Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]
 
 
 def dimension(data: Source) -> int:
-    """Return the number of coordinates that a source names; 0 if it leaves them open."""
+    """Return the number of coordinates of a source."""
+    if isinstance(data, BagData):
+        return len(data.joints)
     return len(data.box.q if isinstance(data, ExactData) else data.q)
 
 
@@ -33,9 +36,9 @@ def make_dataset(data: Source, seed: int, config: Path, given: Sequence[str] = (
         Of samples.
     config : Path
         The file of the configuration; a relative ``data.path`` is looked up beside it, then in
-        the working directory.
+        the working directory, and so are ``data.paths``.
     given : sequence of str
-        Files in place of ``data.path``.
+        Files in place of ``data.path`` or ``data.paths``.
 
     Raises
     ------
@@ -48,6 +51,11 @@ def make_dataset(data: Source, seed: int, config: Path, given: Sequence[str] = (
             raise DataError(f'{config}: its data is exact, so --data {given[0]} has no use; '
                             'leave it')
         return sample_exact(data, seed)
+    if isinstance(data, BagData):
+        if not (given or data.paths):
+            raise DataError(f'{config}: data.paths is empty; pass bags with --data BAG ...')
+        return read_bags([Path(path) for path in given] or [
+            _beside(config, path) for path in data.paths], data)
     if len(given) > 1:
         raise DataError(f'{config}: its data is one measured log, but --data has {len(given)} '
                         'files; join them, and number them in a column data.trial')

@@ -1,0 +1,199 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read signals from the topics of a bag: instants and values of positions, velocities, ..."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import final, NamedTuple, TYPE_CHECKING
+
+from hnn_vi_ros.errors import DataError, RecordingError
+from hnn_vi_ros.sinks.cdr import decode_float64_multi_array, decode_joint_state, JointStates
+from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
+import numpy as np
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+ARRAY = 'std_msgs/msg/Float64MultiArray'
+
+
+class Signal(NamedTuple):
+    """
+    What a topic tells over time.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Increasing instants, since the first of the signal that was read first [s].
+    values : np.ndarray, shape (N, d)
+        What was told then.
+
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+@final
+class SignalReader:
+    """
+    A bag as signals of some joints; one that was cut off will do.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with one MCAP file, or the file.
+    joints : sequence of str
+        Names of the joints, in the order of the coordinates.
+    columns : sequence of int
+        Which numbers of an array belong to them.
+    stamps : str
+        ``'header'`` or ``'log'``: what counts as a message's time.
+
+    Raises
+    ------
+    DataError
+        It is no MCAP file, or holds no messages.
+
+    """
+
+    def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int], stamps: str):
+        try:
+            self._reader = BagReader(path)
+        except RecordingError as problem:
+            raise DataError(str(problem)) from problem
+        self.path = self._reader.path
+        self._joints, self._columns, self._stamps = tuple(joints), list(columns), stamps
+        self._origin: int | None = None
+        if not any(self._reader.messages()):
+            raise DataError(f'{self.path}: holds no messages; record while something moves')
+
+    def type_of(self, topic: str) -> str:
+        """Return the type of a topic; DataError if the bag does not hold it."""
+        return self._schema(self._channels(topic)[0])
+
+    def has(self, topic: str, field: str) -> bool:
+        """Tell whether the first message of a topic of joint states fills a field."""
+        numbers = [channel.id for channel in self._channels(topic)]
+        first = next(self._reader.messages(numbers), None)
+        return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0
+
+    def read(self, topic: str, field: str) -> Signal:
+        """
+        Return a signal.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+        field : str
+            Of joint states: ``'position'``, ``'velocity'`` or ``'effort'``; empty for a topic
+            that must be an array, ``'*'`` for an array of any length.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be used.
+
+        """
+        channels = self._channels(topic)
+        kind = self._schema(channels[0])
+        name = channels[0].topic
+        convert = self._converter(name, kind, field)
+        stamps, rows = [], []
+        for message in self._reader.messages([channel.id for channel in channels]):
+            found = convert(message)
+            if found is not None:
+                stamps.append(found[0])
+                rows.append(found[1])
+        if len(rows) < (1 if field == '*' else 2):
+            raise DataError(f'{self.path}: {name} has {len(rows)} messages with the joints '
+                            f'{", ".join(self._joints)}; record for longer, or name joints that '
+                            'it has in data.joints')
+        if len({len(row) for row in rows}) != 1:
+            raise DataError(f'{self.path}: {name}: its messages have different lengths')
+        return self._checked(name, np.array(stamps), np.array(rows))
+
+    def _checked(self, name: str, stamps: np.ndarray, values: np.ndarray) -> Signal:
+        backward = np.flatnonzero(np.diff(stamps) <= 0)
+        if backward.size:
+            at = backward[0] + 1
+            other = 'log' if self._stamps == 'header' else 'header'
+            raise DataError(f'{self.path}: {name}: the stamp of message {at + 1}, {stamps[at]} ns,'
+                            f' is not after the one before, {stamps[at - 1]} ns; try data.stamps: '
+                            f'{other}, or split the bag where time was set back')
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            raise DataError(f'{self.path}: {name}: message {bad[0] + 1} holds a value that is not '
+                            f'finite: {values[bad[0]].tolist()}')
+        if self._origin is None:
+            self._origin = stamps[0]
+        return Signal((stamps - self._origin) * 1e-9, values)
+
+    def _channels(self, topic: str) -> list['Channel']:
+        """Return the channels of the one topic that has this name or ends with it."""
+        topics = sorted({channel.topic for channel in self._reader.channels.values()})
+        topic = '/' + topic.lstrip('/')
+        if topic not in topics:
+            found = [name for name in topics if name.endswith(topic)]
+            if len(found) != 1:
+                what = 'no topic' if not found else f'{len(found)} topics'
+                raise DataError(f'{self.path}: holds {what} {topic}; it holds: '
+                                f'{self._contents()}')
+            topic = found[0]
+        return [channel for channel in self._reader.channels.values() if channel.topic == topic]
+
+    def _contents(self) -> str:
+        return ', '.join(sorted({f'{channel.topic} ({self._schema(channel)})'
+                                 for channel in self._reader.channels.values()})) or 'nothing'
+
+    def _schema(self, channel: 'Channel') -> str:
+        schema = self._reader.schemas.get(channel.schema_id)
+        return 'unknown type' if schema is None else schema.name
+
+    def _converter(self, topic: str, kind: str, field: str
+                   ) -> Callable[[Recorded], tuple[int, np.ndarray] | None]:
+        if kind == ARRAY:
+            return lambda message: self._from_array(topic, message, field == '*')
+        if kind == JOINT_STATE and field not in ('', '*'):
+            return lambda message: self._from_joint_state(topic, message, field)
+        expected = ARRAY if field in ('', '*') else f'{ARRAY} or {JOINT_STATE}'
+        raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the bag '
+                        f'holds: {self._contents()}')
+
+    def _from_array(self, topic: str, message: Recorded, whole: bool) -> tuple[int, np.ndarray]:
+        if self._stamps == 'header':
+            raise DataError(f'{self.path}: {topic}: an array has no header with a stamp; use '
+                            'data.stamps: log')
+        values = self._decoded(topic, message, decode_float64_multi_array)
+        if whole or not self._columns and len(values) == len(self._joints):
+            return message.time, values
+        if not self._columns or max(self._columns) >= len(values):
+            raise DataError(f'{self.path}: {topic}: a message has {len(values)} numbers, expected '
+                            f'{len(self._joints)}, one for each of data.joints; say which of them '
+                            'in data.columns, counted from 0')
+        return message.time, values[self._columns]
+
+    def _from_joint_state(self, topic: str, message: Recorded, field: str
+                          ) -> tuple[int, np.ndarray] | None:
+        """Return time and values; None from a message without one of the joints."""
+        state = self._joint_state(topic, message)
+        if not set(self._joints) <= set(state.names):
+            return None
+        values = getattr(state, field)
+        if len(values) != len(state.names):
+            raise DataError(f'{self.path}: {topic}: a message has {len(values)} {field} values '
+                            f'for {len(state.names)} joints; leave {field} out of data')
+        time = state.stamp if self._stamps == 'header' else message.time
+        return time, values[[state.names.index(joint) for joint in self._joints]]
+
+    def _joint_state(self, topic: str, message: Recorded) -> JointStates:
+        return self._decoded(topic, message, decode_joint_state)
+
+    def _decoded(self, topic: str, message: Recorded, decode: Callable) -> object:
+        try:
+            return decode(message.data)
+        except (ValueError, UnicodeDecodeError) as problem:
+            raise DataError(f'{self.path}: {topic}: the message at {message.time} ns cannot be '
+                            f'read: {problem}') from problem

@@ -1,0 +1,100 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Decode the serialised messages that carry states, without ROS."""
+
+import struct
+from typing import final, NamedTuple
+
+import numpy as np
+
+# Of numbers in the byte order of the message, by the second byte of the message.
+_ORDERS = {0: '>', 1: '<'}
+_PREFIX = 4
+
+
+class JointStates(NamedTuple):
+    """
+    A sensor_msgs/msg/JointState.
+
+    Parameters
+    ----------
+    stamp : int
+        Of its header [ns].
+    names : tuple of str
+        Of the joints.
+    position, velocity, effort : np.ndarray
+        One for each joint, or empty.
+
+    """
+
+    stamp: int
+    names: tuple[str, ...]
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+
+
+@final
+class _Cursor:
+    """Where decoding stands; what goes beyond the end raises ValueError."""
+
+    def __init__(self, data: bytes):
+        if len(data) < _PREFIX or data[0] != 0 or data[1] not in _ORDERS:
+            raise ValueError('it is not plain CDR')
+        self._data, self._order, self._place = data, _ORDERS[data[1]], _PREFIX
+
+    def number(self, code: str) -> int:
+        """Return an integer of four bytes."""
+        self._align(4)
+        (value,) = struct.unpack(self._order + code, self._take(4))
+        return value
+
+    def text(self) -> str:
+        """Return a string."""
+        return self._take(self.number('I'))[:-1].decode()
+
+    def doubles(self) -> np.ndarray:
+        """Return a sequence of numbers."""
+        count = self.number('I')
+        if count:
+            self._align(8)
+        return np.frombuffer(self._take(8 * count), self._order + 'f8').astype(np.float64)
+
+    def _align(self, size: int) -> None:
+        self._place += (_PREFIX - self._place) % size
+
+    def _take(self, size: int) -> bytes:
+        part = self._data[self._place:self._place + size]
+        if len(part) != size:
+            raise ValueError(f'it breaks off after {len(self._data)} bytes')
+        self._place += size
+        return part
+
+
+def decode_joint_state(data: bytes) -> JointStates:
+    """Return a sensor_msgs/msg/JointState; ValueError if the bytes are none."""
+    cursor = _Cursor(data)
+    seconds, nanoseconds = cursor.number('i'), cursor.number('I')
+    cursor.text()
+    names = tuple(cursor.text() for _ in range(_count(cursor, data)))
+    return JointStates(seconds * 10**9 + nanoseconds, names,
+                       cursor.doubles(), cursor.doubles(), cursor.doubles())
+
+
+def decode_float64_multi_array(data: bytes) -> np.ndarray:
+    """Return the data of a std_msgs/msg/Float64MultiArray; ValueError if the bytes are none."""
+    cursor = _Cursor(data)
+    for _ in range(_count(cursor, data)):
+        cursor.text()
+        cursor.number('I')
+        cursor.number('I')
+    offset = cursor.number('I')
+    return cursor.doubles()[offset:]
+
+
+def _count(cursor: _Cursor, data: bytes) -> int:
+    """Return a number of things of at least four bytes each."""
+    count = cursor.number('I')
+    if 4 * count > len(data):
+        raise ValueError(f'it names {count} entries, more than it holds')
+    return count

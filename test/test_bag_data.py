@@ -1,0 +1,298 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Data from bags: the states of recorded motions, and one line for what cannot be used."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
+from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.learning.bag_data import BagData, BLOCKS, read_bags
+from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.scene import load_scene
+from hypothesis import given, settings, strategies as st
+from mcap.writer import Writer
+import numpy as np
+from pydantic import ValidationError
+import pytest
+from rclpy.serialization import serialize_message
+from ros.recorded import record_run
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+ARRAY, JOINTS = 'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/JointState'
+OMEGA, MASS = 2.0, 3.0
+T = 0.01 * np.arange(1, 501)
+DERIVATIVES = {'kind': 'savitzky_golay', 'window': 0.09, 'degree': 4}
+
+Message = tuple[str, str, float, bytes]
+
+
+def bag(**changes) -> BagData:
+    return BagData.model_validate({
+        'kind': 'bag', 'joints': ['swing'], 'derivatives': DERIVATIVES, **changes})
+
+
+def write(path: Path, messages: Iterable[Message]) -> Path:
+    """Write (topic, type, log time [s], bytes) as others' recorders do."""
+    with path.open('wb') as stream:
+        writer = Writer(stream, chunk_size=8192)
+        writer.start('ros2')
+        channels: dict[tuple[str, str], int] = {}
+        for topic, kind, time, data in messages:
+            if (topic, kind) not in channels:
+                channels[topic, kind] = writer.register_channel(
+                    topic, 'cdr', writer.register_schema(kind, 'ros2msg', b''))
+            writer.add_message(channels[topic, kind], round(time * 1e9), data, 0)
+        writer.finish()
+    return path
+
+
+def joints(t: np.ndarray, velocity: bool = True, delay: float = 0.0, topic: str = '/joint_states',
+           amplitude: float = 1.0) -> list[Message]:
+    """Return an oscillation as joint states of two joints, the second at rest."""
+    messages = []
+    for time in t:
+        position = amplitude * np.sin(OMEGA * time)
+        state = JointState(name=['rest', 'swing'], position=[0.0, position])
+        if velocity:
+            state.velocity = [0.0, amplitude * OMEGA * np.cos(OMEGA * time)]
+        state.header.stamp.sec = int(time)
+        state.header.stamp.nanosec = round((time - int(time)) * 1e9)
+        messages.append((topic, JOINTS, time + delay, serialize_message(state)))
+    return messages
+
+
+def array(t: np.ndarray, values: np.ndarray, topic: str) -> list[Message]:
+    return [(topic, ARRAY, time, serialize_message(Float64MultiArray(data=np.atleast_1d(row))))
+            for time, row in zip(t, values, strict=True)]
+
+
+def assert_oscillates(data, tolerance: float, mass: float = MASS) -> None:
+    q, v = np.sin(OMEGA * data.t), OMEGA * np.cos(OMEGA * data.t)
+    for found, expected in ((data.q, q), (data.dq_dt, v), (data.p, mass * v),
+                            (data.dp_dt, -mass * OMEGA**2 * q),
+                            (data.accelerations, -OMEGA**2 * q)):
+        assert np.abs(found[:, 0] - expected).max() < tolerance
+
+
+@pytest.fixture
+def shifted(monkeypatch):
+    """Let times begin at the first message, as in a bag."""
+    return lambda data, first: type(data)(**{**vars(data), 't': data.t + first})
+
+
+# A polynomial of degree 4 in a window of 0.09 s: h^4 times the fifth derivative, some 1e-4.
+TOLERANCE = 1e-3
+
+
+def test_joint_states_and_a_mass_give_momenta_and_rates(tmp_path, shifted):
+    path = write(tmp_path / 'a.mcap', joints(T))
+    data = read_bags([path], bag(mass=[MASS]))
+    assert_oscillates(shifted(data, T[0]), TOLERANCE)
+    assert 'a.mcap (480 rows, sha256 ' in data.description
+    assert len(np.unique(data.block)) == BLOCKS
+    assert (data.trajectory == 0).all()
+
+
+def test_velocities_that_are_not_recorded_are_estimated(tmp_path, shifted):
+    recorded = read_bags([write(tmp_path / 'a.mcap', joints(T))], bag(mass=[MASS]))
+    for more in ({}, {'estimate_velocity': True}):
+        path = write(tmp_path / f'b{len(more)}.mcap', joints(T, velocity=bool(more)))
+        estimated = read_bags([path], bag(mass=[MASS], **more))
+        assert_oscillates(shifted(estimated, T[0]), 10.0 * TOLERANCE)
+        assert not np.array_equal(estimated.dq_dt, recorded.dq_dt)
+
+
+def test_arrays_at_other_times_are_brought_to_common_even_ones(tmp_path, shifted):
+    rng = np.random.default_rng(2)
+    uneven, other = np.sort(rng.uniform(0.0, 5.0, 800)), np.linspace(0.1, 4.9, 300)
+    path = write(tmp_path / 'a.mcap', [
+        *array(uneven, np.stack([uneven, np.sin(OMEGA * uneven)], axis=-1), '/robot/q'),
+        *array(other, np.stack([other, MASS * OMEGA * np.cos(OMEGA * other)], axis=-1),
+               '/robot/p')])
+    data = read_bags([path], bag(q='q', p='/robot/p', columns=[1], spacing=0.01))
+    assert np.allclose(np.diff(data.t), 0.01, rtol=1e-9)
+    # 0.1 s less than ten rows from the first message of q.
+    assert_oscillates(shifted(data, uneven[0]), TOLERANCE)
+    assert len(data.windows(0.02, 3)) == len(data.t) - 4
+
+
+def test_stamps_of_headers_count_unless_the_log_is_asked_for(tmp_path, shifted):
+    jitter = np.random.default_rng(1).uniform(0.0, 0.004, len(T))
+    late = [(topic, kind, time + late, data) for (topic, kind, time, data), late
+            in zip(joints(T), jitter, strict=True)]
+    path = write(tmp_path / 'a.mcap', late)
+    assert_oscillates(shifted(read_bags([path], bag(mass=[MASS])), T[0]), TOLERANCE)
+    by_log = read_bags([path], bag(mass=[MASS], stamps='log'))
+    assert np.abs(by_log.t[0] - T[10]) > 1e-4
+
+
+def test_a_gap_begins_a_new_trajectory(tmp_path):
+    path = write(tmp_path / 'a.mcap', joints(np.concatenate([T, T + 10.0])))
+    data = read_bags([path], bag())
+    assert [int(np.sum(data.trajectory == i)) for i in range(2)] == [480, 480]
+    assert set(data.block[data.trajectory == 0]).isdisjoint(data.block[data.trajectory == 1])
+    assert np.abs(data.dp_dt).max() < 1.01 * OMEGA**2
+
+
+def test_several_bags_are_joined_and_split_by_blocks_of_time(tmp_path):
+    paths = [write(tmp_path / f'{i}.mcap', joints(T, amplitude=1.0 + i)) for i in range(2)]
+    data = read_bags(paths, bag(block=0.5))
+    assert len(data.q) == 960 and set(data.trajectory) == {0, 1}
+    assert len(np.unique(data.block)) == 20
+    train, validation = data.split(0.2, seed=3)
+    assert len(np.unique(validation.block)) == 4
+    assert set(train.block).isdisjoint(validation.block)
+    assert '0.mcap (480 rows' in data.description and '1.mcap (480 rows' in data.description
+
+
+def test_whole_name_of_a_topic_is_preferred_to_the_end_of_another(tmp_path):
+    both = [*joints(T), *joints(T, topic='/b/joint_states', amplitude=2.0)]
+    path = write(tmp_path / 'a.mcap', sorted(both, key=lambda message: message[2]))
+    assert np.abs(read_bags([path], bag(q='joint_states')).q).max() <= 1.0
+    assert np.abs(read_bags([path], bag(q='b/joint_states')).q).max() > 1.5
+
+
+def test_messages_without_the_joint_are_passed_over(tmp_path):
+    other = JointState(name=['gripper'], position=[1.0])
+    foreign = [('/joint_states', JOINTS, time + 0.005, serialize_message(other)) for time in T]
+    path = write(tmp_path / 'a.mcap', [*foreign, *joints(T)])
+    alone = read_bags([write(tmp_path / 'b.mcap', joints(T))], bag())
+    assert np.array_equal(read_bags([path], bag()).q, alone.q)
+
+
+def test_commands_hold_until_the_next(tmp_path):
+    path = write(tmp_path / 'a.mcap', [
+        *joints(T), *array(np.array([2.0, 3.0]), np.array([[1.0, 5.0], [2.0, 6.0]]), '/commands')])
+    data = read_bags([path], bag(commands='commands', stamps='log'))
+    t = data.t + T[0]
+    assert np.array_equal(data.commands[t < 1.995], np.zeros((np.sum(t < 1.995), 2)))
+    assert (data.commands[(t > 2.005) & (t < 2.995)] == [1.0, 5.0]).all()
+    assert (data.commands[t > 3.005] == [2.0, 6.0]).all()
+
+
+@pytest.mark.parametrize('close', [True, False])
+def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, close):
+    scene = load_scene('exact_double_pendulum')
+    path = record_run(tmp_path / 'bag', scene, 300, close=close)
+    data = read_bags([path], bag(
+        joints=['angle1', 'angle2'], p='p', dp_dt='joint_states', derivatives=None))
+    dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
+    assert np.abs(data.dq_dt - dH_dp).max() < 1e-12
+    assert np.abs(data.dp_dt + dH_dq).max() < 1e-12
+    assert len(data.q) == 280
+
+
+EMPTY = Float64MultiArray()
+
+
+@pytest.mark.parametrize('messages, changes, words', [
+    ([], {}, ['holds no messages']),
+    (joints(T), {'q': 'odometry'}, ['no topic /odometry', f'/joint_states ({JOINTS})']),
+    ([*joints(T, topic='/a/joint_states'), *joints(T, topic='/b/joint_states')], {},
+     ['2 topics /joint_states', '/a/joint_states', '/b/joint_states']),
+    (joints(T), {'joints': ['knee']}, ['0 messages with the joints knee', 'data.joints']),
+    (joints(T), {'p': 'joint_states'}, [f'has the type {JOINTS}, expected {ARRAY}']),
+    ([('/q', 'std_msgs/msg/Float64', t, serialize_message(Float64())) for t in T], {'q': 'q'},
+     ['has the type std_msgs/msg/Float64', f'expected {ARRAY} or {JOINTS}']),
+    (joints(np.concatenate([T, T])), {'stamps': 'header'}, ['is not after the one before',
+                                                            'data.stamps: log']),
+    (joints(T[::-1] * 0.0 + 1.0), {'stamps': 'log'}, ['is not after', 'data.stamps: header']),
+    (array(T, np.where(T > 2.0, np.nan, T), '/q'), {'q': 'q'}, ['/q: message 201', 'not finite']),
+    (array(T, np.stack([T, T], axis=-1), '/q'), {'q': 'q'}, ['2 numbers', 'data.columns']),
+    (array(T, T, '/q'), {'q': 'q', 'columns': [1]}, ['1 numbers', 'data.columns']),
+    (array(T, T, '/q'), {'q': 'q', 'stamps': 'header'}, ['data.stamps: log']),
+    (joints(T, velocity=False), {'velocity': 'joint_states'}, ['0 velocity values for 2 joints']),
+    (joints(T[:20]), {}, ['20 messages in 0.19 s']),
+    (joints(T[:40]), {'derivatives': {'kind': 'savitzky_golay', 'window': 0.3}},
+     ['derivatives.window of 0.3 s']),
+    ([('/q', ARRAY, t, serialize_message(EMPTY)[:9]) for t in T], {'q': 'q'},
+     ['/q: the message at 10000000 ns cannot be read']),
+    ([('/joint_states', JOINTS, t, serialize_message(JointState(
+        name=['swing'], position=[1.0]))) for t in T], {'stamps': 'log'}, ['never changes']),
+    (joints(T), {'spacing': 1e-9}, ['spacing']),
+], ids=range(18))
+def test_unusable_bag_gives_one_line_that_says_what_is_in_it(tmp_path, messages, changes, words):
+    path = write(tmp_path / 'a.mcap', sorted(messages, key=lambda message: message[2]))
+    with pytest.raises(DataError) as caught:
+        read_bags([path], bag(**changes))
+    assert '\n' not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value), str(caught.value)
+
+
+@given(share=st.floats(0.0, 1.0))
+@settings(max_examples=25, deadline=None)
+def test_bag_cut_off_at_any_byte_gives_a_beginning_or_one_line(tmp_path_factory, share):
+    folder = tmp_path_factory.getbasetemp()
+    whole = write(folder / 'whole.mcap', joints(T)).read_bytes()
+    cut = folder / 'cut.mcap'
+    cut.write_bytes(whole[:round(share * len(whole))])
+    try:
+        data = read_bags([cut], bag())
+    except DataError as problem:
+        assert '\n' not in str(problem)
+    else:
+        expected = read_bags([folder / 'whole.mcap'], bag())
+        assert np.array_equal(data.q, expected.q[:len(data.q)])
+
+
+def test_what_is_no_bag_is_refused(tmp_path):
+    (tmp_path / 'notes.mcap').write_text('notes')
+    for path in (tmp_path / 'none', tmp_path / 'notes.mcap', tmp_path / 'empty'):
+        with pytest.raises(DataError) as caught:
+            read_bags([path], bag())
+        assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('changes, words', [
+    ({'joints': ['a', 'a']}, 'same name'),
+    ({'columns': [0, 1]}, 'columns has 2 entries'),
+    ({'p': 'p', 'mass': [1.0]}, 'exclude one another'),
+    ({'velocity': 'v', 'estimate_velocity': True}, 'exclude one another'),
+    ({'mass': [1.0, 2.0]}, 'mass has 2 entries'),
+    ({'spacing': 0.0}, 'greater than 0'),
+])
+def test_contradictory_bag_description_is_refused(changes, words):
+    with pytest.raises(ValidationError, match=words):
+        bag(**changes)
+
+
+CONFIG = """
+coordinates: [{name: swing, q_unit: rad, p_unit: kg m2/s}]
+data:
+  kind: bag
+  joints: [swing]
+  mass: [3.0]
+hidden: [16]
+adam_steps: 300
+lbfgs_steps: 200
+"""
+
+
+def test_bags_become_a_model_in_one_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('swing.yaml').write_text(CONFIG)
+    bags = [str(write(tmp_path / f'{i}.mcap', joints(T, amplitude=0.5 * (1 + i))))
+            for i in range(2)]
+    main(['--config', 'swing.yaml', '--data', *bags])
+    hamiltonian = NeuralHamiltonian(load_checkpoint('models/swing.safetensors'))
+    q, p = np.array([0.5]), np.array([-2.0])
+    dH_dq, dH_dp = hamiltonian.gradient(q, p)
+    tolerance = 0.01 + 3.0 * np.sqrt(hamiltonian.checkpoint.card.losses['validation_loss'])
+    assert dH_dp == pytest.approx(p / MASS, abs=tolerance * OMEGA)
+    assert dH_dq == pytest.approx(MASS * OMEGA**2 * q, abs=tolerance * MASS * OMEGA**2)
+
+
+@pytest.mark.parametrize('more, words', [
+    ('', 'data.paths is empty; pass bags with --data BAG'),
+    ('  paths: [none]\n', 'none'),
+])
+def test_configuration_without_its_bags_is_one_line(tmp_path, monkeypatch, more, words):
+    monkeypatch.chdir(tmp_path)
+    Path('swing.yaml').write_text(CONFIG.replace('  mass', f'{more}  mass'))
+    with pytest.raises(DataError, match=words) as caught:
+        main(['--config', 'swing.yaml'])
+    assert '\n' not in str(caught.value)
