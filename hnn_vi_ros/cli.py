@@ -60,6 +60,11 @@ def import_checkpoint() -> NoReturn:
     _run('hnn_vi_ros.learning.import_checkpoint')
 
 
+def bag_to_model() -> NoReturn:
+    """Record the double pendulum, train on the bag, simulate what was learned."""
+    _run('hnn_vi_ros.studies.bag_to_model')
+
+
 def paper_figures() -> NoReturn:
     """Regenerate the figures of the paper."""
     _run('hnn_vi_ros.studies.paper_figures')

@@ -269,6 +269,7 @@ data:
 hidden: [16]
 adam_steps: 300
 lbfgs_steps: 200
+test_fraction: 0.2
 """
 
 
@@ -278,6 +279,9 @@ def test_bags_become_a_model_in_one_command(tmp_path, monkeypatch):
     bags = [str(write(tmp_path / f'{i}.mcap', joints(T, amplitude=0.5 * (1 + i))))
             for i in range(2)]
     main(['--config', 'swing.yaml', '--data', *bags])
+    losses = load_checkpoint('models/swing.safetensors').card.losses
+    # Blocks of time that training never saw, of motions that it did see.
+    assert losses['test_loss'] < 1e-3
     hamiltonian = NeuralHamiltonian(load_checkpoint('models/swing.safetensors'))
     q, p = np.array([0.5]), np.array([-2.0])
     dH_dq, dH_dp = hamiltonian.gradient(q, p)

@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-EXECUTABLES = ['simulator', 'listener', 'train', 'paper_figures', 'scene', 'work_precision']
+EXECUTABLES = ['simulator', 'listener', 'train', 'paper_figures', 'scene', 'work_precision',
+               'import_checkpoint', 'bag_to_model']
 
 
 HIDE = """

@@ -12,10 +12,12 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import coordinate_index, Force
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning.bag_data import BagData
 from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / 'README.md').read_text(encoding='utf-8')
@@ -34,6 +36,12 @@ def test_readme_listener_is_the_executable():
 def test_readme_scene_is_a_shipped_one():
     scene = re.search(r'```yaml\n(.*?)```', README, re.DOTALL)[1]
     assert scene == (ROOT / 'config' / 'scenes' / 'harmonic_oscillator.yaml').read_text()
+
+
+def test_readme_bag_data_is_valid():
+    (data,) = (block for block in re.findall(r'```yaml\n(.*?)```', README, re.DOTALL)
+               if 'kind: bag' in block)
+    assert BagData.model_validate(yaml.safe_load(data)['data']).block == 2.0
 
 
 def test_readme_effects_table_is_that_of_the_package():

@@ -3,13 +3,16 @@
 """What the work-precision study reports is what was asked for, and agrees with other sources."""
 
 import csv
+import dataclasses
 from pathlib import Path
 import re
 
-from hnn_vi_ros.errors import HnnViRosError
+from helpers import random_checkpoint
+from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.kepler import Kepler
+from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.studies import work_precision
@@ -337,6 +340,13 @@ def test_scipy_peer_is_measured_with_our_gradient():
     assert all(1e-10 < row.path_error < 1e-4 and row.status == 'ok' for row in rows)
     assert all(np.isnan(row.step_size) for row in rows)
     assert cheapest(rows, 1e-4).method.startswith('scipy DOP853')
+
+
+def test_peers_refuse_a_network_that_is_not_of_tanh():
+    checkpoint = random_checkpoint([2, 8, 1], seed=1)
+    card = checkpoint.card.model_copy(update={'activation': 'sine'})
+    with pytest.raises(ParameterError, match='has sine between its layers; leave --peers'):
+        create_peers(NeuralHamiltonian(dataclasses.replace(checkpoint, card=card)))
 
 
 def test_peers_stand_in_the_same_table(tmp_path, monkeypatch):

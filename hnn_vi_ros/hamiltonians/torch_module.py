@@ -19,7 +19,7 @@ class TorchHamiltonian(Hamiltonian):
     """
     H(q, p) as any torch module of one input vector (q, p), with autograd for its gradient.
 
-    This is the slow, general way: it calls autograd in every step, from Python. A tanh
+    This is the slow, general way: it calls autograd in every step, from Python. A
     multilayer perceptron runs many times faster as a NeuralHamiltonian.
 
     Parameters

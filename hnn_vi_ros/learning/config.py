@@ -36,6 +36,8 @@ class TrainingConfig(StrictModel):
             'widths of the hidden layers, of each network'))
     seed: int = Field(0, ge=0, lt=2**63, description='of data, split and initial weights')
     validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description='of the data, held out')
+    test_fraction: float = Field(0.0, ge=0.0, le=0.5, description=(
+        'of the data, held out as well, and looked at once, at the end'))
     adam_steps: int = Field(1000, ge=1, le=1_000_000)
     learning_rate: float = Field(5e-3, gt=0.0, le=1.0, description='of Adam at its start')
     lbfgs_steps: int = Field(2000, ge=0, le=1_000_000)

@@ -42,12 +42,16 @@ class Problem:
     def __init__(self, config: TrainingConfig, dataset: Dataset):
         self._choice, self._linearity = config.loss, config.linearity
         self._loss = LOSSES[self._choice.kind]
-        train, validation = dataset.split(config.validation_fraction, config.seed)
+        test, rest = None, dataset
+        if config.test_fraction > 0.0:
+            rest, test = dataset.split(config.test_fraction, config.seed)
+        train, validation = rest.split(config.validation_fraction, config.seed)
         scales = Scales.of(dataset)
         self.family = FAMILIES[config.family.kind](
             config.family, config.hidden, scales, config.seed)
         self._train, self._validation = (
             self._loss.batch(self._choice, part) for part in (train, validation))
+        self._test = None if test is None else self._loss.batch(self._choice, test)
         self._unit = self._train.target.square().mean(dim=0).sqrt()
         if not (self._unit > 0.0).all():
             raise DataError(f'{dataset.description}: a coordinate never changes; learn from data '
@@ -75,6 +79,8 @@ class Problem:
         train = mean_square(self._errors(self._train), self._unit)
         values = {'train_loss': train.detach(),
                   'validation_loss': mean_square(errors, self._unit)}
+        if self._test is not None:
+            values['test_loss'] = mean_square(self._errors(self._test).detach(), self._unit)
         parts = self._loss.parts
         if len(parts) > 1:
             values['field_rms'] = errors.square().mean().sqrt()

@@ -14,6 +14,7 @@ import os
 from types import FunctionType, ModuleType
 from typing import Any
 
+from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
@@ -36,8 +37,15 @@ def create_peers(hamiltonian: Hamiltonian) -> list[Peer]:
     ------
     ModuleNotFoundError
         torch, torchdiffeq, jax or diffrax is not installed.
+    ParameterError
+        It is a network of another activation than tanh.
 
     """
+    if isinstance(hamiltonian, NeuralHamiltonian):
+        activation = hamiltonian.checkpoint.card.activation
+        if activation != 'tanh':
+            raise ParameterError('--peers: the peers are written out for tanh, and this network '
+                                 f'has {activation} between its layers; leave --peers')
     return [*scipy_peers(hamiltonian), *_torchdiffeq_peers(hamiltonian),
             *_diffrax_peers(hamiltonian)]
 
