@@ -39,6 +39,8 @@ class Kernel(NamedTuple):
     channels : int
         How many of the last coordinates are times since the start of the step, and their momenta
         integrals over it; implicit equations are not solved for the integrals' sake.
+    energy_scale : float
+        Rounding error of H in units of the unit round-off, where it exceeds that of its value.
 
     """
 
@@ -50,6 +52,7 @@ class Kernel(NamedTuple):
     gradient_scale: tuple[float, float]
     compiled: bool
     channels: int = 0
+    energy_scale: float = 0.0
 
 
 class Hamiltonian(ABC):

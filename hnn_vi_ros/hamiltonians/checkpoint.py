@@ -33,6 +33,7 @@ _ANEW = 'copy the file again, or train the model anew'
 # How a file begins that torch.save or pickle wrote: a zip archive, or a protocol 2 to 5 pickle.
 _PICKLES = (b'PK\x03\x04', b'\x80\x02', b'\x80\x03', b'\x80\x04', b'\x80\x05')
 
+
 class Layers(NamedTuple):
     """
     A multilayer perceptron, one entry a layer.

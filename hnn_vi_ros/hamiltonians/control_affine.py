@@ -35,7 +35,8 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         d = self.dimension
-        parameters = (pack_outputs(self.checkpoint, 'mass_inverse'), self._packed('potential', 'q'),
+        parameters = (pack_outputs(self.checkpoint, 'mass_inverse'),
+                      self._packed('potential', 'q'),
                       np.zeros((4, d * (d + 1) // 2)), np.zeros((4, d)))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True)

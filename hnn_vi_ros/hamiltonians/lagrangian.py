@@ -4,7 +4,6 @@
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import perceptron
@@ -13,9 +12,6 @@ from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 import numba
 import numpy as np
-
-if TYPE_CHECKING:
-    import torch
 
 # States of the box at which the Lagrangian must be regular, and how much L_vv may vary there.
 _SAMPLES = 1000
@@ -141,14 +137,14 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable:
     if family != 'lagrangian':
         raise ModelError(f'{checkpoint.card.name}: a model of the family {family} has no '
                          'Lagrangian, as the family lagrangian has; take another integrator')
-    import torch
+    import torch  # where it is needed: shipped scenes run without it
     activate = {'tanh': torch.tanh, 'sine': torch.sin,
                 'softplus': torch.nn.functional.softplus}[checkpoint.card.activation]
     mass = torch.tensor(checkpoint.card.mass, dtype=torch.float64)
     layers = [tuple(torch.tensor(part) for part in parts)
               for parts in zip(*checkpoint.networks['lagrangian'], strict=True)]
 
-    def action(q0: 'torch.Tensor', q1: 'torch.Tensor', h: float) -> 'torch.Tensor':
+    def action(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.Tensor:
         velocity = (q1 - q0) / h
         a = torch.cat([0.5 * (q0 + q1), velocity])
         for weight, bias in layers[:-1]:

@@ -63,7 +63,8 @@ class LearnedHamiltonian(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         kernel = self._kernel()
-        return kernel._replace(gradient_scale=self._gradient_scale(kernel))
+        return kernel._replace(gradient_scale=self._gradient_scale(kernel),
+                               energy_scale=self._energy_scale(kernel))
 
     def _packed(self, network: str, part: str = 'both') -> tuple:
         """Return a network of (q, p), or of q or p alone, for the loops of perceptron.py."""
@@ -99,16 +100,32 @@ class LearnedHamiltonian(Hamiltonian):
         It is measured against extended precision at random states of the box; a bound from the
         weights alone would grow exponentially with the depth.
         """
-        d = self.dimension
+        d, z = self.dimension, self._samples()
+        errors = np.abs(_gradient(kernel, z) - self._extended_gradient(z))
+        return (4.0 * float(errors[:, :d].max()) / _EPS, 4.0 * float(errors[:, d:].max()) / _EPS)
+
+    def _energy_scale(self, kernel: Kernel) -> float:
+        """Return the rounding error of H: its jumps between states too close to differ else."""
+        d, z = self.dimension, self._samples()
+        near = z + 1e3 * _EPS * np.random.default_rng(1).uniform(-1.0, 1.0, z.shape)
+        before, after = (np.array([
+            kernel.energy(kernel.parameters, state[:d], state[d:]) for state in states])
+            for states in (z, near))
+        jumps = after - before - ((near - z) * _gradient(kernel, z)).sum(axis=1)
+        return 4.0 * float(np.abs(jumps).max()) / _EPS
+
+    def _samples(self) -> np.ndarray:
+        """Return states of the box, shape (m, 2 d)."""
         low, high = np.concatenate(self.box).T
-        z = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 2 * d))
-        q, p = z[:, :d].ravel(), z[:, d:].ravel()
-        dH_dq, dH_dp = np.empty_like(q), np.empty_like(p)
-        kernel.gradient(kernel.parameters, q, p, dH_dq, dH_dp)
-        exact = self._extended_gradient(z)
-        q_error = np.abs(dH_dq - exact[:, :d].ravel()).max()
-        p_error = np.abs(dH_dp - exact[:, d:].ravel()).max()
-        return 4.0 * float(q_error) / _EPS, 4.0 * float(p_error) / _EPS
+        return np.random.default_rng(0).uniform(low, high, (_SAMPLES, low.size))
+
+
+def _gradient(kernel: Kernel, z: np.ndarray) -> np.ndarray:
+    """Return (H_q, H_p) at states of shape (m, 2 d)."""
+    parts = [np.ascontiguousarray(part) for part in np.split(z, 2, axis=1)]
+    slopes = [np.empty_like(part) for part in parts]
+    kernel.gradient(kernel.parameters, *(part.ravel() for part in (*parts, *slopes)))
+    return np.hstack(slopes)
 
 
 def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) -> None:

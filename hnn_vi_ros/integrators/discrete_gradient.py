@@ -86,7 +86,8 @@ def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
         end = start + d
         slope_q, slope_p = largest(z.dH_dp[start:end]), largest(z.dH_dq[start:end])
         square = slope_q * slope_q + slope_p * slope_p
-        energy = abs(kernel.energy(kernel.parameters, z.q[start:end], z.p[start:end]))
+        energy = max(abs(kernel.energy(kernel.parameters, z.q[start:end], z.p[start:end])),
+                     kernel.energy_scale)
         rounding = energy / square if square > 0.0 else 0.0
         for i in range(start, end):
             scale[i] = max(largest(z.q[start:end]), abs(h) * slope_q,

@@ -3,7 +3,7 @@
 """Data from exact Hamiltonians: states drawn from a box, and the motions that begin there."""
 
 from inspect import signature
-from typing import Literal
+from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -62,6 +62,25 @@ class Motion(StrictModel):
         return self.spacing * np.arange(int(self.duration / self.spacing * (1.0 + 1e-12)) + 1)
 
 
+class Commands(StrictModel):
+    """Commands u drawn evenly from [-largest, largest], which add B u to dp/dt."""
+
+    input_map: list[Annotated[list[float], Field(min_length=1)]] = Field(min_length=1, description=(
+        'B by rows: one row for each coordinate, one column for each command'))
+    largest: float = Field(gt=0.0, description='bound of every command')
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Return B, shape (d, m)."""
+        return np.array(self.input_map)
+
+    @model_validator(mode='after')
+    def _check(self) -> 'Commands':
+        if len({len(row) for row in self.input_map}) > 1:
+            raise ValueError('input_map has rows of different lengths')
+        return self
+
+
 class ExactData(StrictModel):
     """States drawn at random from a box, their rates computed from an exact Hamiltonian."""
 
@@ -77,6 +96,9 @@ class ExactData(StrictModel):
         'bounds of H: the part of the box that motions of these energies visit'))
     trajectory: Motion | None = Field(None, description=(
         'follow the motion that begins at each of the samples, and learn from all its states'))
+    damping: float = Field(0.0, ge=0.0, description='gamma [1/s]: dp/dt = -H_q - gamma p')
+    commands: Commands | None = Field(None, description=(
+        'what drives the system, another at each of the samples'))
     noise: float = Field(0.0, ge=0.0, description=(
         'standard deviation of what is added to each coordinate and momentum, not to the rates'))
 
@@ -86,6 +108,9 @@ class ExactData(StrictModel):
             bounds = getattr(self, name)
             if bounds is not None and not bounds[0] < bounds[1]:
                 raise ValueError(f'{name} = {bounds} must be [low, high] with low < high')
+        if self.commands is not None and len(self.commands.input_map) != len(self.box.q):
+            raise ValueError(f'commands.input_map has {len(self.commands.input_map)} rows, '
+                             f'expected {len(self.box.q)}, one for each coordinate')
         if self.trajectory is not None:
             states = self.samples * len(self.trajectory.times)
             if states > MAX_STATES:
@@ -121,17 +146,33 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
                         f'has {hamiltonian.dimension}; give one interval of q and of p for each')
     rng = np.random.default_rng(seed)
     q, p = _draw_states(data, hamiltonian, rng)
-    trajectory, t = np.arange(data.samples), None
+    trajectory, t, commands = np.arange(data.samples), None, None
+    if data.commands is not None:
+        m = data.commands.matrix.shape[1]
+        commands = data.commands.largest * rng.uniform(-1.0, 1.0, (data.samples, m))
     if data.trajectory is not None:
-        q, p = _follow(hamiltonian, q, p, data.trajectory.times)
-        t = np.tile(data.trajectory.times, data.samples)
-        trajectory = np.repeat(trajectory, len(data.trajectory.times))
-    dH_dq, dH_dp = hamiltonian.gradient(q, p)
-    _, accelerations = hamiltonian.hessian_vector(q, p, dH_dp, -dH_dq)
+        times = data.trajectory.times
+        q, p = _follow(data, hamiltonian, q, p, commands)
+        t, trajectory = np.tile(times, data.samples), np.repeat(trajectory, len(times))
+        commands = None if commands is None else commands[trajectory]
+    dq_dt, dp_dt = _rates(data, hamiltonian, q, p, commands)
+    _, accelerations = hamiltonian.hessian_vector(q, p, dq_dt, dp_dt)
     if data.noise > 0.0:
         q, p = (part + data.noise * rng.normal(size=part.shape) for part in (q, p))
-    return Dataset(q, p, dH_dp, -dH_dq, trajectory, _describe(data), t, trajectory,
-                   accelerations).checked()
+    return Dataset(q, p, dq_dt, dp_dt, trajectory, _describe(data), t, trajectory,
+                   accelerations, commands).checked()
+
+
+def _rates(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
+           commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return dq/dt and dp/dt, of the shape of q, with damping and commands."""
+    dH_dq, dH_dp = hamiltonian.gradient(q, p)
+    dp_dt = -dH_dq
+    if data.damping:
+        dp_dt -= data.damping * p
+    if commands is not None:
+        dp_dt += commands @ data.commands.matrix.T
+    return dH_dp, dp_dt
 
 
 def _describe(data: ExactData) -> str:
@@ -142,20 +183,21 @@ def _describe(data: ExactData) -> str:
     if data.trajectory is not None:
         text = (f'{data.samples} exact motions of {system}, of {data.trajectory.duration:g} s in '
                 f'steps of {data.trajectory.spacing:g} s')
+    text += f', damped at {data.damping:g} /s' if data.damping else ''
+    text += f', with commands up to {data.commands.largest:g}' if data.commands else ''
     return text + (f', noise {data.noise:g}' if data.noise > 0.0 else '')
 
 
-def _follow(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, times: np.ndarray
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states at these times of the motions from (q, p), one motion after another."""
-    d = hamiltonian.dimension
+def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
+            commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states of the motions from (q, p), each state of shape (d,), one after another."""
+    d, times, motions = hamiltonian.dimension, data.trajectory.times, []
+    for i, z in enumerate(np.hstack([q, p])):
+        command = None if commands is None else commands[i]
 
-    def rates(_: float, z: np.ndarray) -> np.ndarray:
-        dH_dq, dH_dp = hamiltonian.gradient(z[:d], z[d:])
-        return np.concatenate([dH_dp, -dH_dq])
+        def rates(_: float, z: np.ndarray) -> np.ndarray:
+            return np.concatenate(_rates(data, hamiltonian, z[:d], z[d:], command))  # noqa: B023
 
-    motions = []
-    for z in np.hstack([q, p]):
         motion = solve_ivp(rates, (0.0, times[-1]), z, 'DOP853', times, rtol=_TOLERANCES[0],
                            atol=_TOLERANCES[1])
         if not motion.success:

@@ -12,8 +12,6 @@ import numpy as np
 import torch
 
 PAIRS = 256  # of states, for the preference for a linear field
-# Of the momenta at rest in the loss of a Lagrangian, which no motion determines.
-_REST = 1e-3
 
 
 class Problem:
@@ -65,9 +63,8 @@ class Problem:
         loss = mean_square(self._errors(self._train), self._unit)
         if self._linearity:
             loss = loss + self._linearity * nonlinearity(self.family, *self._pairs, self._unit)
-        if self._choice.kind == 'euler_lagrange':
-            loss = loss + _REST * self.family.momenta_at_rest(*self._train.inputs).square().mean()
-        return loss
+        preference = self.family.preference(*self._train.inputs)
+        return loss if preference is None else loss + preference
 
     def validation_loss(self) -> float:
         """Return the loss on the held-out data."""

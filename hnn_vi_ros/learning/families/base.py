@@ -87,6 +87,18 @@ class Family(torch.nn.Module, ABC):
 
         """
 
+    def preference(self, *inputs: torch.Tensor) -> torch.Tensor | None:
+        """
+        Return what a family adds to its loss, to choose where the data leave it open.
+
+        Parameters
+        ----------
+        *inputs : torch.Tensor
+            Of the loss.
+
+        """
+        return None
+
     def constants(self) -> dict[str, Any]:
         """Return what else of the model card this family has learned."""
         return {}

@@ -14,6 +14,7 @@ import torch
 
 _SAMPLES = 256
 _ITERATIONS = 50
+_WEIGHT = 1e-2
 
 
 class LagrangianNetwork(Family):
@@ -57,7 +58,8 @@ class LagrangianNetwork(Family):
         with torch.no_grad():
             # What is not learned yet shall not make L_vv singular.
             self.network.linears[-1].weight.mul_(0.1)
-        box = np.random.default_rng(0).uniform(-1.0, 1.0, (_SAMPLES, len(centre)))
+        # The inner half of the box: its corners may be far from any data.
+        box = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, len(centre)))
         self.register_buffer('samples', torch.tensor(centre + half * box), persistent=False)
 
     def lagrangian(self, x: torch.Tensor) -> torch.Tensor:
@@ -85,12 +87,12 @@ class LagrangianNetwork(Family):
         force = slope.chunk(2, dim=1)[0] - (mixed @ x.chunk(2, dim=1)[1][:, :, None])[:, :, 0]
         return torch.linalg.solve(mass, force[:, :, None])[:, :, 0]
 
-    def momenta_at_rest(self, x: torch.Tensor) -> torch.Tensor:
-        """Return L_v(q, 0) in units of M v, shape (N, d), at points x = (q, v)."""
+    def preference(self, x: torch.Tensor) -> torch.Tensor:
+        """Return a small weight on the momenta at rest, L_v(q, 0), in units of M v."""
         q, v = x.chunk(2, dim=1)
         slope = gradient(self.lagrangian, torch.cat([q, torch.zeros_like(v)], dim=1))
         unit = self.mass * self.network.scale.chunk(2)[1]
-        return slope.chunk(2, dim=1)[1] / unit
+        return _WEIGHT * (slope.chunk(2, dim=1)[1] / unit).square().mean()
 
     @property
     def factor(self) -> float:

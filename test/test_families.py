@@ -1,0 +1,307 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The model families as Hamiltonians: their kernels, what they refuse, what effects they feed."""
+
+from pathlib import Path
+import warnings
+
+from helpers import Uncompiled
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import families, model_card
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers, save_checkpoint
+from hnn_vi_ros.hamiltonians.confined import load_learned
+from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
+from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard, Scheme
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+import torch
+
+FAMILIES = ['hnn', 'separable_hnn', 'dissipative_hnn', 'dgnet', 'vin', 'lagrangian',
+            'control_affine']
+# Hessians of networks as large as these are of the order of ten; see test_neural.
+ROUND_OFF = 1e-12
+
+
+def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoint:
+    """Return a model of random networks of the usual size."""
+    rng = np.random.default_rng(d)
+    networks = {}
+    for name, inputs in model_card.FAMILIES[family].items():
+        outputs = {'mass_inverse': d * (d + 1) // 2, 'input_map': d * commands}.get(name, 1)
+        widths = [inputs * d, 9, 6, outputs]
+        networks[name] = Layers(
+            tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(widths, widths[1:])),
+            tuple(0.3 * rng.normal(size=b) for b in widths[1:]))
+    layout = {name: [layers.weights[0].shape[1], *(bias.size for bias in layers.biases)]
+              for name, layers in networks.items()}
+    factor = rng.normal(size=(d, d))
+    # Large beside the curvature of a random network: the Lagrangian is regular.
+    mass = (factor @ factor.T + 3.0 * np.eye(d)).tolist()
+    constants = {'dgnet': {'friction': [0.2] * d}, 'vin': {'mass': mass},
+                 'lagrangian': {'mass': mass, 'velocities': [[-1.0, 1.0]] * d}}.get(family, {})
+    card = ModelCard(**{
+        'name': 'random', 'family': family, 'dataset': 'none', 'seed': d, 'losses': {},
+        'training_command': '', 'package_version': '0',
+        'box': Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
+        'coordinates': [CoordinateCard(name=f'x{i}') for i in range(d)],
+        **({'networks': layout} if len(layout) > 1 else {'widths': [*layout.values()][0]}),
+        **constants, **changes})
+    return Checkpoint(card, networks)
+
+
+def learned(family: str, d: int, **changes) -> LearnedHamiltonian:
+    return families.FAMILIES[family](random_model(family, d, **changes))
+
+
+def saved(folder: Path, family: str, d: int, **changes) -> str:
+    path = folder / f'{family}_{d}.safetensors'
+    save_checkpoint(path, random_model(family, d, **changes))
+    return str(path)
+
+
+def network(layers: Layers, x: torch.Tensor) -> torch.Tensor:
+    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers)]
+    for weight, bias in hidden:
+        x = torch.tanh(weight @ x + bias)
+    return last[0] @ x + last[1]
+
+
+def torch_lagrangian(model: Checkpoint, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    mass = torch.tensor(model.card.mass, dtype=torch.float64)
+    return 0.5 * v @ mass @ v + network(model.networks['lagrangian'], torch.cat([q, v]))[0]
+
+
+def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
+    """Return H, written as the families define it."""
+    q, p = z.chunk(2)
+    nets, family = model.networks, model.card.family
+    if family == 'separable_hnn':
+        return network(nets['kinetic'], p)[0] + network(nets['potential'], q)[0]
+    if family == 'vin':
+        mass = torch.tensor(model.card.mass, dtype=torch.float64)
+        return 0.5 * p @ torch.linalg.solve(mass, p) + network(nets['potential'], q)[0]
+    if family == 'control_affine':
+        root = torch.zeros(len(q), len(q), dtype=torch.float64)
+        root[np.tril_indices(len(q))] = network(nets['mass_inverse'], q)
+        return 0.5 * (root.T @ p).square().sum() + network(nets['potential'], q)[0]
+    if family == 'lagrangian':
+        v = p.detach().clone()
+        for _ in range(20):
+            slope = torch.autograd.functional.jacobian(
+                lambda v: torch_lagrangian(model, q.detach(), v), v)
+            mass = torch.autograd.functional.hessian(
+                lambda v: torch_lagrangian(model, q.detach(), v), v)
+            v = v + torch.linalg.solve(mass, p.detach() - slope)
+        # By the theorem of the implicit function: one step of Newton's method carries dv.
+        v = v.detach().requires_grad_(True)
+        (slope,) = torch.autograd.grad(torch_lagrangian(model, q, v), v, create_graph=True)
+        v = v.detach() + torch.linalg.solve(mass, p - slope)
+        return p @ v - torch_lagrangian(model, q, v)
+    return network(nets['energy'], z)[0]
+
+
+def states(d: int, n: int = 5) -> np.ndarray:
+    return np.random.default_rng(3).uniform(-1.0, 1.0, (n, 2 * d))
+
+
+@pytest.mark.parametrize('d', [1, 3])
+@pytest.mark.parametrize('family', FAMILIES)
+def test_kernel_of_each_family_agrees_with_torch_autograd(family: str, d: int):
+    hamiltonian = learned(family, d)
+    z, v = states(d), states(d)[::-1]
+    gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
+    product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
+    energies = hamiltonian.energy(z[:, :d], z[:, d:])
+    for i in range(len(z)):
+        state = torch.tensor(z[i], requires_grad=True)
+        energy = torch_energy(hamiltonian.checkpoint, state)
+        (slope,) = torch.autograd.grad(energy, state, create_graph=True)
+        (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
+        assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
+        assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
+        if family != 'lagrangian':
+            # One step of Newton's method carries no second derivative of v: see the next test.
+            assert np.abs(product[i] - curved.numpy()).max() <= ROUND_OFF
+
+
+@pytest.mark.parametrize('d', [1, 3])
+def test_hessian_of_the_legendre_transform_is_the_derivative_of_its_gradient(d: int):
+    hamiltonian = learned('lagrangian', d)
+    z, v = states(d), states(d)[::-1]
+    step = 1e-5
+    ahead, behind = (np.hstack(hamiltonian.gradient(*np.split(z + sign * step * v, 2, axis=1)))
+                     for sign in (1.0, -1.0))
+    product = np.hstack(hamiltonian.hessian_vector(
+        *np.split(z, 2, axis=1), *np.split(v, 2, axis=1)))
+    # Central differences: truncation step^2, round-off 1e-16 / step.
+    assert np.abs(product - (ahead - behind) / (2.0 * step)).max() <= 1e-8
+
+
+@pytest.mark.parametrize('family', ['separable_hnn', 'vin'])
+def test_separable_family_has_no_mixed_derivative_to_the_last_bit(family: str):
+    hamiltonian = learned(family, 2)
+    z, moved = states(2), states(2)[::-1]
+    one = hamiltonian.gradient(z[:, :2], z[:, 2:])
+    other = hamiltonian.gradient(z[:, :2], np.ascontiguousarray(moved[:, 2:]))
+    assert np.array_equal(one[0], other[0])
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+def test_stormer_verlet_takes_families_that_separate_and_refuses_the_others(family: str):
+    hamiltonian, method = learned(family, 1), INTEGRATORS['stormer_verlet']()
+    if family in ('separable_hnn', 'vin'):
+        method.check(hamiltonian)
+    else:
+        with pytest.raises(UnsupportedSystem, match='use generalized_leapfrog'):
+            method.check(hamiltonian)
+
+
+def test_lagrangian_that_is_singular_in_its_box_is_refused_at_load(tmp_path):
+    model = saved(tmp_path, 'lagrangian', 1, mass=[[0.01]])
+    with pytest.raises(ModelError, match='singular in its box: at q = .* eigenvalue of L_vv') as e:
+        load_learned(Path(model))
+    assert model in str(e.value) and '\n' not in str(e.value)
+
+
+def test_legendre_transform_without_a_velocity_is_not_a_number():
+    # Momenta of a bounded L_v that none reaches: the mass is small beside the network far away.
+    hamiltonian = learned('lagrangian', 1)
+    assert np.isnan(hamiltonian.energy(np.array([0.0]), np.array([np.nan])))
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+def test_model_file_of_each_family_is_read_back_exactly(tmp_path, family: str):
+    written = random_model(family, 2, commands=2 if family == 'control_affine' else 1)
+    path = tmp_path / 'm.safetensors'
+    save_checkpoint(path, written)
+    hamiltonian = load_learned(path)
+    assert hamiltonian.checkpoint.card == written.card
+    assert type(hamiltonian) is families.FAMILIES[family]
+    for name, layers in written.networks.items():
+        for ours, theirs in zip(layers, hamiltonian.checkpoint.networks[name], strict=True):
+            assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+@pytest.mark.parametrize('family, changes, words', [
+    ('vin', {'mass': None}, 'mass must be given for the family vin'),
+    ('vin', {'mass': [[-1.0]]}, 'positive definite'),
+    ('vin', {'widths': [2, 5, 1]}, 'must begin with 1'),
+    ('hnn', {'friction': [0.1]}, 'friction must not be given'),
+    ('hnn', {'networks': {'energy': [2, 5, 1]}}, 'widths, and no networks'),
+    ('separable_hnn', {'networks': {'kinetic': [1, 5, 1]}}, 'must describe kinetic, potential'),
+    ('dgnet', {'friction': [-0.1]}, 'greater than or equal to 0'),
+])
+def test_card_that_contradicts_its_family_is_refused(family: str, changes: dict, words: str):
+    with pytest.raises(ValueError, match=words):
+        random_model(family, 1, **changes)
+
+
+def test_discrete_euler_lagrange_of_a_learned_lagrangian_is_the_midpoint_rule(tmp_path):
+    model = saved(tmp_path, 'lagrangian', 2)
+    hamiltonian = load_learned(Path(model))
+    start, runs = ([0.3, -0.2], [0.4, 0.1]), []
+    for method, system in (
+            (INTEGRATORS['discrete_euler_lagrange'](model=model), hamiltonian),
+            (INTEGRATORS['implicit_midpoint'](), Uncompiled(hamiltonian))):
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            runs.append(Simulation(system, method, 0.1, *start).record(20, 1))
+    # The position-momentum form of the midpoint rule for the action is the implicit midpoint rule
+    # (Marsden, West 2001, section 2.6); 20 steps of round-off.
+    assert np.abs(np.array(runs[0]) - np.array(runs[1])).max() <= 20 * ROUND_OFF
+
+
+def test_discrete_euler_lagrange_refuses_another_family_and_another_model(tmp_path):
+    with pytest.raises(ModelError, match='family hnn has no Lagrangian'):
+        INTEGRATORS['discrete_euler_lagrange'](model=saved(tmp_path, 'hnn', 1))
+    method = INTEGRATORS['discrete_euler_lagrange'](model=saved(tmp_path, 'lagrangian', 1))
+    with pytest.raises(UnsupportedSystem, match='name the same'):
+        method.check(learned('hnn', 1))
+    with pytest.raises(ValueError, match='or a model in its place'):
+        INTEGRATORS['discrete_euler_lagrange']()
+
+
+def test_dissipation_is_the_second_network_of_a_dissipative_model(tmp_path):
+    effect = EFFECTS['learned_dissipation'](saved(tmp_path, 'dissipative_hnn', 1))
+    q, p = np.array([0.3]), np.array([-0.5])
+    networks = random_model('dissipative_hnn', 1).networks
+    D = network(networks['dissipation'], torch.tensor([0.3, -0.5], dtype=torch.float64))
+    assert effect.network.energy(q, p) == pytest.approx(D.item(), abs=ROUND_OFF)
+    with pytest.raises(ModelError, match='family vin holds no network D'):
+        EFFECTS['learned_dissipation'](saved(tmp_path, 'vin', 1))
+
+
+def test_damping_takes_the_friction_that_a_model_has_learned(tmp_path):
+    effect = EFFECTS['damping'](model=saved(tmp_path, 'dgnet', 2))
+    assert effect.rate == [0.2, 0.2]
+    with pytest.raises(ModelError, match='has learned no friction'):
+        EFFECTS['damping'](model=saved(tmp_path, 'hnn', 1))
+    for arguments in ({}, {'rate': 1.0, 'model': 'm'}):
+        with pytest.raises(ValueError, match='rate is required, or a model in its place'):
+            EFFECTS['damping'](**arguments)
+
+
+@pytest.mark.parametrize('commands', [1, 2])
+def test_command_acts_through_the_input_map_of_its_model(tmp_path, commands: int):
+    model = saved(tmp_path, 'control_affine', 2, commands=commands)
+    hamiltonian = load_learned(Path(model))
+    effect = EFFECTS['external_force'](model=model)
+    q, p = np.array([0.3, -0.4]), np.array([0.1, 0.2])
+    with pytest.warns(UserWarning, match='plain Python'):
+        simulation = Simulation(
+            Uncompiled(hamiltonian), INTEGRATORS['implicit_midpoint'](), 0.01, q, p, [effect])
+    u = np.array([0.7, -1.1])[:commands]
+    free = simulation.dH_dq.copy()
+    simulation.set_command(u)
+    g = network(hamiltonian.checkpoint.networks['input_map'], torch.tensor(q)).numpy()
+    assert np.abs(free - simulation.dH_dq - g.reshape(2, commands) @ u).max() <= ROUND_OFF
+    simulation.advance(20)
+    # The midpoint rule errs by its third derivative times h^2: of the order of 1e-4 here.
+    assert simulation.budget == pytest.approx(0.0, abs=1e-3)
+    with pytest.raises(ValueError, match=f'expected {commands} finite numbers'):
+        simulation.set_command([1.0] * 3)
+
+
+def test_external_force_refuses_a_model_without_an_input_map(tmp_path):
+    with pytest.raises(ModelError, match='has no input map'):
+        EFFECTS['external_force'](model=saved(tmp_path, 'hnn', 1))
+    with pytest.raises(ValueError, match='coordinates is required, or a model in its place'):
+        EFFECTS['external_force']()
+
+
+SCENE = """
+hamiltonian: {{kind: learned, model: {model}}}
+integrator: {{kind: {integrator}}}
+step_size: {step_size}
+initial_state: {{q: [0.3], p: [0.1]}}
+"""
+
+
+@pytest.mark.parametrize('integrator, step_size, said', [
+    ('implicit_midpoint', 0.1, False), ('implicit_midpoint', 0.05, True),
+    ('generalized_leapfrog', 0.1, True)])
+def test_scene_warns_in_one_line_when_the_scheme_is_not_that_of_the_training(
+        tmp_path, integrator: str, step_size: float, said: bool):
+    model = saved(tmp_path, 'hnn', 1, scheme=Scheme(integrator='implicit_midpoint', step_size=0.1))
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(SCENE.format(model=model, integrator=integrator, step_size=step_size))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        Simulation.from_scene(load_scene(scene))
+    texts = [str(warning.message) for warning in caught]
+    assert len(texts) == said
+    for text in texts:
+        assert 'trained through implicit_midpoint with step_size 0.1' in text
+        assert f'{integrator} and step_size {step_size}' in text and '\n' not in text
+
+
+def test_scene_of_a_damaged_family_names_file_and_line(tmp_path):
+    model = saved(tmp_path, 'lagrangian', 1, mass=[[0.01]])
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(SCENE.format(model=model, integrator='implicit_midpoint', step_size=0.1))
+    with pytest.raises(HnnViRosError, match='scene.yaml:2: hamiltonian: .*singular'):
+        Simulation.from_scene(load_scene(scene))

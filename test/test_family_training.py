@@ -1,0 +1,221 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Training of each family by each of its losses, small; and the gradient through the steps."""
+
+from pathlib import Path
+
+from helpers import python_step, Uncompiled
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.confined import load_learned
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning.choices import HNNChoice
+from hnn_vi_ros.learning.config import load_config
+from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.families.base import Scales
+from hnn_vi_ros.learning.families.hnn import HNN
+from hnn_vi_ros.learning.steps import SCHEMES, step
+from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+import torch
+
+DATA = """
+coordinates: [{{name: x, q_unit: m, p_unit: kg m/s}}]
+data:
+  kind: exact
+  hamiltonian: {{kind: harmonic_oscillator, mass: 2.0, stiffness: 3.0}}
+  box: {{q: [[-1.5, 1.5]], p: [[-3.0, 3.0]]}}
+  samples: 80
+  {data}
+{model}
+hidden: [16]
+adam_steps: 200
+lbfgs_steps: 200
+reference: {{q: [0.0], p: [0.0]}}
+"""
+PATHS = 'trajectory: {duration: 0.2, spacing: 0.1}'
+STEPS = 'loss: {{kind: steps, integrator: {}, step_size: 0.1, count: {}}}'
+# Of each family: what the data hold, what the configuration says, how large the error of the field
+# may be beside the field. A network of 16 units learns a parabola to 1e-3 in so few steps; what is
+# trained through a method of order two at h = 0.1 is H less (h omega)^2 / 24 = 6e-4, of order one
+# without symmetry, half of h omega, 6e-2. Of a dissipative model, and of a Lagrangian, the field
+# alone leaves H open; a preference of weight 1e-3 tells the rest, slowly.
+RUNS = {
+    'hnn': ('', '', 5e-3),
+    'hnn, steps': (PATHS, STEPS.format('implicit_midpoint', 1), 1e-2),
+    'hnn, many steps': (PATHS, STEPS.format('generalized_leapfrog', 2), 1e-2),
+    'hnn, paper': (PATHS, STEPS.format('variational_euler', 1), 0.15),
+    'separable_hnn': ('', 'family: {kind: separable_hnn}', 5e-3),
+    'dissipative_hnn': ('damping: 0.3', 'family: {kind: dissipative_hnn}', 0.1),
+    'dgnet': (f'{PATHS}\n  damping: 0.3',
+              'family: {kind: dgnet}\nloss: {kind: discrete_gradient, step_size: 0.1}', 0.02),
+    'vin': (PATHS, 'family: {kind: vin, mass: 2.0}\n'
+                   'loss: {kind: discrete_lagrangian, step_size: 0.1}', 0.02),
+    'vin, midpoint': (PATHS, 'family: {kind: vin, mass: 2.0}\nloss: '
+                             '{kind: discrete_lagrangian, rule: midpoint, step_size: 0.1}', 0.02),
+    'lagrangian': ('', 'family: {kind: lagrangian, mass: 2.0}\nloss: {kind: euler_lagrange}',
+                   0.05),
+    'control_affine': ('commands: {input_map: [[0.5]], largest: 2.0}',
+                       'family: {kind: control_affine}', 0.02),
+}
+
+
+def train(folder: Path, data: str, model: str, text: str = DATA) -> Path:
+    """Train a model by a small configuration and return its file."""
+    config = folder / 'small.yaml'
+    config.write_text(text.format(data=data, model=model))
+    out = folder / 'small.safetensors'
+    main(['--config', str(config), '--out', str(out)])
+    return out
+
+
+@pytest.mark.parametrize('name', RUNS)
+def test_each_family_learns_the_oscillator_by_each_of_its_losses(tmp_path, name: str):
+    data, model, tolerance = RUNS[name]
+    learned = load_learned(train(tmp_path, data, model))
+    q, p = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 200, 1)) * [[[1.2]], [[2.5]]]
+    exact = np.hstack(HAMILTONIANS['harmonic_oscillator'](2.0, 3.0).gradient(q, p))
+    errors = np.hstack(learned.gradient(q, p)) - exact
+    assert np.sqrt(np.mean(errors**2) / np.mean(exact**2)) <= tolerance
+    card = learned.checkpoint.card
+    assert card.family == name.partition(',')[0]
+    assert learned.energy(np.zeros(1), np.zeros(1)) == pytest.approx(0.0, abs=1e-12)
+    if name == 'dgnet':
+        assert card.friction == pytest.approx([0.3], rel=0.05)
+    if name == 'vin':
+        assert card.mass == [[pytest.approx(2.0)]]
+        assert (card.scheme.integrator, card.scheme.step_size) == ('stormer_verlet', 0.1)
+
+
+def test_input_map_of_a_driven_system_is_learned(tmp_path):
+    data, model, _ = RUNS['control_affine']
+    card_networks = load_learned(train(tmp_path, data, model)).checkpoint.networks
+    a, (weights, biases) = np.array([0.4]), card_networks['input_map']
+    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+        a = np.tanh(weight @ a + bias)
+    assert (weights[-1] @ a + biases[-1]).item() == pytest.approx(0.5, abs=0.02)
+
+
+def test_mass_matrix_is_learned_from_positions_alone(tmp_path):
+    text = DATA.replace('[{{name: x, q_unit: m, p_unit: kg m/s}}]', '[{{name: x}}, {{name: y}}]')
+    text = text.replace('{{kind: harmonic_oscillator, mass: 2.0, stiffness: 3.0}}',
+                        '{{kind: henon_heiles}}')
+    text = text.replace('{{q: [[-1.5, 1.5]], p: [[-3.0, 3.0]]}}',
+                        '{{q: [[-0.5, 0.5], [-0.5, 0.5]], p: [[-0.5, 0.5], [-0.5, 0.5]]}}')
+    text = text.replace('reference: {{q: [0.0], p: [0.0]}}', '')
+    path = train(tmp_path, PATHS, RUNS['vin'][1].replace('mass: 2.0', 'mass: 1.0'), text)
+    # Hénon-Heiles has M = 1; its potential couples the coordinates, which tells M.
+    assert load_learned(path).checkpoint.card.mass == [
+        pytest.approx([1.0, 0.0], abs=0.05), pytest.approx([0.0, 1.0], abs=0.05)]
+
+
+def test_model_trained_through_steps_is_nearer_to_the_path_than_the_exact_one(tmp_path):
+    data = 'trajectory: {duration: 0.5, spacing: 0.5}'
+    learned = load_learned(train(
+        tmp_path, data, STEPS.format('implicit_midpoint', 1).replace('0.1', '0.5')))
+    exact = HAMILTONIANS['harmonic_oscillator'](2.0, 3.0)
+    omega, z0, ends = np.sqrt(1.5), np.array([1.0, 0.5]), []
+    for hamiltonian in (learned, exact):
+        with pytest.warns(UserWarning, match='plain Python'):
+            simulation = Simulation(Uncompiled(hamiltonian), INTEGRATORS['implicit_midpoint'](),
+                                    0.5, z0[:1], z0[1:])
+        ends.append(np.ravel(simulation.record(1, 1)))
+    turn = np.array([[np.cos(0.5 * omega), np.sin(0.5 * omega) / (2.0 * omega)],
+                     [-2.0 * omega * np.sin(0.5 * omega), np.cos(0.5 * omega)]])
+    errors = [np.abs(end - turn @ z0).max() for end in ends]
+    # The exact H errs by (h omega)^3 / 12 times the state: 0.02.
+    assert errors[0] < 0.2 * errors[1]
+
+
+def small_hnn(d: int = 1) -> HNN:
+    zero, one = np.zeros(d), np.ones(d)
+    return HNN(HNNChoice(kind='hnn'), [7], Scales(*3 * [zero], *5 * [one], zero[:0]), seed=2)
+
+
+@pytest.mark.parametrize('scheme', SCHEMES)
+def test_gradient_through_implicit_steps_agrees_with_finite_differences(scheme: str):
+    model, h = small_hnn(2), 0.3
+    z0 = torch.tensor(np.random.default_rng(1).normal(size=(4, 4)))
+    weights = torch.tensor(np.random.default_rng(2).normal(size=(4, 4)))
+
+    def value() -> torch.Tensor:
+        # Two steps: through the first state of the second as well as through the parameters.
+        return (weights * step(model.vector_field, scheme, step(
+            model.vector_field, scheme, z0, h), h)).sum()
+
+    parameter = model.network.linears[0].weight
+    (exact,) = torch.autograd.grad(value(), parameter)
+    spacing = 1e-5
+    for at in ((0, 0), (3, 1), (6, 3)):
+        ends = []
+        for sign in (1.0, -1.0):
+            with torch.no_grad():
+                parameter[at] += sign * spacing
+            ends.append(value().item())
+            with torch.no_grad():
+                parameter[at] -= sign * spacing
+        # Central differences: truncation spacing^2, round-off 1e-15 / spacing.
+        assert exact[at].item() == pytest.approx((ends[0] - ends[1]) / (2.0 * spacing), abs=1e-8)
+
+
+@pytest.mark.parametrize('scheme', SCHEMES)
+def test_step_of_the_training_is_that_of_the_simulator(scheme: str):
+    exact, h = HAMILTONIANS['tao'](), 0.1
+
+    def field(z: torch.Tensor) -> torch.Tensor:
+        q, p = z.chunk(2, dim=1)
+        return torch.cat([(q * q + 1.0) * p, -q * (p * p + 1.0)], dim=1)
+
+    z0 = np.array([[0.7, -0.4], [-1.1, 0.3]])
+    ours = step(field, scheme, torch.tensor(z0), h).detach().numpy()
+    theirs = [python_step(INTEGRATORS[scheme](), exact, h, z) for z in z0]
+    # Both are solved to round-off.
+    assert np.abs(ours - theirs).max() <= 1e-14
+
+
+def test_step_too_large_for_the_field_gives_data_error():
+    with pytest.raises(DataError, match='smaller loss.step_size'):
+        # z = 1 + 9 (((1 + z) / 2)^2 + 1) has no real solution.
+        step(lambda z: z.square() + 1.0, 'implicit_midpoint', torch.ones(1, 2).double(), 9.0)
+
+
+def rows(t: list[float], block: list[int]) -> Dataset:
+    q = np.arange(len(t), dtype=float)[:, None]
+    return Dataset(q, q, q, q, np.array(block), 'rows', np.array(t))
+
+
+def test_windows_are_rows_of_one_trajectory_at_even_times():
+    data = rows([0.0, 0.1, 0.2, 0.301, 0.0, 0.1, 0.2], [0, 0, 0, 0, 1, 1, 1])
+    assert data.windows(0.1, 3).tolist() == [[0, 1, 2], [1, 2, 3], [4, 5, 6]]
+    assert data.windows(0.2, 2).tolist() == [[0, 2], [1, 3], [4, 6]]
+    for step_size in (0.15, 0.4):
+        with pytest.raises(DataError, match='follow one another every'):
+            data.windows(step_size, 2)
+
+
+@pytest.mark.parametrize('model, words', [
+    ('family: {kind: vin}', 'vector_field does not train the family vin; valid: discrete_lagr'),
+    ('loss: {kind: discrete_gradient, step_size: 0.1}', 'does not train the family hnn'),
+    ('loss: {kind: steps, integrator: gauss4, step_size: 0.1}', 'integrator'),
+    ('loss: {kind: steps, integrator: implicit_midpoint}', 'step_size'),
+    ('family: {kind: mlp}', 'family'),
+    (STEPS.format('implicit_midpoint', 1) + '\nlinearity: 1.0', 'linearity: needs the loss'),
+])
+def test_choice_that_does_not_fit_is_refused_in_one_line(tmp_path, model: str, words: str):
+    path = tmp_path / 'bad.yaml'
+    path.write_text(DATA.format(data='', model=model))
+    with pytest.raises(DataError) as caught:
+        load_config(path)
+    assert words in str(caught.value) and '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('model, words', [
+    ('family: {kind: control_affine}', 'the data hold none; name them in data.commands'),
+    (STEPS.format('implicit_midpoint', 1), 'no 2 rows follow one another every 0.1 s'),
+])
+def test_data_that_lack_what_a_choice_needs_are_refused(tmp_path, model: str, words: str):
+    with pytest.raises(DataError) as caught:
+        train(tmp_path, '', model)
+    assert words in str(caught.value) and '\n' not in str(caught.value)
