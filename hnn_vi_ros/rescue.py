@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.wrapped import Wrapped
+from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest
 from hnn_vi_ros.integrators.base import BEYOND, Integrator, Memory, OK, Point
@@ -59,7 +60,7 @@ class Rescue:
     Raises
     ------
     UnsupportedSystem
-        The implicit midpoint rule cannot take an effect.
+        The implicit midpoint rule cannot take an effect, or the coordinates.
     ValueError
         An unknown on_failure.
 
@@ -70,6 +71,9 @@ class Rescue:
             raise ValueError(f'on_failure = {on_failure!r}; valid: {", ".join(ON_FAILURE)}')
         self._system, self._on_failure = system, on_failure
         self.ways = [system.integrator]
+        if on_failure == 'implicit' and not system.hamiltonian.canonical:
+            raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
+                                    'use on_failure: substep or stop')
         if on_failure == 'implicit':
             self._implicit = system.around(ImplicitMidpoint())
             limit = stability_limit(system.method)

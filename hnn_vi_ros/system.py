@@ -131,6 +131,8 @@ class System:
         self.conservative = all(effect.conservative for effect in effects)
         self.lockstep = integrator.goes_on_from_state and not self._all(
             Thermostat, HolonomicConstraint, Impact)
+        if not hamiltonian.canonical:
+            self._check_coordinates(hamiltonian, integrator)
         self._check(integrator)
         rods = self._all(HolonomicConstraint)
         if len(rods) > hamiltonian.dimension:
@@ -194,14 +196,26 @@ class System:
                                          'with holonomic_constraint; leave one of them out')
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
-                name = next(key for key, method in INTEGRATORS.items()
-                            if type(integrator) is method)
+                name = _name(integrator)
                 able = [key for key, method in INTEGRATORS.items()
                         if method.uses_hamiltonian and effect.accepts(method())]
                 if isinstance(integrator, Composition):
                     name += f' over {integrator.base.kernel_name}'
                 raise UnsupportedSystem(f'{name} cannot take the effect {label}; methods that '
                                         f'can: {", ".join(able)}')
+
+    def _check_coordinates(self, hamiltonian: Hamiltonian, integrator: Integrator) -> None:
+        names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
+        if integrator.canonical_only:
+            raise UnsupportedSystem(
+                f'{_name(integrator)} needs canonical coordinates, which those of this model '
+                f'({names}) are not: its steps, those of eq. (6) too, would keep another 2-form '
+                'than the one it learned; use variational_midpoint, or to compare with: '
+                'explicit_euler, rk4, dop853')
+        if self._effects:
+            raise EffectError(0, f'{self.labels[0]} acts on canonical momenta, which those of '
+                                 f'this model ({names}) have not; leave all effects out, or '
+                                 'simulate a model of another family')
 
     def _resolve(self, index: int, hamiltonian: Hamiltonian) -> tuple:
         try:
@@ -253,3 +267,9 @@ class System:
             integrator = Wrapped(
                 integrator, Account, (self.live, np.array(self._taken, dtype=np.int64)))
         return integrator
+
+
+def _name(integrator: Integrator) -> str:
+    """Return the name of a method in a scene."""
+    return next((key for key, method in INTEGRATORS.items() if type(integrator) is method),
+                type(integrator).__name__)

@@ -21,7 +21,8 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 
-MODELS = shipped_names('model')
+MODELS = [name for name in shipped_names('model')
+          if load_checkpoint(shipped_file('model', name)).card.family == 'hnn']
 SCENE = """\
 hamiltonian: {{kind: hnn, model: {model}}}
 integrator: {{kind: generalized_leapfrog}}

@@ -11,7 +11,7 @@ from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest, plus
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point
-from hnn_vi_ros.integrators.solvers import solve_linear
+from hnn_vi_ros.linear_algebra import solve_linear
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

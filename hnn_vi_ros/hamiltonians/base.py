@@ -59,11 +59,14 @@ class Hamiltonian(ABC):
     """
     A function H(q, p) of d coordinates and their momenta, with q' = H_p, p' = -H_q.
 
-    A subclass gives its coordinates and its kernel, and says whether H(q, p) = T(p) + V(q).
+    A subclass gives its coordinates and its kernel, and says whether H(q, p) = T(p) + V(q). Where
+    (q, p) is not ``canonical`` but some other 2 d coordinates u, H_p stands for the first half of
+    u', and -H_q for the second.
     """
 
     coordinates: tuple[Coordinate, ...]
     separable: ClassVar[bool] = False
+    canonical: ClassVar[bool] = True
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray] | None:

@@ -45,6 +45,8 @@ class ConfinedHamiltonian(Hamiltonian):
 
     Raises
     ------
+    ModelError
+        Its coordinates are not canonical.
     ValueError
         It has no box.
 
@@ -58,6 +60,9 @@ class ConfinedHamiltonian(Hamiltonian):
     def __init__(self, base: Hamiltonian):
         if base.box is None:
             raise ValueError(f'{type(base).__name__} has no training box to hold states in')
+        if not base.canonical:
+            raise ModelError('confine: a wall holds states by forces on canonical momenta, which '
+                             'this model has not; leave confine out')
         self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
         self.energies = self._wall_energies()
 
@@ -120,10 +125,10 @@ def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
     checkpoint = load_checkpoint(model)
     try:
         learned = FAMILIES[checkpoint.card.family](checkpoint)
+        if checkpoint.card.confine if confine is None else confine:
+            return ConfinedHamiltonian(learned)
     except ModelError as problem:
         raise ModelError(f'{model}: {problem}') from problem
-    if checkpoint.card.confine if confine is None else confine:
-        return ConfinedHamiltonian(learned)
     return learned
 
 

@@ -7,6 +7,7 @@ from hnn_vi_ros.hamiltonians.lagrangian import LagrangianHamiltonian
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.separable import SeparableHamiltonian
+from hnn_vi_ros.hamiltonians.symplectic_form import SymplecticFormHamiltonian
 from hnn_vi_ros.hamiltonians.variational import VariationalHamiltonian
 
 FAMILIES: dict[str, type[LearnedHamiltonian]] = {
@@ -17,4 +18,5 @@ FAMILIES: dict[str, type[LearnedHamiltonian]] = {
     'vin': VariationalHamiltonian,
     'lagrangian': LagrangianHamiltonian,
     'control_affine': ControlAffineHamiltonian,
+    'symplectic_form': SymplecticFormHamiltonian,
 }

@@ -16,10 +16,12 @@ FAMILIES = {
     'dgnet': {'energy': 2},
     'vin': {'potential': 1},
     'lagrangian': {'lagrangian': 2},
+    'symplectic_form': {'one_form': 2, 'energy': 2},
     'control_affine': {'mass_inverse': 1, 'potential': 1, 'input_map': 1},
 }
 # What else is learned, or needed, in some of them.
-_CONSTANTS = {'dgnet': ('friction',), 'vin': ('mass',), 'lagrangian': ('mass', 'velocities')}
+_CONSTANTS = {'dgnet': ('friction',), 'vin': ('mass',), 'lagrangian': ('mass', 'velocities'),
+              'symplectic_form': ('mass',)}
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
@@ -75,7 +77,7 @@ class ModelCard(StrictModel):
     velocities: list[Interval] | None = Field(None, description=(
         'bounds of dq/dt in the data, for a Lagrangian'))
     mass: list[list[float]] | None = Field(None, description=(
-        'M, for a family whose kinetic energy holds dq/dt . M dq/dt / 2'))
+        'M, for a family whose kinetic energy holds dq/dt . M dq/dt / 2, or theta M times p'))
     friction: list[Annotated[float, Field(ge=0.0)]] | None = Field(None, description=(
         'gamma [1/s], for a family that learned dp/dt = -H_q - gamma p'))
     scheme: Scheme | None = Field(None, description=(
@@ -115,7 +117,7 @@ class ModelCard(StrictModel):
             raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
                              f'the family {self.family}')
         for name, widths in self.layout.items():
-            outputs = {'mass_inverse': d * (d + 1) // 2,
+            outputs = {'one_form': 2 * d, 'mass_inverse': d * (d + 1) // 2,
                        'input_map': -(-widths[-1] // d) * d}.get(name, 1)
             if (widths[0], widths[-1]) != (expected[name] * d, outputs):
                 raise ValueError(f'widths {widths} of {name} must begin with {expected[name] * d} '

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 
-def pack_outputs(checkpoint: Checkpoint, network: str) -> tuple:
+def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple:
     """
     Return the parameters of the functions here: those of the loops, and Y and b.
 
@@ -24,10 +24,12 @@ def pack_outputs(checkpoint: Checkpoint, network: str) -> tuple:
     checkpoint : Checkpoint
         Of the model.
     network : str
-        The name of its network of q, with k outputs.
+        The name of its network, with k outputs.
+    part : str
+        What it is a network of: ``'q'``, ``'p'`` or ``'both'``.
 
     """
-    weights, biases = padded(checkpoint.networks[network], 'q')
+    weights, biases = padded(checkpoint.networks[network], part)
     one = np.zeros((1, weights[-1].shape[1]))
     packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), checkpoint.card.activation)
     return packed, np.ascontiguousarray(weights[-1]), np.ascontiguousarray(biases[-1])

@@ -16,6 +16,7 @@ from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
+from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
 
 INTEGRATORS = {
     'variational_euler': VariationalEuler,
@@ -30,6 +31,7 @@ INTEGRATORS = {
     'time_transformed': TimeTransformed,
     'discrete_euler_lagrange': DiscreteEulerLagrange,
     'discrete_gradient': DiscreteGradient,
+    'variational_midpoint': VariationalMidpoint,
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,
     'dop853': DOP853,

@@ -113,6 +113,8 @@ class Integrator(ABC):
         True if it needs H = T(p) + V(q), and forces that do not depend on p.
     halves : tuple of callable or None
         Two steps of h / 2 that make up the step, if it has a middle to put something in.
+    canonical_only : bool
+        False if the map is as good for a field u' = f(u) in any coordinates.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
@@ -133,6 +135,7 @@ class Integrator(ABC):
     takes_forces: ClassVar[bool] = True
     goes_on_from_state: ClassVar[bool] = True
     separable_only: bool = False
+    canonical_only: ClassVar[bool] = True
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable
 

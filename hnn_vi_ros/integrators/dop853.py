@@ -39,6 +39,7 @@ class DOP853(Integrator):
     """
 
     order, explicit, symmetric, symplectic = 8, True, False, False
+    canonical_only = False
     compiled = False
 
     def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):

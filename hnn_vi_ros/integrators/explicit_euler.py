@@ -22,6 +22,7 @@ class ExplicitEuler(Integrator):
     """
 
     order, explicit, symmetric, symplectic = 1, True, False, False
+    canonical_only = False
     keeps_gradient = True
 
     def options(self, link: int = 0, dimension: int = 1) -> tuple:

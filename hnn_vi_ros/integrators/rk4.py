@@ -21,6 +21,7 @@ class RK4(Integrator):
     """
 
     order, explicit, symmetric, symplectic = 4, True, False, False
+    canonical_only = False
     keeps_gradient = True
 
     def options(self, link: int = 0, dimension: int = 1) -> tuple:

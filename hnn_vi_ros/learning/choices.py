@@ -64,6 +64,16 @@ class ControlAffineChoice(StrictModel):
     losses: ClassVar[tuple[str, ...]] = ('vector_field',)
 
 
+class SymplecticFormChoice(StrictModel):
+    """A one-form theta(u) and an energy H(u) in any coordinates u, such as (q, dq/dt)."""
+
+    kind: Literal['symplectic_form']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'mean of that of the first coordinate, d theta_q / dp, which sets the unit of energy: '
+        'motions leave it open'))
+    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
+
+
 class VectorField(StrictModel):
     """The rates of change against (H_p, -H_q), and what a family adds to it."""
 
@@ -130,7 +140,8 @@ class EulerLagrange(StrictModel):
 
 FamilyChoice = Annotated[
     HNNChoice | SeparableHNNChoice | DissipativeHNNChoice | DGNetChoice | VINChoice
-    | LagrangianChoice | ControlAffineChoice, Field(discriminator='kind')]
+    | LagrangianChoice | ControlAffineChoice | SymplecticFormChoice,
+    Field(discriminator='kind')]
 LossChoice = Annotated[
     VectorField | Steps | DiscreteGradient | DiscreteLagrangian | EulerLagrange,
     Field(discriminator='kind')]

@@ -68,6 +68,9 @@ class TrainingConfig(StrictModel):
                              f'{self.family.kind}; valid: {", ".join(self.family.losses)}')
         if self.linearity and self.loss.kind != 'vector_field':
             raise ValueError(f'linearity: needs the loss vector_field, not {self.loss.kind}')
+        if self.confine and self.family.kind == 'symplectic_form':
+            raise ValueError('confine: needs canonical momenta, which the family symplectic_form '
+                             'has not')
 
 
 def find_config(config: str) -> Path:

@@ -94,6 +94,8 @@ class ExactData(StrictModel):
         'bounds of the length of q: an annulus of the box, for an H that is singular at q = 0'))
     energy: Interval | None = Field(None, description=(
         'bounds of H: the part of the box that motions of these energies visit'))
+    velocities: bool = Field(False, description=(
+        'whether dq/dt takes the place of p, in the box too, as where masses are unknown'))
     trajectory: Motion | None = Field(None, description=(
         'follow the motion that begins at each of the samples, and learn from all its states'))
     damping: float = Field(0.0, ge=0.0, description='gamma [1/s]: dp/dt = -H_q - gamma p')
@@ -157,6 +159,8 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
         commands = None if commands is None else commands[trajectory]
     dq_dt, dp_dt = _rates(data, hamiltonian, q, p, commands)
     _, accelerations = hamiltonian.hessian_vector(q, p, dq_dt, dp_dt)
+    if data.velocities:
+        p, dq_dt, dp_dt = dq_dt, dq_dt, accelerations
     if data.noise > 0.0:
         q, p = (part + data.noise * rng.normal(size=part.shape) for part in (q, p))
     return Dataset(q, p, dq_dt, dp_dt, trajectory, _describe(data), t, trajectory,
@@ -185,6 +189,7 @@ def _describe(data: ExactData) -> str:
                 f'steps of {data.trajectory.spacing:g} s')
     text += f', damped at {data.damping:g} /s' if data.damping else ''
     text += f', with commands up to {data.commands.largest:g}' if data.commands else ''
+    text += ', with dq/dt in place of p' if data.velocities else ''
     return text + (f', noise {data.noise:g}' if data.noise > 0.0 else '')
 
 
@@ -211,17 +216,31 @@ def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndar
 def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
                  ) -> tuple[np.ndarray, np.ndarray]:
     """Return q and p of shape (samples, d), drawn anew until all are within the bounds."""
-    q, p = _draw(data.box.q, data, rng), _draw(data.box.p, data, rng)
+    q = _draw(data.box.q, data, rng)
+    p = _momenta(data, hamiltonian, q, _draw(data.box.p, data, rng))
     bad = ~_is_within(data, hamiltonian, q, p)
     for _ in range(_MOST_DRAWS):
         if not bad.any():
             return q, p
         again = np.flatnonzero(bad)
         q[again] = _draw(data.box.q, data, rng)[again]
-        p[again] = _draw(data.box.p, data, rng)[again]
+        p[again] = _momenta(data, hamiltonian, q[again], _draw(data.box.p, data, rng)[again])
         bad[again] = ~_is_within(data, hamiltonian, q[again], p[again])
     raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too little of '
                     'data.box is within these bounds; give wider ones or a smaller box')
+
+
+def _momenta(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, drawn: np.ndarray
+             ) -> np.ndarray:
+    """Return p of shape (N, d), where velocities may have been drawn in its place."""
+    if not data.velocities:
+        return drawn
+    zero = np.zeros_like(q)
+    columns = [hamiltonian.hessian_vector(q, zero, zero, np.tile(unit, (len(q), 1)))[1]
+               for unit in np.eye(q.shape[1])]
+    rest = hamiltonian.gradient(q, zero)[1]
+    # Exact, since dq/dt is linear in p in all of these Hamiltonians.
+    return np.linalg.solve(np.stack(columns, axis=2), (drawn - rest)[:, :, None])[:, :, 0]
 
 
 def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray

@@ -52,6 +52,15 @@ class Perceptron(torch.nn.Module):
             a = torch.tanh(linear(a))
         return self.output_scale * self.linears[-1](a)
 
+    def slope(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the derivatives of f, shape (N, outputs, inputs), at points of (N, inputs)."""
+        a = (x - self.centre) / self.scale
+        tangent = torch.diag(1.0 / self.scale)
+        for linear in self.linears[:-1]:
+            a = torch.tanh(linear(a))
+            tangent = (1.0 - a.square())[:, :, None] * (linear.weight @ tangent)
+        return self.output_scale[:, None] * (self.linears[-1].weight @ tangent)
+
     def layers(self, x0: np.ndarray | None = None, value: float = 0.0) -> Layers:
         """
         Return a plain tanh perceptron of x that is f, or differs from it by a constant.

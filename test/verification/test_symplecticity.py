@@ -24,7 +24,8 @@ def derivative(name: str, hamiltonian_name: str) -> np.ndarray:
 
 
 def test_methods_table_covers_every_integrator_and_its_claim():
-    assert {method.name for method in METHODS} == set(INTEGRATORS)
+    # The one that takes no canonical coordinates has tests of its own: test_symplectic_form.py.
+    assert {method.name for method in METHODS} == set(INTEGRATORS) - {'variational_midpoint'}
     for method in METHODS:
         assert method.integrator.symplectic == (method.chart is not None)
 

@@ -8,6 +8,7 @@ from hnn_vi_ros.learning.families.dissipative_hnn import DissipativeHNN
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.families.lagrangian import LagrangianNetwork
 from hnn_vi_ros.learning.families.separable_hnn import SeparableHNN
+from hnn_vi_ros.learning.families.symplectic_form import SymplecticForm
 from hnn_vi_ros.learning.families.vin import VIN
 
 FAMILIES = {
@@ -18,4 +19,5 @@ FAMILIES = {
     'vin': VIN,
     'lagrangian': LagrangianNetwork,
     'control_affine': ControlAffine,
+    'symplectic_form': SymplecticForm,
 }
