@@ -184,7 +184,7 @@ def test_reference_sets_the_zero_of_the_energy_and_the_box_is_that_of_the_data(t
 
 def test_existing_files_are_never_overwritten(tmp_path):
     config = tiny_config(tmp_path)
-    for name in ('m.safetensors', 'm.loss.png'):
+    for name in ('m.safetensors', 'm.loss.png', 'm.loss.rrd', 'm.field.png', 'm.report.md'):
         existing = tmp_path / name
         existing.write_text('precious')
         with pytest.raises(ParameterError, match='exists already.*--out FILE'):

@@ -4,6 +4,7 @@
 
 from typing import Annotated, Literal
 
+from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field, model_validator
@@ -61,6 +62,14 @@ class Scheme(StrictModel):
     step_size: float = Field(gt=0.0, description='h [s]')
 
 
+class Units(StrictModel):
+    """In what units the networks saw the data: x enters them as (x - centre) / scale."""
+
+    centre: list[float] = Field(description='of the states (q, p)')
+    scale: list[float] = Field(description='of the states (q, p)')
+    target: list[float] = Field(description='of what the loss compares, such as (dq/dt, dp/dt)')
+
+
 class ModelCard(StrictModel):
     """What a model is, what it was learned from, and how well."""
 
@@ -85,6 +94,8 @@ class ModelCard(StrictModel):
     dataset: str
     seed: int
     losses: dict[str, float]
+    units: Units | None = Field(None, description='of training')
+    energy_error: EnergyError | None = Field(None, description='of H in the box, where known')
     training_command: str
     package_version: str
     confine: bool = Field(False, description=(

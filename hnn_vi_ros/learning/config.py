@@ -43,6 +43,9 @@ class TrainingConfig(StrictModel):
     lbfgs_steps: int = Field(2000, ge=0, le=1_000_000)
     lbfgs_history: int = Field(50, ge=1, le=1000, description=(
         'steps that L-BFGS remembers; more go deeper for the same number of steps'))
+    patience: int | None = Field(None, ge=1, description=(
+        'looks at the validation loss, one every 20 steps, without a lower one after which '
+        'training stops early, and goes back to the best weights'))
     linearity: float = Field(0.0, ge=0.0, description=(
         'weight of a preference for a linear field where the data leave H open'))
     reference: Reference | None = Field(None, description='default: H = 0 in the box centre')

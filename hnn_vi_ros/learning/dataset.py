@@ -45,6 +45,8 @@ class Dataset:
         d2q/dt2 [1/s2], where known.
     commands : np.ndarray, shape (N, m), optional
         What was commanded.
+    energies : np.ndarray, shape (N,), optional
+        The true H [J], where known.
 
     """
 
@@ -58,6 +60,7 @@ class Dataset:
     trajectory: np.ndarray | None = None
     accelerations: np.ndarray | None = None
     commands: np.ndarray | None = None
+    energies: np.ndarray | None = None
 
     def checked(self) -> 'Dataset':
         """

@@ -159,12 +159,13 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
         commands = None if commands is None else commands[trajectory]
     dq_dt, dp_dt = _rates(data, hamiltonian, q, p, commands)
     _, accelerations = hamiltonian.hessian_vector(q, p, dq_dt, dp_dt)
+    energies = hamiltonian.energy(q, p)
     if data.velocities:
         p, dq_dt, dp_dt = dq_dt, dq_dt, accelerations
     if data.noise > 0.0:
         q, p = (part + data.noise * rng.normal(size=part.shape) for part in (q, p))
     return Dataset(q, p, dq_dt, dp_dt, trajectory, _describe(data), t, trajectory,
-                   accelerations, commands).checked()
+                   accelerations, commands, energies).checked()
 
 
 def _rates(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,

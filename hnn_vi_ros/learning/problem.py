@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training problem: the data as tensors, a fresh model, and the loss between the two."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.hamiltonians.model_card import Units
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.exact_data import ExactData
 from hnn_vi_ros.learning.families import FAMILIES
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.losses import Batch, LOSSES, mean_square, nonlinearity
@@ -12,6 +16,33 @@ import numpy as np
 import torch
 
 PAIRS = 256  # of states, for the preference for a linear field
+
+
+class Comparison(NamedTuple):
+    """
+    What a model says of held-out data, beside what they are.
+
+    Parameters
+    ----------
+    states : np.ndarray, shape (M, 2 d), or None
+        Where, in the loss's first rows; None where a prediction is not made from a state.
+    target, predicted : np.ndarray, shape (N, k)
+        Rates of change, or accelerations.
+    units : np.ndarray, shape (k,)
+        Root mean square of the target.
+    parts : tuple of str
+        Names of the equal parts of a row.
+    exact : bool
+        Whether the target is the field of an exact system.
+
+    """
+
+    states: np.ndarray | None
+    target: np.ndarray
+    predicted: np.ndarray
+    units: np.ndarray
+    parts: tuple[str, ...]
+    exact: bool
 
 
 class Problem:
@@ -44,7 +75,8 @@ class Problem:
         if config.test_fraction > 0.0:
             rest, test = dataset.split(config.test_fraction, config.seed)
         train, validation = rest.split(config.validation_fraction, config.seed)
-        scales = Scales.of(dataset)
+        scales = self._scales = Scales.of(dataset)
+        self._exact = isinstance(config.data, ExactData) and config.data.noise == 0.0
         self.family = FAMILIES[config.family.kind](
             config.family, config.hidden, scales, config.seed)
         self._train, self._validation = (
@@ -84,6 +116,28 @@ class Problem:
         for name, part in zip(parts, errors.chunk(len(parts), dim=1), strict=True):
             values[f'{name}_rms'] = part.square().mean().sqrt()
         return {name: float(value) for name, value in values.items()}
+
+    def compare(self) -> Comparison:
+        """Return what the model says of the held-out data."""
+        batch, parts = self._validation, self._loss.parts
+        target = batch.target.cpu().numpy()
+        predicted = target + self._errors(batch).detach().cpu().numpy()
+        states = batch.inputs[0].cpu().numpy() if parts == ('dq_dt', 'dp_dt') else None
+        return Comparison(states, target, predicted, self._unit.cpu().numpy(), parts, self._exact)
+
+    @property
+    def units(self) -> Units:
+        """Return what the networks' inputs and the loss are scaled by."""
+        return Units(centre=self._scales.centre.tolist(), scale=self._scales.half.tolist(),
+                     target=self._unit.tolist())
+
+    def to(self, device: str) -> None:
+        """Move the model and the data to a device."""
+        self.family.to(device)
+        self._train, self._validation = self._train.to(device), self._validation.to(device)
+        self._test = None if self._test is None else self._test.to(device)
+        self._unit = self._unit.to(device)
+        self._pairs = [pair.to(device) for pair in self._pairs]
 
     def _errors(self, batch: Batch) -> torch.Tensor:
         return self._loss.predict(self._choice, self.family, *batch.inputs) - batch.target

@@ -10,124 +10,41 @@ same machine for the same seed.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 import os
 from pathlib import Path
 import shlex
 import time
 
-from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.energy_error import energy_error, energy_spread, EnergyError
+from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.hamiltonians.families import FAMILIES
 from hnn_vi_ros.hamiltonians.model_card import ModelCard
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.families.base import Family
+from hnn_vi_ros.learning.interruption import Interrupted, Keeper
+from hnn_vi_ros.learning.loop import History, Loop
 from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.report import Outputs, write_report
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.version import __version__
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 import numpy as np
 import torch
 from tqdm import tqdm
 
-# torch's L-BFGS drops curvature pairs below an absolute 1e-10: unscaled, it stops learning once
-# the loss is below 1e-7.
-LBFGS_SCALE = 1e8
-# Steps from one look at the validation loss to the next; L-BFGS ends when as many steps gain
-# less than this share of the loss.
-INTERVAL = 20
-LEAST_GAIN = 1e-6
-
-Note = Callable[[int, float, bool], None]  # step, loss, whether to look at the validation loss
+# States of the box at which the learned energy is compared with the true one.
+_STATES = 2000
+# Families whose H is constant along the motions that they learn.
+_CONSERVATIVE = {'hnn', 'separable_hnn', 'vin', 'lagrangian', 'symplectic_form'}
 
 
-@dataclass
-class History:
-    """Losses over the steps of a run: training, and validation every so often."""
-
-    train: list[float] = field(default_factory=list)
-    train_step: list[int] = field(default_factory=list)
-    validation: list[float] = field(default_factory=list)
-    validation_step: list[int] = field(default_factory=list)
-    adam_steps: int = 0
-
-
-def fit(problem: Problem, config: TrainingConfig, progress: tqdm) -> History:
-    """
-    Train the model of a problem in place.
-
-    Parameters
-    ----------
-    problem : Problem
-        Its model is changed.
-    config : TrainingConfig
-        Numbers of steps and the learning rate.
-    progress : tqdm
-        Counts the steps and shows the loss.
-
-    Raises
-    ------
-    DataError
-        The loss is not finite any more.
-
-    """
-    history = History(adam_steps=config.adam_steps)
-
-    def note(step: int, loss: float, look: bool) -> None:
-        if not np.isfinite(loss):
-            raise DataError(f'the loss is {loss} after {step} steps; lower learning_rate, and '
-                            'look for outliers in the data')
-        history.train.append(loss)
-        history.train_step.append(step)
-        if look:
-            history.validation.append(problem.validation_loss())
-            history.validation_step.append(step)
-        progress.update(step - progress.n)
-        progress.set_postfix_str(f'loss {loss:.2e}', refresh=False)
-
-    _run_adam(problem, config, note)
-    _run_lbfgs(problem, config, note)
-    return history
-
-
-def _run_adam(problem: Problem, config: TrainingConfig, note: Note) -> None:
-    adam = torch.optim.Adam(problem.family.parameters(), lr=config.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, config.adam_steps)
-    for step in range(config.adam_steps):
-        adam.zero_grad()
-        loss = problem.loss()
-        loss.backward()
-        note(step, float(loss.detach()), step % INTERVAL == 0)
-        adam.step()
-        schedule.step()
-
-
-def _run_lbfgs(problem: Problem, config: TrainingConfig, note: Note) -> None:
-    lbfgs = torch.optim.LBFGS(
-        problem.family.parameters(), max_iter=INTERVAL, max_eval=10 * INTERVAL,
-        history_size=config.lbfgs_history, tolerance_grad=0.0, tolerance_change=0.0,
-        line_search_fn='strong_wolfe')
-
-    def closure() -> torch.Tensor:
-        lbfgs.zero_grad()
-        scaled = LBFGS_SCALE * problem.loss()
-        scaled.backward()
-        return scaled
-
-    before = float(problem.loss().detach())
-    note(config.adam_steps, before, True)
-    for done in range(INTERVAL, config.lbfgs_steps + 1, INTERVAL):
-        lbfgs.step(closure)
-        after = float(problem.loss().detach())
-        note(config.adam_steps + done, after, True)
-        if before - after < LEAST_GAIN * before:
-            break
-        before = after
-
-
-def train(config: TrainingConfig, dataset: Dataset, name: str, command: str
-          ) -> tuple[Checkpoint, History]:
+def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
+          device: str = 'cpu', keeper: Keeper | None = None, resume: bool = False
+          ) -> tuple[Checkpoint, History, Problem]:
     """
     Train a network and describe it.
 
@@ -139,23 +56,42 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str
         What to learn from.
     name, command : str
         For the model card.
+    device : str
+        Where to train: 'cpu' or 'cuda'.
+    keeper : Keeper, optional
+        Keeps the state of the run while it lasts.
+    resume : bool
+        Whether to go on from the state that the keeper has.
 
     Returns
     -------
-    tuple of Checkpoint and History
-        The trained model, not yet saved, and how the losses fell.
+    tuple of Checkpoint, History and Problem
+        The trained model, not yet saved, how the losses fell, and the problem that it solves.
 
     Raises
     ------
     DataError
         Training diverges.
+    Interrupted
+        Ctrl-C stopped it.
+    ParameterError
+        There is nothing to go on from.
 
     """
     problem = Problem(config, dataset)
+    problem.to(device)
+    loop = Loop(problem, config)
+    if resume and keeper is not None:
+        keeper.load(loop)
     with tqdm(total=config.adam_steps + config.lbfgs_steps, desc=name, unit='step',
               disable=None) as progress:
-        history = fit(problem, config, progress)
-    return describe(problem, config, dataset, name, command), history
+        if keeper is None:
+            history = loop.run(progress)
+        else:
+            with keeper.watching():
+                history = loop.run(progress, keeper)
+    problem.to('cpu')
+    return describe(problem, config, dataset, name, command), history, problem
 
 
 def describe(problem: Problem, config: TrainingConfig, dataset: Dataset, name: str, command: str
@@ -173,26 +109,45 @@ def describe(problem: Problem, config: TrainingConfig, dataset: Dataset, name: s
         name=name, family=config.family.kind, **several, **family.constants(),
         scheme=config.loss.scheme, coordinates=config.coordinates,
         box=box, dataset=dataset.description, seed=config.seed,
-        losses=problem.final_losses(), training_command=command, package_version=__version__,
-        confine=config.confine)
-    return Checkpoint(card, networks)
+        losses=problem.final_losses(), units=problem.units, training_command=command,
+        package_version=__version__, confine=config.confine)
+    checkpoint = Checkpoint(card, networks)
+    error = judge_energy(checkpoint, family, config, dataset)
+    return replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
 
 
-def plot_history(history: History, name: str, path: Path) -> None:
-    """Write the loss curves as a PNG."""
-    figure = Figure(figsize=(7.0, 4.5), layout='constrained')
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.semilogy(history.train_step, history.train, label='training, with every term')
-    axes.semilogy(history.validation_step, history.validation, '--', label='validation')
-    axes.axvline(history.adam_steps, color='0.6', linewidth=0.8)
-    axes.annotate('L-BFGS', (history.adam_steps, 0.97), (4, 0), va='top', color='0.4',
-                  xycoords=('data', 'axes fraction'), textcoords='offset points')
-    axes.set(title=name, xlabel='step (Adam, then L-BFGS)',
-             ylabel='loss [-]: squared field error / mean squared field')
-    axes.legend()
-    axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=150)
+def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig, dataset: Dataset
+                 ) -> EnergyError | None:
+    """
+    Return how far the learned energy is from what is known of it; None if nothing is.
+
+    For exact data that is the true one, at states of the box that training has not seen; for
+    others, that it is constant along a motion, in the families that hold it so.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The trained model.
+    family : Family
+        The same, for the momenta of the states.
+    config : TrainingConfig
+        How it was trained.
+    dataset : Dataset
+        What it was trained on.
+
+    """
+    exact, kind = isinstance(config.data, ExactData), checkpoint.card.family
+    if exact:
+        data = config.data.model_copy(update={
+            'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
+        dataset = sample_exact(data, config.seed + 1)
+    elif kind not in _CONSERVATIVE:
+        return None
+    learned = FAMILIES[kind](checkpoint).energy(dataset.q, family.momenta(dataset))
+    if exact:
+        return energy_error(learned, dataset.energies, config.seed)
+    numbers = dataset.block if dataset.trajectory is None else dataset.trajectory
+    return energy_spread(learned, numbers, config.seed)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -205,6 +160,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
                         help='a measured log, or bags, instead of data.path')
     parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
+    parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
+                        help='where to train (default: cpu)')
+    parser.add_argument('--resume', action='store_true',
+                        help='go on with a run that was interrupted')
     arguments = parser.parse_args(argv)
     # Small networks gain nothing from more threads, and sums come out the same on any machine.
     torch.set_num_threads(1)
@@ -215,28 +174,44 @@ def main(argv: Sequence[str] | None = None) -> None:
             raise ParameterError(
                 f'--seed {arguments.seed}: expected an integer from 0 to 2^63 - 1')
         config = config.model_copy(update={'seed': arguments.seed})
-    out = arguments.out or Path('models') / f'{source.stem}.safetensors'
+    if arguments.device == 'cuda' and not torch.cuda.is_available():
+        raise ParameterError('--device cuda: torch finds no CUDA device here; use --device cpu')
+    outputs = Outputs.beside(arguments.out or Path('models') / f'{source.stem}.safetensors')
     dataset = make_dataset(config.data, config.seed, source, arguments.data)
-    curve = _check_output(out)
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *(argv or ())])
+    state = _check_outputs(outputs, arguments.resume)
+    keeper = Keeper(state, config, dataset, arguments.device)
+    told = [part for part in argv or () if part != '--resume']
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
     start = time.perf_counter()
-    checkpoint, history = train(config, dataset, out.stem, command)
+    try:
+        checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
+                                             arguments.device, keeper, arguments.resume)
+    except Interrupted as stop:
+        raise SystemExit(str(stop)) from None
     seconds = time.perf_counter() - start
-    save_checkpoint(out, checkpoint)
-    plot_history(history, out.stem, curve)
-    losses = ', '.join(f'{key} {value:.3g}' for key, value in checkpoint.card.losses.items())
-    print(f'model: {out}\nloss curve: {curve}\n{losses}\ntrained in {seconds:.1f} s')
+    save_checkpoint(outputs.model, checkpoint)
+    card = checkpoint.card
+    write_report(outputs, config, card, history, problem.compare(), seconds, arguments.device)
+    losses = ', '.join(f'{key} {value:.3g}' for key, value in card.losses.items())
+    error = card.energy_error
+    known = '' if error is None else (f'\nenergy error: RMS {error.rms:.3g} J, largest '
+                                      f'{error.sup:.3g} J, against the {error.against}')
+    print(f'model: {outputs.model}\nloss curve: {outputs.losses}\nreport: {outputs.report}\n'
+          f'{losses}{known}\ntrained in {seconds:.1f} s')
 
 
-def _check_output(out: Path) -> Path:
-    """Refuse an output before the work begins; return where the loss curve goes."""
+def _check_outputs(outputs: Outputs, resume: bool) -> Path:
+    """Refuse outputs before the work begins; return where the state of the run is kept."""
+    out, state = outputs.model, outputs.model.with_suffix('.training')
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
-    curve = out.with_suffix('.loss.png')
-    for path in (out, curve):
+    for path in outputs:
         if os.path.lexists(path):
             raise ParameterError(f'{path} exists already and is not overwritten; '
                                  'name another file with --out FILE')
+    if os.path.lexists(state) and not resume:
+        raise ParameterError(f'{state} is a run that was interrupted; go on with it with '
+                             '--resume, or remove it')
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         # Found out now, not after the training.
@@ -245,4 +220,4 @@ def _check_output(out: Path) -> Path:
     except OSError as problem:
         raise ParameterError(f'--out {out}: cannot be written ({problem.strerror}); name another '
                              'file') from problem
-    return curve
+    return state

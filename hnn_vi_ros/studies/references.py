@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import math
 import re
 
+from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -72,11 +73,14 @@ class ModelError:
         NaN where either is not verified.
     energy : float
         Largest change of the true H along the motion of the learned one [J].
+    box : EnergyError or None
+        The error of the learned H all over its box, from its model card, where that says so.
 
     """
 
     path: float
     energy: float
+    box: EnergyError | None = None
 
 
 def instants(horizon: float) -> np.ndarray:

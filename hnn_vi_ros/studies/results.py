@@ -12,6 +12,7 @@ import platform
 import subprocess
 from typing import Any, TextIO
 
+from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.studies.measuring import Row
 from hnn_vi_ros.studies.references import ModelError, Reference
@@ -124,7 +125,8 @@ class Results:
                 path, _number(entry['accuracy'], math.inf), entry['how'], path[:0])
         for horizon, entry in models.items():
             self.model_errors[float(horizon)] = ModelError(
-                _number(entry['path'], math.nan), _number(entry['energy'], math.nan))
+                _number(entry['path'], math.nan), _number(entry['energy'], math.nan),
+                EnergyError(**entry['box']) if entry.get('box') else None)
         self._rows = {row.key: row for row in read_rows(self.folder / CSV)}
         # A row that was cut off by a crash is measured again.
         self.tidy()
@@ -138,7 +140,8 @@ class Results:
                 'path': reference.path.tolist()}
                 for horizon, reference in self.references.items()},
             'model_errors': {repr(horizon): {
-                'path': _or_none(model.path), 'energy': _or_none(model.energy)}
+                'path': _or_none(model.path), 'energy': _or_none(model.energy),
+                'box': model.box and model.box.model_dump()}
                 for horizon, model in self.model_errors.items()},
         }
         temporary = self.folder / f'{CARD}.new'

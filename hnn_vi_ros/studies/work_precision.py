@@ -164,7 +164,9 @@ def _reference(study: Study, horizon: float) -> Reference:
         model = results.model_errors.get(study.horizons[study.horizons.index(horizon) - 1])
     else:
         reference = make_reference(study.hamiltonian, *study.start, horizon, h)
-        model = truth and model_error(reference, truth, *study.start, horizon, h)
+        model = truth and replace(
+            model_error(reference, truth, *study.start, horizon, h),
+            box=study.hamiltonian.checkpoint.card.energy_error)
     results.keep_reference(horizon, reference, model)
     return reference
 

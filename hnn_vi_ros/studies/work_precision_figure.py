@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
+from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.studies.label_placement import place_labels
 from hnn_vi_ros.studies.measuring import Row
 from hnn_vi_ros.studies.references import ModelError, Reference
@@ -113,6 +114,9 @@ def draw(path: Path, title: str, rows: Sequence[Row], reference: Reference,
     figure.subplots_adjust(left=0.06, right=0.975, bottom=0.12, top=0.875, wspace=0.17)
     lines = [_draw_panel(ax, panel, rows, floors.get(panel.y, math.nan))
              for ax, panel in zip(axes, panels, strict=True)]
+    for ax, panel in zip(axes, panels, strict=True):
+        if panel.y == 'energy_band' and model is not None and model.box is not None:
+            _draw_box_error(ax, model.box)
     if panels[0].y == 'path_error' and reference.verified:
         bottom = axes[0].get_ylim()[0]
         if reference.accuracy > bottom:
@@ -197,3 +201,15 @@ def _draw_floor(ax: Axes, floor: float) -> None:
                 xycoords=ax.get_yaxis_transform(), textcoords='offset points', fontsize=8.5,
                 color=INK, va='top', zorder=5,
                 bbox={'facecolor': '#f7f3e8', 'edgecolor': 'none', 'alpha': 0.85, 'pad': 1.0})
+
+
+def _draw_box_error(ax: Axes, error: EnergyError) -> None:
+    """Draw the RMS and the largest error of H in its box, with their intervals, at the right."""
+    across = ax.get_yaxis_transform()
+    for value, interval, label in ((error.rms, error.rms_interval, 'RMS'),
+                                   (error.sup, error.sup_interval, 'largest')):
+        ax.axhspan(*interval, xmin=0.86, color=INK, alpha=0.15, linewidth=0.0, zorder=1)
+        ax.plot([0.86, 1.0], [value, value], color=INK, linewidth=1.0, transform=across, zorder=1)
+        ax.annotate(f'{label} error of H in the box', (1.0, value), (-3, 2), ha='right',
+                    va='bottom', fontsize=7, color=INK, xycoords=across,
+                    textcoords='offset points')

@@ -135,6 +135,12 @@ def circumstances(results: Results, horizon: float) -> list[str]:
                      'only energies are compared.')
     if model is None:
         return lines
+    if model.box is not None:
+        rms, sup = ([f'{x:.2g}' for x in (value, *interval)] for value, interval in (
+            (model.box.rms, model.box.rms_interval), (model.box.sup, model.box.sup_interval)))
+        lines.append(f'All over the box of its data, the learned H is off by {rms[0]} J RMS '
+                     f'(95 %: {rms[1]} to {rms[2]}) and {sup[0]} J at most ({sup[1]} to '
+                     f'{sup[2]}).')
     if math.isnan(model.path):
         return [*lines, f'The learned H is off by {model.energy:.2g} J in energy.']
     lines.append(f'The learned H itself is off by {model.path:.2g} along the path and '

@@ -1,0 +1,212 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Training runs: stopped and gone on with, ended early, judged, reported, on other devices."""
+
+import io
+from pathlib import Path
+import signal
+
+from hnn_vi_ros.energy_error import energy_error, energy_spread
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
+from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.learning.config import load_config, TrainingConfig
+from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.interruption import Interrupted, Keeper
+from hnn_vi_ros.learning.loop import INTERVAL, Loop
+from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.sources import make_dataset
+from hnn_vi_ros.learning.train import main
+import numpy as np
+import pytest
+import torch
+from tqdm import tqdm
+
+TINY = """
+coordinates: [{name: x, q_unit: m, p_unit: kg m/s}]
+data:
+  kind: exact
+  hamiltonian: {kind: pendulum}
+  box: {q: [[-2.0, 2.0]], p: [[-4.0, 4.0]]}
+  samples: 60
+  noise: 0.0
+hidden: [8, 5]
+adam_steps: 60
+lbfgs_steps: 80
+"""
+
+
+def tiny(folder: Path, text: str = TINY) -> Path:
+    path = folder / 'tiny.yaml'
+    path.write_text(text)
+    return path
+
+
+def prepared(path: Path) -> tuple[TrainingConfig, Dataset]:
+    config = load_config(path)
+    return config, make_dataset(config.data, config.seed, path)
+
+
+def silent() -> tqdm:
+    return tqdm(disable=True, file=io.StringIO())
+
+
+def weights_of(problem: Problem) -> bytes:
+    return b''.join(part.detach().numpy().tobytes() for part in problem.family.parameters())
+
+
+# In the first steps of Adam and of L-BFGS, and when L-BFGS has a history.
+@pytest.mark.parametrize('stop', [0, INTERVAL, 60, 60 + 2 * INTERVAL])
+@pytest.mark.parametrize('patience', ['', 'patience: 3\n'])
+def test_training_resumed_from_its_file_is_bit_identical(tmp_path, stop, patience):
+    config, dataset = prepared(tiny(tmp_path, TINY + patience))
+    whole = Problem(config, dataset)
+    history = Loop(whole, config).run(silent())
+    keeper = Keeper(tmp_path / 'm.training', config, dataset, 'cpu')
+
+    def pause(loop: Loop) -> None:
+        if loop.step == stop:
+            keeper._stopping = True
+        keeper(loop)
+
+    with pytest.raises(Interrupted, match=f'stopped at step {stop}, .*--resume'):
+        Loop(Problem(config, dataset), config).run(silent(), pause)
+    resumed = Problem(config, dataset)
+    loop = Loop(resumed, config)
+    Keeper(tmp_path / 'm.training', config, dataset, 'cpu').load(loop)
+    assert loop.step == stop
+    assert loop.run(silent()) == history
+    assert weights_of(resumed) == weights_of(whole)
+
+
+def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
+        tmp_path, monkeypatch, capsys):
+    arguments = ['--config', str(tiny(tmp_path)), '--out']
+    main([*arguments, str(tmp_path / 'whole.safetensors')])
+    look, looks = Problem.validation_loss, []
+
+    def interrupted(problem: Problem) -> float:
+        looks.append(problem)
+        if len(looks) == 5:
+            signal.raise_signal(signal.SIGINT)
+        return look(problem)
+
+    out = str(tmp_path / 'm.safetensors')
+    with monkeypatch.context() as context:
+        context.setattr(Problem, 'validation_loss', interrupted)
+        with pytest.raises(SystemExit, match='stopped at step .*m.training.*--resume'):
+            main([*arguments, out])
+    assert not (tmp_path / 'm.safetensors').exists()
+    with pytest.raises(ParameterError, match='m.training is a run that was interrupted'):
+        main([*arguments, out])
+    main([*arguments, out, '--resume'])
+    assert not (tmp_path / 'm.training').exists()
+    one, other = (load_checkpoint(tmp_path / f'{name}.safetensors') for name in ('whole', 'm'))
+    for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
+        assert np.array_equal(a, b)
+    assert '--resume' not in other.card.training_command
+
+
+def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
+    path = tiny(tmp_path)
+    arguments = ['--config', str(path), '--out', str(tmp_path / 'm.safetensors'), '--resume']
+    with pytest.raises(ParameterError, match='no interrupted run at .*m.training'):
+        main(arguments)
+    (tmp_path / 'm.training').write_bytes(b'PK\x03\x04 no archive')
+    with pytest.raises(ParameterError, match='m.training cannot be read; remove it'):
+        main(arguments)
+    config, dataset = prepared(path)
+    keeper = Keeper(tmp_path / 'm.training', config, dataset, 'cpu')
+    keeper._stopping = True
+    with pytest.raises(Interrupted):
+        keeper(Loop(Problem(config, dataset), config))
+    with pytest.raises(ParameterError, match='of another configuration, other data'):
+        main([*arguments, '--seed', '7'])
+
+
+def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_path):
+    # Far more weights than data, whose noise a long training would learn.
+    text = TINY.replace('noise: 0.0', 'noise: 0.3').replace('[8, 5]', '[40]').replace(
+        'lbfgs_steps: 80', 'lbfgs_steps: 800')
+    config, dataset = prepared(tiny(tmp_path, text + 'patience: 3\n'))
+    problem = Problem(config, dataset)
+    history = Loop(problem, config).run(silent())
+    assert history.train_step[-1] < 860
+    assert problem.validation_loss() == min(history.validation)
+    assert history.validation[history.validation_step.index(history.best_step)] \
+        == min(history.validation)
+    config, _ = prepared(tiny(tmp_path, text))
+    through = Problem(config, dataset)
+    Loop(through, config).run(silent())
+    assert problem.validation_loss() < through.validation_loss()
+
+
+def test_run_leaves_a_report_with_pictures_and_curves_beside_its_model(tmp_path):
+    main(['--config', str(tiny(tmp_path)), '--out', str(tmp_path / 'm.safetensors')])
+    for name in ('m.loss.png', 'm.field.png'):
+        assert (tmp_path / name).read_bytes().startswith(b'\x89PNG')
+    assert (tmp_path / 'm.loss.rrd').read_bytes().startswith(b'RRF')
+    page, card = (tmp_path / 'm.report.md').read_text(), load_checkpoint(
+        tmp_path / 'm.safetensors').card
+    for words in ('# m\n', '| seed | 0 |', 'm.loss.png', 'm.field.png', 'hidden:', 's on cpu',
+                  f'| validation_loss | {card.losses["validation_loss"]:.4g} |',
+                  f'{card.energy_error.rms:.3g} (95 %: '):
+        assert words in page
+    assert len(card.units.centre) == len(card.units.scale) == len(card.units.target) == 2
+
+
+def test_card_tells_the_energy_error_in_the_box(tmp_path):
+    main(['--config', str(tiny(tmp_path)), '--out', str(tmp_path / 'm.safetensors')])
+    checkpoint = load_checkpoint(tmp_path / 'm.safetensors')
+    error = checkpoint.card.energy_error
+    z = np.random.default_rng(9).uniform([-2.0, -4.0], [2.0, 4.0], (4000, 2))
+    true = 0.5 * z[:, 1]**2 + 9.81 * (1.0 - np.cos(z[:, 0]))
+    errors = NeuralHamiltonian(checkpoint).energy(z[:, :1], z[:, 1:]) - true
+    errors -= errors.mean()
+    # Of 2000 other states: a statistical error of some per cent of the RMS.
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(error.rms, rel=0.15)
+    assert error.against == 'true energy' and error.states == 2000
+    assert error.rms_interval[0] < error.rms < error.rms_interval[1]
+    assert error.rms < error.sup_interval[0] <= error.sup
+
+
+def test_bootstrap_interval_holds_the_true_rms_about_as_often_as_it_says():
+    held = 0
+    for seed in range(60):
+        noise = np.random.default_rng(seed).normal(size=200)
+        error = energy_error(5.0 + 2.0 * noise, np.zeros(200), seed)
+        held += error.rms_interval[0] <= 2.0 <= error.rms_interval[1]
+    # 57 of 60 on average; eight fewer are five standard deviations.
+    assert held >= 49
+
+
+def test_energy_spread_is_zero_for_a_constant_along_each_motion_and_resamples_motions():
+    trajectory = np.repeat([3, 5, 9], 50)
+    constant = np.repeat([1.0, -2.0, 4.0], 50)
+    assert energy_spread(constant, trajectory, 0).sup < 1e-15
+    wave = np.where(trajectory == 5, np.tile([1.0, -1.0], 75), 0.0)
+    error = energy_spread(constant + wave, trajectory, 0)
+    assert error.rms == pytest.approx(np.sqrt(1.0 / 3.0)) and error.sup == 1.0
+    # None or all of three drawn motions may be the one that is off.
+    assert error.rms_interval[0] == 0.0 and error.sup_interval == [0.0, 1.0]
+    assert error.against == 'mean along each trajectory'
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason='there is a CUDA device')
+def test_cuda_is_refused_in_one_line_where_there_is_none(tmp_path):
+    with pytest.raises(ParameterError, match='^--device cuda: .* use --device cpu$'):
+        main(['--config', str(tiny(tmp_path)), '--out', str(tmp_path / 'm.safetensors'),
+              '--device', 'cuda'])
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason='there is no CUDA device')
+@pytest.mark.parametrize('family', ['hnn', 'symplectic_form', 'separable_hnn'])
+def test_training_on_cuda_gives_a_model_as_good(tmp_path, family):
+    path = tiny(tmp_path, TINY + f'family: {{kind: {family}}}\n')
+    losses = []
+    for device in ('cpu', 'cuda'):
+        out = tmp_path / f'{device}.safetensors'
+        main(['--config', str(path), '--out', str(out), '--device', device])
+        losses.append(load_checkpoint(out).card.losses['train_loss'])
+    # The same steps, summed in another order: apart by no more than that has grown to.
+    assert losses[1] < 3.0 * losses[0]
