@@ -18,6 +18,8 @@ from pydantic import ValidationError
 import pytest
 from rclpy.serialization import serialize_message
 from ros.recorded import record_run
+from rosbags.rosbag2 import StoragePlugin, Writer as BagWriter
+from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
@@ -137,6 +139,17 @@ def test_a_gap_begins_a_new_trajectory(tmp_path):
     assert np.abs(data.dp_dt).max() < 1.01 * OMEGA**2
 
 
+def test_nothing_is_made_up_where_one_topic_has_a_gap(tmp_path, shifted):
+    some = T[(T < 1.5) | (T > 3.0)]
+    path = write(tmp_path / 'a.mcap', sorted([
+        *joints(T), *array(some, MASS * OMEGA * np.cos(OMEGA * some), '/p')],
+        key=lambda message: message[2]))
+    data = shifted(read_bags([path], bag(p='p')), T[0])
+    assert not ((data.t > 1.5) & (data.t < 3.0)).any()
+    assert set(data.trajectory) == {0, 1}
+    assert_oscillates(data, TOLERANCE)
+
+
 def test_several_bags_are_joined_and_split_by_blocks_of_time(tmp_path):
     paths = [write(tmp_path / f'{i}.mcap', joints(T, amplitude=1.0 + i)) for i in range(2)]
     data = read_bags(paths, bag(block=0.5))
@@ -146,6 +159,21 @@ def test_several_bags_are_joined_and_split_by_blocks_of_time(tmp_path):
     assert len(np.unique(validation.block)) == 4
     assert set(train.block).isdisjoint(validation.block)
     assert '0.mcap (480 rows' in data.description and '1.mcap (480 rows' in data.description
+
+
+def test_rosbag2_folder_by_another_writer_is_read(tmp_path):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = store.types[JOINTS]
+    with BagWriter(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection('/robot/joint_states', JOINTS, typestore=store)
+        for time in T:
+            stamp = store.types['builtin_interfaces/msg/Time'](*divmod(round(time * 1e9), 10**9))
+            header = store.types['std_msgs/msg/Header'](stamp, 'base')
+            numbers = np.sin(OMEGA * time), OMEGA * np.cos(OMEGA * time)
+            message = kind(header, ['swing'], *[np.array([x]) for x in numbers], np.empty(0))
+            writer.write(connection, round(time * 1e9), store.serialize_cdr(message, JOINTS))
+    ours = read_bags([write(tmp_path / 'a.mcap', joints(T))], bag(stamps='log'))
+    assert np.array_equal(read_bags([tmp_path / 'bag'], bag(stamps='log')).q, ours.q)
 
 
 def test_whole_name_of_a_topic_is_preferred_to_the_end_of_another(tmp_path):

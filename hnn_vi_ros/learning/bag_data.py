@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data from ROS 2 bags: the states of a robot or of the simulator, as they were recorded."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import file_digest
 from pathlib import Path
 from typing import Annotated, Literal
@@ -144,12 +144,8 @@ def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarr
     """Yield the columns of each stretch of a bag without a gap."""
     signals = _signals(reader, data)
     commands = None if data.commands is None else reader.read(data.commands, '*')
-    t = signals['q'].t
-    typical = float(np.median(np.diff(t)))
-    ends = np.flatnonzero(np.diff(t) > _GAP * typical)
     found = False
-    for first, last in zip([0, *(ends + 1)], [*ends, len(t) - 1], strict=True):
-        window = t[first], t[last]
+    for window in _windows(signals.values()):
         parts = {name: _within(signal, window) for name, signal in signals.items()}
         grid = _grid(list(parts.values()), data.spacing)
         if len(grid) >= _LEAST:
@@ -157,9 +153,24 @@ def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarr
             states = {name: _resampled(signal, grid) for name, signal in parts.items()}
             yield _rows(reader, data, grid, states, commands)
     if not found:
+        t = signals['q'].t
         raise DataError(f'{reader.path}: {data.q} has {len(t)} messages in {t[-1] - t[0]:.3g} s, '
                         f'and no {_LEAST} rows without a gap; record for longer, or give a '
                         'smaller data.spacing')
+
+
+def _windows(signals: Iterable[Signal]) -> Iterator[tuple[float, float]]:
+    """Yield the times [s] from which to which every signal goes on without a gap."""
+    gaps, start, last = [], -np.inf, np.inf
+    for t, _ in signals:
+        intervals = np.diff(t)
+        for i in np.flatnonzero(intervals > _GAP * np.median(intervals)):
+            gaps.append((t[i], t[i + 1]))
+        start, last = max(start, t[0]), min(last, t[-1])
+    for before, after in [*sorted(gaps), (last, last)]:
+        if start < min(before, last):
+            yield start, min(before, last)
+        start = max(start, after)
 
 
 def _within(signal: Signal, window: tuple[float, float]) -> Signal:
