@@ -4,14 +4,11 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.compilation import identify, inlined
+from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
-from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.hamiltonians.outputs import evaluate_outputs, pack_outputs
+from hnn_vi_ros.effects.input_map import add_by_map, add_by_place, load_map, resolve_map
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -61,21 +58,16 @@ class ExternalForce(Force):
                 not coordinates or len(set(coordinates)) < len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.timeout = coordinates, float(timeout)
-        self._model = None if model is None else _with_input_map(model)
+        self._model = None if model is None else load_map(model)
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the command, the clock, the numbers' places, and what adds their forces."""
         if self._model is None:
             places = np.array([coordinate_index(coordinates, name) for name in self.coordinates])
-            return live.command, live.clock, places, _add_by_place, (places,)
-        inputs, *_, entries = self._model.card.layout['input_map']
-        d = len(coordinates)
-        if inputs != d or entries > d * d:
-            raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} '
-                             f'coordinates, H has {d}, and takes no more numbers than that')
-        network = pack_outputs(self._model, 'input_map')
-        return (live.command, live.clock, np.arange(entries // d), _add_by_map,
-                (network, np.zeros(entries)))
+            return live.command, live.clock, places, add_by_place, (places,)
+        network = resolve_map(self._model, len(coordinates))
+        m = network[1].size // len(coordinates)
+        return live.command, live.clock, np.arange(m), add_by_map, network
 
     def take(self, values: Sequence[float], parameters: tuple) -> None:
         """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
@@ -96,35 +88,3 @@ class ExternalForce(Force):
         # By the time at the start of the step: the force is constant over each step.
         if clock[0] < command[command.size - 1]:
             add(own, command, q, p, f_p)
-
-
-def _with_input_map(model: str) -> Checkpoint:
-    checkpoint = load_checkpoint(model)
-    if 'input_map' not in checkpoint.networks:
-        raise ModelError(f'{model}: a model of the family {checkpoint.card.family} has no input '
-                         'map, as the family control_affine has; give coordinates')
-    return checkpoint
-
-
-@numba.njit(cache=True, error_model='numpy')
-def _add_by_place(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
-                  ) -> None:
-    (places,) = own
-    for k in range(places.size):
-        f_p[places[k]] += command[places[k]]
-
-
-@numba.njit(cache=True, error_model='numpy')
-def _add_by_map(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
-                ) -> None:
-    network, entries = own
-    evaluate_outputs(network, q, p, entries)
-    m = entries.size // f_p.size
-    for i in range(f_p.size):
-        for k in range(m):
-            f_p[i] += entries[i * m + k] * command[k]
-
-
-for _function in (_add_by_place, _add_by_map):
-    # As part of the parameters of compiled functions; see identify.
-    identify(_function)

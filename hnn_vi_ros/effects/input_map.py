@@ -1,0 +1,62 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Forces of a command: on named coordinates, or on all of them by a learned input map g(q)."""
+
+from hnn_vi_ros.compilation import identify
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, load_checkpoint
+from hnn_vi_ros.hamiltonians.outputs import evaluate_outputs, pack_outputs
+import numba
+import numpy as np
+
+
+def load_map(model: str) -> Checkpoint:
+    """
+    Return a model that has an input map.
+
+    Raises
+    ------
+    ModelError
+        The model does not exist, is damaged, or has none.
+
+    """
+    checkpoint = load_checkpoint(model)
+    if 'input_map' not in checkpoint.networks:
+        raise ModelError(f'{model}: a model of the family {checkpoint.card.family} has no input '
+                         'map, as the family control_affine has; give coordinates')
+    return checkpoint
+
+
+def resolve_map(model: Checkpoint, d: int) -> tuple[tuple, np.ndarray]:
+    """Return the network of g(q) and space for its d m entries, or raise ValueError."""
+    inputs, *_, entries = model.card.layout['input_map']
+    if inputs != d or entries > d * d:
+        raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
+                         f'H has {d} coordinates, and takes at most as many numbers')
+    return pack_outputs(model, 'input_map'), np.zeros(entries)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def add_by_place(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
+                 ) -> None:
+    """Add one number of the command to each of some coordinates."""
+    (places,) = own
+    for k in range(places.size):
+        f_p[places[k]] += command[places[k]]
+
+
+@numba.njit(cache=True, error_model='numpy')
+def add_by_map(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
+               ) -> None:
+    """Add g(q) u, with the entries of g row by row, and u the first numbers of the command."""
+    network, entries = own
+    evaluate_outputs(network, q, p, entries)
+    m = entries.size // f_p.size
+    for i in range(f_p.size):
+        for k in range(m):
+            f_p[i] += entries[i * m + k] * command[k]
+
+
+for _function in (add_by_place, add_by_map):
+    # They are among the parameters of compiled functions; see identify.
+    identify(_function)
