@@ -86,7 +86,9 @@ def test_bridge_shows_alarms_and_timing_of_a_running_simulator_and_the_alarms_of
                       rerun_sink='none', record_path='bag', discovery_time=20)
     status, _, said = finish(simulator)
     assert status == 0 and 'use step_size <=' in said
-    time.sleep(1.0)
+    live = tmp_path / 'live.rrd'
+    wait_until(lambda: live.exists() and b'under-resolved' in live.read_bytes(), 120.0)
+    time.sleep(0.5)
     bridge.send_signal(signal.SIGINT)
     assert finish(bridge, 20.0)[0] == 0
     again = start_bridge(tmp_path / 'bag', *to_file(tmp_path / 'again.rrd'))
@@ -96,10 +98,9 @@ def test_bridge_shows_alarms_and_timing_of_a_running_simulator_and_the_alarms_of
     shown = [event for event in events_of(tmp_path / 'again.rrd')
              if event[2].startswith('under-resolved')]
     assert shown == alarms != []
-    live = [text for _, _, text in events_of(tmp_path / 'live.rrd')]
-    assert [text for _, _, text in alarms] == [
-        text for text in live if text.startswith('under-resolved')]
-    figures = read(tmp_path / 'live.rrd')['/timing/microseconds_per_step']['Scalars:scalars']
+    shown = [text for _, _, text in events_of(live) if text.startswith('under-resolved')]
+    assert [text for _, _, text in alarms] == shown
+    figures = read(live)['/timing/microseconds_per_step']['Scalars:scalars']
     assert all(0.0 < median <= p99 for median, p99 in figures) and len(figures) >= 2
 
 

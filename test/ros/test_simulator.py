@@ -133,6 +133,8 @@ def test_hundred_thousand_messages_are_recorded_and_received_none_lost_none_out_
         executor.spin_once(timeout_sec=0.0)
     assert finish(process)[0] == 0
     recorded = read_bag(folder / 'bag')
+    # A busy machine may have added alarms of overruns.
+    recorded.pop('/diagnostics', None)
     assert {topic: len(messages) for topic, messages in recorded.items()} == dict.fromkeys(
         received, 25_000)
     for messages in recorded.values():
@@ -203,8 +205,10 @@ def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 def test_simulator_signal_closes_the_files_within_5_s_and_exits_0(folder, number):
     process = start(folder, record_path='bag', rerun_path='picture.rrd')
-    wait_until(lambda: (folder / 'picture.rrd').exists())
-    time.sleep(1.0)
+    bag = folder / 'bag' / 'bag_0.mcap'
+    # It begins with the first sample.
+    wait_until(lambda: bag.exists() and bag.stat().st_size > 0)
+    time.sleep(1.5)
     begin = time.monotonic()
     process.send_signal(number)
     status, _, error = finish(process)
