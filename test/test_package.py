@@ -37,6 +37,7 @@ ARROWS = {
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
+    'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
     'torch': r'learning/(families/)?\w+\.py|hamiltonians/torch_module\.py|studies/peers\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/peers\.py',
