@@ -69,8 +69,9 @@ class TrainingConfig(StrictModel):
         if self.loss.kind not in self.family.losses:
             raise ValueError(f'loss: {self.loss.kind} does not train the family '
                              f'{self.family.kind}; valid: {", ".join(self.family.losses)}')
-        if self.linearity and self.loss.kind != 'vector_field':
-            raise ValueError(f'linearity: needs the loss vector_field, not {self.loss.kind}')
+        if self.linearity and self.loss.kind in ('discrete_lagrangian', 'euler_lagrange'):
+            raise ValueError(f'linearity: needs a field of (q, p), which the loss '
+                             f'{self.loss.kind} does not train; leave it out')
         if self.confine and self.family.kind == 'symplectic_form':
             raise ValueError('confine: needs canonical momenta, which the family symplectic_form '
                              'has not')
