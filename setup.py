@@ -80,6 +80,7 @@ setup(
             'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
             'listener = hnn_vi_ros.cli:listener',
             'paper_figures = hnn_vi_ros.cli:paper_figures',
+            'published_tables = hnn_vi_ros.cli:published_tables',
             'recover_bag = hnn_vi_ros.cli:recover_bag',
             'replay = hnn_vi_ros.cli:replay',
             'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',

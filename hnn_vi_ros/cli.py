@@ -70,6 +70,11 @@ def paper_figures() -> NoReturn:
     _run('hnn_vi_ros.studies.paper_figures')
 
 
+def published_tables() -> NoReturn:
+    """Measure our models where published ones were measured."""
+    _run('hnn_vi_ros.studies.published_tables')
+
+
 def work_precision() -> NoReturn:
     """Measure what accuracy costs."""
     _run('hnn_vi_ros.studies.work_precision')

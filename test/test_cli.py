@@ -36,6 +36,7 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
     ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', 'ros-jazzy-common-interfaces'),
     ('train', 'torch', 'torch'), ('train', 'yaml', 'pyyaml'),
     ('paper_figures', 'pydantic', 'pydantic'), ('work_precision', 'scipy', 'scipy'),
+    ('published_tables', 'tqdm', 'tqdm'),
     ('recover_bag', 'zstandard', 'zstandard'),
     ('replay', 'std_srvs', 'ros-jazzy-common-interfaces'), ('rerun_bridge', 'rerun', 'rerun-sdk'),
 ])
@@ -68,6 +69,7 @@ def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     ('train', ['--config', 'nothing']), ('simulator', ['--ros-args', '-p', 'scene:=nothing']),
     ('paper_figures', ['--out', '/dev/null/x']), ('scene', ['--check', 'nothing']),
     ('scene', ['--explain', 'nothing']), ('work_precision', ['--scene', 'nothing']),
+    ('published_tables', ['--out', '/dev/null/x']),
     ('recover_bag', ['nothing']), ('replay', ['nothing']), ('rerun_bridge', ['nothing']),
 ])
 def test_error_of_the_user_is_one_line_and_no_traceback(executable, arguments):

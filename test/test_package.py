@@ -30,7 +30,7 @@ ARROWS = {
     'scene': {'core', 'scene'},
     'sinks': {'core', 'sinks'},
     'learning': {'core', 'learning', 'scene', 'sinks'},
-    'studies': {'core', 'scene', 'sinks', 'studies'},
+    'studies': {'core', 'scene', 'sinks', 'learning', 'studies'},
     'ros': {'core', 'scene', 'sinks', 'studies', 'ros'},
     'cli': {'core', 'scene', 'sinks', 'learning', 'studies', 'ros', 'cli'},
 }

@@ -1,0 +1,75 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measure our models where published ones were measured, and write docs/learning.md."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.resources import share_folder
+from hnn_vi_ros.studies.published_page import (
+    FOLDER, PAGE, read_results, Result, write_page, write_results)
+from hnn_vi_ros.studies.published_pendulum import FILE
+from hnn_vi_ros.studies.published_runs import Plan, run_table
+from hnn_vi_ros.studies.results import commit, machine
+from hnn_vi_ros.yaml_file import load_yaml
+from tqdm import tqdm
+
+# Where the log of the real pendulum is looked for.
+_DATA = Path('shared/data/schmidt_lipson_2009')
+
+
+def main(argv: list[str]) -> int:
+    """Train and measure every model of the tables, then write the page and its data."""
+    parser = argparse.ArgumentParser(prog='published_tables', description=__doc__)
+    parser.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
+                        help='folder to write to (default: docs)')
+    parser.add_argument('--data', type=Path, default=_DATA, metavar='DIR',
+                        help=f'folder of {FILE}, the log of the real pendulum from the supplement '
+                             f'of Schmidt and Lipson, Science 324 (2009) (default: {_DATA})')
+    parser.add_argument('--quick', action='store_true',
+                        help='a few steps of one seed: whether everything runs, no results')
+    parser.add_argument('--page', action='store_true',
+                        help='measure nothing: write the page anew from the values in DIR')
+    arguments = parser.parse_args(argv)
+    try:
+        results = read_results(arguments.out) if arguments.page else measure(arguments)
+        print(write_page(arguments.out, results, arguments.quick))
+    except OSError as problem:
+        raise ParameterError(f'--out {arguments.out}: cannot be written ({problem.strerror}); '
+                             'give a folder that can be written') from problem
+    return 0
+
+
+def measure(arguments: argparse.Namespace) -> list[Result]:
+    """Train and measure what the command line asks for, and write down every value."""
+    plan = load_yaml(share_folder() / 'config' / 'studies' / 'published_tables.yaml', Plan,
+                     ParameterError)
+    if arguments.quick:
+        plan = plan.quick()
+    log = arguments.data / FILE
+    if not log.is_file():
+        print(f'{log}: not there, so nothing is measured on the real pendulum; see --data')
+        plan = plan.without_real_pendulum()
+    # Found out now, not after the training.
+    (arguments.out / FOLDER).mkdir(parents=True, exist_ok=True)
+    (arguments.out / PAGE).touch()
+    results = list(run(plan, log))
+    print(write_results(arguments.out, results))
+    return results
+
+
+def run(plan: Plan, log: Path) -> Iterator[Result]:
+    """Train and measure every model of a plan."""
+    # Imported late: torch takes seconds, which a mistake should not wait for.
+    import torch
+    # Small networks gain nothing from more threads, and sums come out the same on any machine.
+    torch.set_num_threads(1)
+    origin = commit(), machine()
+    jobs = [(table, system, seed) for table, systems in plan for system in systems
+            for seed in systems[system].seeds]
+    for table, system, seed in tqdm(jobs, unit='model', disable=None):
+        measures = run_table(table, system, getattr(plan, table)[system], seed, log)
+        yield from (Result(table, system, seed, measure, value, *origin)
+                    for measure, value in measures)
