@@ -16,18 +16,15 @@ from hnn_vi_ros.studies.results import commit, machine
 from hnn_vi_ros.yaml_file import load_yaml
 from tqdm import tqdm
 
-# Where the log of the real pendulum is looked for.
-_DATA = Path('shared/data/schmidt_lipson_2009')
-
 
 def main(argv: list[str]) -> int:
     """Train and measure every model of the tables, then write the page and its data."""
     parser = argparse.ArgumentParser(prog='published_tables', description=__doc__)
     parser.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
                         help='folder to write to (default: docs)')
-    parser.add_argument('--data', type=Path, default=_DATA, metavar='DIR',
+    parser.add_argument('--data', type=Path, default=Path(), metavar='DIR',
                         help=f'folder of {FILE}, the log of the real pendulum from the supplement '
-                             f'of Schmidt and Lipson, Science 324 (2009) (default: {_DATA})')
+                             'of Schmidt and Lipson, Science 324 (2009) (default: here)')
     parser.add_argument('--quick', action='store_true',
                         help='a few steps of one seed: whether everything runs, no results')
     parser.add_argument('--page', action='store_true',
