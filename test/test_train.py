@@ -194,7 +194,7 @@ def test_existing_files_are_never_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize('argv, words', [
-    (['--config', 'none'], 'shipped: air_track, double_pendulum, '),
+    (['--config', 'none'], 'shipped: air_track, '),
     (['--config', 'none.yaml'], 'no such file'),
     (['--config', 'air_track'], 'data.path is empty; pass the log with --data FILE'),
     (['--config', 'air_track', '--data', 'none.txt'], 'none.txt: no such data file'),

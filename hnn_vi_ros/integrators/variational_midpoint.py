@@ -40,20 +40,19 @@ class VariationalMidpoint(ImplicitIntegrator):
         (p0 + p1) / 2 = theta(u~),  p1 - p0 = theta'(u~)^T (u1 - u0) - h H'(u~).
 
     L is linear in u', so that p is no free variable: it is theta(u). The two equations hold that
-    only in their middles. Taken as they are they have twice as many solutions as there are
-    motions; the others alternate in sign from step to step, and grow: from p0 = theta(u0), a
-    double pendulum in angles and rates, its theta shifted by a gradient, is lost within 2 s. So
-    p = theta(u) takes the place of the first equation, and theta(u1) - theta(u0) =
-    theta'(u~) (u1 - u0), to the order of the method, closes the second one: with
-    W = theta'^T - theta'
+    only in their middles. Taken as they are, they have twice as many solutions as there are
+    motions; the others alternate in sign from step to step, and may grow: with a gradient added
+    to theta, which changes no motion, a double pendulum is lost within 2 s. So p = theta(u)
+    takes the place of the first equation, and theta(u1) - theta(u0) = theta'(u~) (u1 - u0), to
+    the order of the method, closes the second one: with W = theta'^T - theta'
 
         W(u~) (u1 - u0) = h H'(u~),
 
-    a one-step map, independent of gradients in theta, which no motion knows. W is skew, so
-    (u1 - u0) . H'(u~) = 0 and H changes by terms of third order, which in coordinates without
-    time reversal add up: by 0.6 J in 1000 s of the double pendulum at h = 0.02 s. Therefore
-    D is the midpoint discrete gradient of H, H'(u~) but for those terms; see DiscreteGradient.
-    Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved, up to the rounding of H.
+    a one-step map that gradients in theta leave alone. W is skew, so (u1 - u0) . H'(u~) = 0 and
+    H changes by terms of third order, which need not cancel where no time reversal makes them.
+    Therefore D is the midpoint discrete gradient of H, which is H'(u~) but for those terms; see
+    DiscreteGradient. Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved, up to the
+    rounding of H.
 
     Symmetric, order 2; where W is constant it is DiscreteGradient in canonical coordinates. Not
     symplectic.

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 _SAMPLES = 1024
+_WEIGHT = 1e-5
 
 
 class SymplecticForm(Family):
@@ -26,9 +27,10 @@ class SymplecticForm(Family):
     keeps W regular while N learns.
 
     Motions tell theta and H up to a common factor, which is another unit of energy, and theta up
-    to the gradient of a function. The factor is set by the mean of the first coordinate's mass,
-    W_ij with i its p and j its q, which the configuration gives; the rest has no effect on
-    anything.
+    to the gradient of a function, which has no effect on anything. The factor is set by the mean
+    of the first coordinate's mass, W_ij with i its p and j its q, which the configuration gives.
+    In one degree of freedom any function f(H) will do as well, with f'(H) W; a small weight on
+    the variation of W chooses among them.
 
     Parameters
     ----------
@@ -82,6 +84,13 @@ class SymplecticForm(Family):
         """Return u' = W^-1 H', shape (N, 2 d), at states of shape (N, 2 d)."""
         rates = gradient(lambda x: self.energy(x)[:, 0], z)
         return torch.linalg.solve(self.two_form(z), rates[:, :, None])[:, :, 0]
+
+    def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor | None:
+        """Return a small weight on the variation of W in one degree of freedom; see Family."""
+        if len(self.mass) > 1:
+            return None
+        weight = self.two_form(z)[:, 1, 0]
+        return _WEIGHT * (weight / weight.mean() - 1.0).square().mean()
 
     @property
     def factor(self) -> float:
