@@ -149,7 +149,8 @@ def test_windows_are_the_evenly_spaced_runs_within_one_trajectory():
 
 def test_exact_accelerations_are_the_rates_of_the_velocities():
     data = ExactData.model_validate({
-        **EXACT, 'hamiltonian': {'kind': 'tao'}, 'trajectory': {'duration': 0.02, 'spacing': 0.01}})
+        **EXACT, 'hamiltonian': {'kind': 'tao'},
+        'trajectory': {'duration': 0.02, 'spacing': 0.01}})
     sampled = sample_exact(data, 1)
     velocities = sampled.dq_dt.reshape(50, 3)
     middle = sampled.accelerations.reshape(50, 3)[:, 1]

@@ -10,8 +10,8 @@ from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
-from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.choices import HNNChoice
+from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.losses import mean_square, nonlinearity

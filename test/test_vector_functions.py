@@ -76,9 +76,12 @@ def test_softplus_keeps_not_a_number_and_its_limits():
 
 
 @pytest.mark.parametrize('coefficients, function, end', [
-    (vector_sine._S, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x, lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
-    (vector_sine._C, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2, lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
-    (vector_softplus._L, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x, lambda: mpf('1.0001') / 9),
+    (vector_sine._S, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
+     lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
+    (vector_sine._C, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2,
+     lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
+    (vector_softplus._L, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
+     lambda: mpf('1.0001') / 9),
 ], ids=['sine', 'cosine', 'artanh'])
 def test_polynomials_interpolate_in_chebyshev_nodes_to_an_eighth_of_eps(
         coefficients, function, end):
