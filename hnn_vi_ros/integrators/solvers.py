@@ -25,6 +25,8 @@ from hnn_vi_ros.linear_algebra import solve_linear
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
+# Of a central difference, relative to what it is about.
+_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _DEPTH = 3
 _GO_ON = -1
 
@@ -162,6 +164,24 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         for i in range(n):
             x[i] += step[i]
     return NO_CONVERGENCE, residual, evaluations
+
+
+@inlined
+def difference(equation: Callable, problem: NamedTuple, x: np.ndarray, v: np.ndarray,
+               product: np.ndarray) -> None:
+    """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
+    size = 0.0
+    for i in range(x.size):
+        size = max(size, abs(v[i]) * problem.scale[i])
+    spacing = _SPACING * (size if size > 0.0 else 1.0)
+    for i in range(x.size):
+        problem.ahead[i] = x[i] + spacing * v[i]
+    equation(problem, problem.ahead, product)
+    for i in range(x.size):
+        problem.ahead[i] = x[i] - spacing * v[i]
+    equation(problem, problem.ahead, problem.behind)
+    for i in range(x.size):
+        product[i] = (product[i] - problem.behind[i]) / (2.0 * spacing)
 
 
 @inlined

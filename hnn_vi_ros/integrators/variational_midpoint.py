@@ -11,10 +11,8 @@ from hnn_vi_ros.hamiltonians.symplectic_form import raise_index, slope
 from hnn_vi_ros.integrators.arithmetic import largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.solvers import difference, extrapolate, remember, SolverOptions
 import numpy as np
-
-_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
 class _Problem(NamedTuple):
@@ -159,16 +157,5 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 
 @inlined
 def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
-    """Approximate G'(x) v by a central difference: Newton's method asks for no more."""
-    size = 0.0
-    for i in range(x.size):
-        size = max(size, abs(v[i]) * problem.scale[i])
-    spacing = _SPACING * (size if size > 0.0 else 1.0)
-    for i in range(x.size):
-        problem.ahead[i] = x[i] + spacing * v[i]
-    _equation(problem, problem.ahead, product)
-    for i in range(x.size):
-        problem.ahead[i] = x[i] - spacing * v[i]
-    _equation(problem, problem.ahead, problem.behind)
-    for i in range(x.size):
-        product[i] = (product[i] - problem.behind[i]) / (2.0 * spacing)
+    """Approximate G'(x) v: Newton's method asks for no more."""
+    difference(_equation, problem, x, v, product)
