@@ -5,17 +5,19 @@
 from pathlib import Path
 
 from helpers import python_step, Uncompiled
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.confined import load_learned
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.choices import HNNChoice
 from hnn_vi_ros.learning.config import load_config
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN
+from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.steps import SCHEMES, step
-from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.learning.train import describe, main
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
@@ -127,6 +129,18 @@ def test_model_trained_through_steps_is_nearer_to_the_path_than_the_exact_one(tm
     errors = [np.abs(end - turn @ z0).max() for end in ends]
     # The exact H errs by (h omega)^3 / 12 times the state: 0.02.
     assert errors[0] < 0.2 * errors[1]
+
+
+def test_training_refuses_a_lagrangian_that_became_singular(tmp_path):
+    path = tmp_path / 'small.yaml'
+    path.write_text(DATA.format(data='', model=RUNS['lagrangian'][1]))
+    config = load_config(path)
+    dataset = sample_exact(config.data, 0)
+    problem = Problem(config, dataset)
+    with torch.no_grad():
+        problem.family.network.linears[-1].weight.mul_(1e3)
+    with pytest.raises(HnnViRosError, match='singular in its box: .* train it longer'):
+        describe(problem, config, dataset, 'small', 'train')
 
 
 def small_hnn(d: int = 1) -> HNN:

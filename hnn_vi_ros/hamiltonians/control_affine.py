@@ -5,7 +5,8 @@
 from hnn_vi_ros.hamiltonians import perceptron
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
-from hnn_vi_ros.hamiltonians.outputs import evaluate_outputs, output_tangents, pack_outputs, weigh
+from hnn_vi_ros.hamiltonians.outputs import (
+    evaluate_outputs, output_tangents, pack_outputs, part_gradient, weigh)
 import numba
 import numpy as np
 
@@ -71,13 +72,13 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     root, potential, entries, space = parameters
     d = space.shape[1]
-    perceptron.gradient(potential, q, p, dH_dq, dH_dp)
+    part_gradient(potential, q, p, dH_dq, dH_dp)
     for a in range(0, q.size, d):
         b = a + d
         _first_order(root, entries, space, q[a:b], p[a:b])
         _times(entries[0], space[0], dH_dp[a:b])
         weigh(root, entries[1])
-        perceptron.gradient(root[0], q[a:b], p[a:b], space[2], space[3])
+        part_gradient(root[0], q[a:b], p[a:b], space[2], space[3])
         for i in range(d):
             dH_dq[a + i] += space[2, i]
 
@@ -112,7 +113,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
                 c_v[k] = v_p[a + i] * u[j] + p[a + i] * u_v[j]
                 k += 1
         weigh(root, c_v)
-        perceptron.gradient(root[0], q[a:b], p[a:b], space[2], space[3])
+        part_gradient(root[0], q[a:b], p[a:b], space[2], space[3])
         for i in range(d):
             product_q[a + i] += space[2, i]
 

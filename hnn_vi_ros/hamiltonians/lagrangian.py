@@ -10,6 +10,7 @@ from hnn_vi_ros.hamiltonians import perceptron
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
+from hnn_vi_ros.hamiltonians.outputs import part_gradient
 import numba
 import numpy as np
 
@@ -211,7 +212,7 @@ def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
             v[i] += start[1 + i, j] * p[j]
     before, held = np.inf, False
     for _ in range(_ITERATIONS):
-        perceptron.gradient(network, q, v, L_q, L_v)
+        part_gradient(network, q, v, L_q, L_v)
         if not held:
             _invert_mass(parameters, q, v)
         for i in range(d):

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Networks of several outputs, by the compiled loops for one.
+Networks as parts of a Hamiltonian, and those of several outputs, by the compiled loops for one.
 
 A network y = Y a_K + b of k outputs is packed as the network w . a_K of one, whose last weights w
 are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradient included.
@@ -33,6 +33,13 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple
     one = np.zeros((1, weights[-1].shape[1]))
     packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), checkpoint.card.activation)
     return packed, np.ascontiguousarray(weights[-1]), np.ascontiguousarray(biases[-1])
+
+
+@numba.njit(cache=True, error_model='numpy')
+def part_gradient(network: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                  dH_dp: np.ndarray) -> None:
+    """Fill the gradient of one network of several: a call, since inlining all compiles for long."""
+    perceptron.gradient(network, q, p, dH_dq, dH_dp)
 
 
 @numba.njit(cache=True, error_model='numpy')

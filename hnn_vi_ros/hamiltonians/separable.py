@@ -5,6 +5,7 @@
 from hnn_vi_ros.hamiltonians import perceptron
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
+from hnn_vi_ros.hamiltonians.outputs import part_gradient
 from hnn_vi_ros.hamiltonians.perceptron_memory import MAX_STATES
 import numba
 import numpy as np
@@ -52,8 +53,8 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
     for a in range(0, q.size, space.size):
         b = min(a + space.size, q.size)
         zero = space[:b - a]
-        perceptron.gradient(kinetic, q[a:b], p[a:b], zero, dH_dp[a:b])
-        perceptron.gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
+        part_gradient(kinetic, q[a:b], p[a:b], zero, dH_dp[a:b])
+        part_gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
 
 
 @numba.njit(cache=True, error_model='numpy')

@@ -5,6 +5,7 @@
 from hnn_vi_ros.hamiltonians import perceptron
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
+from hnn_vi_ros.hamiltonians.outputs import part_gradient
 import numba
 import numpy as np
 
@@ -61,7 +62,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inverse, potential = parameters
     # Fills dH_dp with zeros.
-    perceptron.gradient(potential, q, p, dH_dq, dH_dp)
+    part_gradient(potential, q, p, dH_dq, dH_dp)
     _add_velocity(inverse, p, dH_dp)
 
 

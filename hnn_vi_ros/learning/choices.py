@@ -34,7 +34,7 @@ class DGNetChoice(StrictModel):
     """One network H(q, p), and linear friction."""
 
     kind: Literal['dgnet']
-    friction: bool = Field(True, description="whether dp/dt = -H_q - gamma p, or gamma = 0")
+    friction: bool = Field(True, description='whether dp/dt = -H_q - gamma p, or gamma = 0')
     losses: ClassVar[tuple[str, ...]] = ('discrete_gradient', 'vector_field')
 
 

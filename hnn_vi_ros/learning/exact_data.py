@@ -65,8 +65,8 @@ class Motion(StrictModel):
 class Commands(StrictModel):
     """Commands u drawn evenly from [-largest, largest], which add B u to dp/dt."""
 
-    input_map: list[Annotated[list[float], Field(min_length=1)]] = Field(min_length=1, description=(
-        'B by rows: one row for each coordinate, one column for each command'))
+    input_map: list[Annotated[list[float], Field(min_length=1)]] = Field(
+        min_length=1, description='B: one row for each coordinate, one column for each command')
     largest: float = Field(gt=0.0, description='bound of every command')
 
     @property
@@ -196,7 +196,7 @@ def _describe(data: ExactData) -> str:
 
 def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
             commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states of the motions from (q, p), each state of shape (d,), one after another."""
+    """Return the states (q, p) of the motions from these ones, one motion after another."""
     d, times, motions = hamiltonian.dimension, data.trajectory.times, []
     for i, z in enumerate(np.hstack([q, p])):
         command = None if commands is None else commands[i]

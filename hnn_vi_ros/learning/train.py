@@ -137,13 +137,14 @@ def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig,
 
     """
     exact, kind = isinstance(config.data, ExactData), checkpoint.card.family
+    hamiltonian = FAMILIES[kind](checkpoint)  # refuses a Lagrangian that is singular
     if exact:
         data = config.data.model_copy(update={
             'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
         dataset = sample_exact(data, config.seed + 1)
     elif kind not in _CONSERVATIVE:
         return None
-    learned = FAMILIES[kind](checkpoint).energy(dataset.q, family.momenta(dataset))
+    learned = hamiltonian.energy(dataset.q, family.momenta(dataset))
     if exact:
         return energy_error(learned, dataset.energies, config.seed)
     numbers = dataset.block if dataset.trajectory is None else dataset.trajectory
