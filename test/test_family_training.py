@@ -215,7 +215,7 @@ def test_windows_are_rows_of_one_trajectory_at_even_times():
     ('loss: {kind: steps, integrator: gauss4, step_size: 0.1}', 'integrator'),
     ('loss: {kind: steps, integrator: implicit_midpoint}', 'step_size'),
     ('family: {kind: mlp}', 'family'),
-    (STEPS.format('implicit_midpoint', 1) + '\nlinearity: 1.0', 'linearity: needs the loss'),
+    (RUNS['vin'][1] + '\nlinearity: 1.0', 'linearity: needs a field of (q, p)'),
 ])
 def test_choice_that_does_not_fit_is_refused_in_one_line(tmp_path, model: str, words: str):
     path = tmp_path / 'bad.yaml'
