@@ -38,7 +38,7 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple
 @numba.njit(cache=True, error_model='numpy')
 def part_gradient(network: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                   dH_dp: np.ndarray) -> None:
-    """Fill the gradient of one network of several: a call, since inlining all compiles for long."""
+    """Fill the gradient of one network: a call, since inlining several compiles for long."""
     perceptron.gradient(network, q, p, dH_dq, dH_dp)
 
 
