@@ -198,7 +198,8 @@ class System:
             if not effect.accepts(integrator):
                 name = _name(integrator)
                 able = [key for key, method in INTEGRATORS.items()
-                        if method.uses_hamiltonian and effect.accepts(method())]
+                        if method.uses_hamiltonian and method.takes_canonical
+                        and effect.accepts(method())]
                 if isinstance(integrator, Composition):
                     name += f' over {integrator.base.kernel_name}'
                 raise UnsupportedSystem(f'{name} cannot take the effect {label}; methods that '

@@ -115,7 +115,8 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'base', 'events', 'kernels', 'noise', 'points', 'rattle', 'splitting', 'wrapped'}
+SHARED = {'base', 'events', 'input_map', 'kernels', 'noise', 'points', 'rattle', 'splitting',
+          'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)

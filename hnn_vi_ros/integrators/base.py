@@ -115,6 +115,8 @@ class Integrator(ABC):
         Two steps of h / 2 that make up the step, if it has a middle to put something in.
     canonical_only : bool
         False if the map is as good for a field u' = f(u) in any coordinates.
+    takes_canonical : bool
+        False if it is made for coordinates that are not canonical, on which no effect acts.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
@@ -136,6 +138,7 @@ class Integrator(ABC):
     goes_on_from_state: ClassVar[bool] = True
     separable_only: bool = False
     canonical_only: ClassVar[bool] = True
+    takes_canonical: ClassVar[bool] = True
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable
 

@@ -66,7 +66,7 @@ class VariationalMidpoint(ImplicitIntegrator):
 
     order, symmetric, symplectic = 2, True, False
     takes_forces = False
-    canonical_only = False
+    canonical_only, takes_canonical = False, False
 
     def check(self, hamiltonian: Hamiltonian) -> None:
         """Refuse a Hamiltonian in canonical coordinates; see Integrator."""
