@@ -229,7 +229,7 @@ def test_scene_report_names_live_effects_and_what_they_cost(tmp_path):
     simulation = Simulation.from_scene(scene)
     report = yaml.safe_load(scene_report(scene, simulation, 1.23456, False))
     assert report['live_effects'] == [
-        {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT}]
+        {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None}]
     assert report['conservative'] is False
     assert report['microseconds_per_step'] == 1.235
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}
