@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
-from hnn_vi_ros.ros.run import LONGEST_CALL, Run
+from hnn_vi_ros.ros.pacing import LONGEST_CALL
+from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.topics import Topics
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -165,7 +166,12 @@ class Control:
         return timer
 
     def _on_timer(self) -> None:
-        """Step for a short while, in batches, so that signals and other callbacks get a turn."""
+        """
+        Step for a short while, in batches, so that signals and other callbacks get a turn.
+
+        Ticks that are shorter than this while are waited for here: a turn of the executor looks
+        through all services, which costs more than a tick. Commands are heard after each.
+        """
         run, until = self._run, time.monotonic() + LONGEST_CALL
         while self.active and time.monotonic() < until:
             if self.paused:
@@ -173,9 +179,14 @@ class Control:
                     return
                 self._take_requested()
             elif run.at_sample and not run.pacer.due():
-                return
+                wait = run.pacer.wait
+                if time.monotonic() + wait > until:
+                    return
+                time.sleep(max(wait, 0.0))
             elif run.step() == 0:
                 self.set_paused(True)
+            elif run.at_sample and run.pacer.paced and run.simulation.takes_commands:
+                return
 
     def _take_requested(self) -> None:
         """Take a batch of the steps that were asked for; show where they end."""

@@ -9,6 +9,8 @@ from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 
 # More debt than this is given up: the run is then slower than asked, but loses no step.
 LARGEST_DEBT = 1.0
+# One timer call works at most this long: a request may wait for two of them [s].
+LONGEST_CALL = 0.01
 
 
 class Pacer:
@@ -48,8 +50,22 @@ class Pacer:
 
     @property
     def timer_period(self) -> float:
-        """Wall time from one timer call to the next [s]."""
-        return max(self._wall_per_tick, 1e-3) if self._wall_per_tick else 1e-4
+        """
+        Wall time from one timer call to the next [s].
+
+        Shorter ticks are waited for within the calls, which then follow each other at once.
+        """
+        return self._wall_per_tick if self._wall_per_tick >= LONGEST_CALL else 1e-4
+
+    @property
+    def paced(self) -> bool:
+        """Tell whether the wall clock sets the pace."""
+        return self._wall_per_tick > 0.0
+
+    @property
+    def wait(self) -> float:
+        """Return the wall time until the next tick is due [s]."""
+        return self._origin + (self._done + 1) * self._wall_per_tick - self._now()
 
     def due(self) -> bool:
         """Tell whether one more tick is due; if so, it counts as taken."""

@@ -14,7 +14,7 @@ from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.monitor import Monitor
-from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
+from hnn_vi_ros.ros.pacing import LONGEST_CALL, OverrunGuard, Pacer
 from hnn_vi_ros.ros.preparation import check_pace, Prepared
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.sampling import Sampler
@@ -23,9 +23,6 @@ from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.sinks.sample import Sample
 from rclpy.node import Node
-
-# One timer call works at most this long: a request may wait for two of them [s].
-LONGEST_CALL = 0.01
 
 
 class Run:
