@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import os
 from typing import TYPE_CHECKING
@@ -111,26 +111,31 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
         raise ValueError(f'duration = {duration} and samples = {samples} must be positive')
     every = max(1, round(duration / (samples * scene.step_size)))
 
+    def start(block: slice) -> Simulation:
+        return Simulation(hamiltonian.twin(), integrator, scene.step_size, q0[block], p0[block],
+                          effects, scene.on_failure)
+
     workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))
     q_all, p_all = np.empty((2, samples + 1, len(q0), d))
     q_all[0], p_all[0] = q0, p0
-
-    def run(worker: int) -> None:
-        """Simulate each block of which this worker has the number."""
-        simulation = None
-        for first in range(worker * size, len(q0), workers * size):
-            block = slice(first, first + size)
-            if simulation is None:
-                simulation = Simulation(hamiltonian.twin(), integrator, scene.step_size,
-                                        q0[block], p0[block], effects, scene.on_failure)
-            # Each trajectory has noise of its own.
-            simulation.restart(q0[block], p0[block], stream=first)
-            q_block, p_block = simulation.record(samples, every)
-            q_all[1:, block] = q_block.reshape(samples, -1, d)
-            p_all[1:, block] = p_block.reshape(samples, -1, d)
-
     with ThreadPoolExecutor(workers) as pool:
         # Taken from the iterator, so that a failure of one worker is raised here.
-        list(pool.map(run, range(workers)))
+        list(pool.map(lambda worker: _fill(
+            start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all),
+            range(workers)))
     t = np.arange(samples + 1) * every * scene.step_size
     return Trajectory(t, q_all, p_all, system.hamiltonian.energy(q_all, p_all))
+
+
+def _fill(start: Callable[[slice], Simulation], firsts: range, size: int, every: int,
+          q_all: np.ndarray, p_all: np.ndarray) -> None:
+    """Simulate the blocks that begin at these trajectories, one after another."""
+    samples, d = len(q_all) - 1, q_all.shape[2]
+    simulation = start(slice(firsts[0], firsts[0] + size))
+    for first in firsts:
+        block = slice(first, first + size)
+        # Each trajectory has noise of its own.
+        simulation.restart(q_all[0, block], p_all[0, block], stream=first)
+        q_block, p_block = simulation.record(samples, every)
+        q_all[1:, block] = q_block.reshape(samples, -1, d)
+        p_all[1:, block] = p_block.reshape(samples, -1, d)

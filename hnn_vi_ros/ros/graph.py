@@ -41,6 +41,8 @@ def init_ros(argv: list[str]) -> None:
 
 def freeze_memory() -> None:
     """Leave what is there out of every garbage collection, which would stop all for 0.1 s."""
+    # What an earlier run of the node has left in cycles is not there to stay.
+    gc.unfreeze()
     gc.collect()
     gc.freeze()
 
