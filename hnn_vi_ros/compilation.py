@@ -19,6 +19,8 @@ inlined = register_jitable(forceinline=True)
 called = register_jitable
 
 _PACKAGE = __name__.partition('.')[0]
+# Modules beside those in the folders of `sources`: compiled as well, or by which it is composed.
+_MODULES = ('compilation', 'linear_algebra', 'loops', 'rescue', 'simulation', 'system')
 
 
 @cache
@@ -174,10 +176,11 @@ def _give_identity(dispatcher: Callable, name: str) -> None:
 
 @cache
 def sources() -> str:
-    """Return a digest of every source of this package that is compiled."""
+    """Return a digest of the sources of this package that a compiled kernel comes from."""
     root = Path(__file__).parent
     digest = sha256()
-    folders = ('.', 'effects', 'hamiltonians', 'integrators')
-    for path in sorted(path for folder in folders for path in (root / folder).glob('*.py')):
+    folders = ('effects', 'hamiltonians', 'integrators')
+    for path in [*(root / f'{name}.py' for name in _MODULES),
+                 *sorted(path for folder in folders for path in (root / folder).glob('*.py'))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
