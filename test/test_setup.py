@@ -2,10 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run setup.py without installing: what it ships, and whose Python its executables run."""
 
+from collections.abc import Iterator
+from importlib import metadata
 import os
 from pathlib import Path
+import re
 import runpy
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,3 +65,49 @@ def test_executables_run_the_building_python_where_no_environment_is_active(
     monkeypatch.delenv('VIRTUAL_ENV', raising=False)
     assert run_setup()['options'] == {}
     assert '__PYVENV_LAUNCHER__' not in os.environ
+
+
+def _requirements(name: str) -> Iterator[Requirement]:
+    """Yield the lines of a file of requirements that name a package."""
+    for line in (ROOT / 'requirements' / name).read_text().splitlines():
+        if re.match('[A-Za-z]', line):
+            yield Requirement(line)
+
+
+@pytest.mark.parametrize('python', ['3.11', '3.12', '3.13'])
+def test_constraints_pin_every_package_that_an_install_brings(python):
+    pins = {canonicalize_name(pin.name): str(pin.specifier) for name in (
+        'constraints.txt', 'bench.txt') for pin in _requirements(name)}
+    environment = {'python_version': python, 'python_full_version': f'{python}.0'}
+    pending = [requirement for name in ('build.txt', 'runtime.txt', 'ros.txt', 'test.txt')
+               for requirement in _requirements(name)]
+    seen: set[tuple[str, frozenset[str]]] = set()
+    unpinned = set()
+    while pending:
+        requirement = pending.pop()
+        name = canonicalize_name(requirement.name)
+        key = name, frozenset(requirement.extras)
+        if key in seen:
+            continue
+        seen.add(key)
+        if not pins.get(name, '').startswith('=='):
+            unpinned.add(name)
+        try:
+            brought = metadata.requires(requirement.name) or []
+        except metadata.PackageNotFoundError:
+            # Not of this platform or Python, or ROS is not from wheels: its own needs are unknown.
+            continue
+        for text in brought:
+            child = Requirement(text)
+            if child.marker is None or any(child.marker.evaluate(environment | {'extra': extra})
+                                           for extra in ('', *requirement.extras)):
+                pending.append(child)
+    assert not unpinned
+
+
+def test_constraints_pin_what_the_default_torch_brings():
+    names = {canonicalize_name(pin.name) for pin in _requirements('constraints.txt')}
+    # Of its wheel for Linux; the CUDA packages that these bring are among them.
+    assert {'triton', 'cuda-toolkit', 'cuda-bindings', 'cuda-pathfinder', 'nvidia-cublas',
+            'nvidia-cudnn-cu13', 'nvidia-cusparselt-cu13', 'nvidia-nccl-cu13',
+            'nvidia-nvshmem-cu13', 'nvidia-nvjitlink'} <= names
