@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """When a run goes on: start, halt, pause, steps by number, reset; all between two steps."""
 
+from collections.abc import Callable
+import json
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
@@ -20,7 +22,11 @@ _DIAGNOSTICS_PERIOD = 1.0
 
 
 class Answer(NamedTuple):
-    """What came of a request, as std_srvs tell it."""
+    """
+    What came of a request, as std_srvs tell it.
+
+    The message of one that moved the run ends in a JSON object: where the run stands by it.
+    """
 
     success: bool
     message: str
@@ -45,6 +51,9 @@ class Control:
     ----------
     active, paused : bool
         Whether the node is active, and whether a pause was asked for.
+    stopped : bool
+        Whether the run waits at its initial state to be played, rather than in a pause: a
+        difference that simulation_interfaces makes. Whoever stops it says so here.
 
     """
 
@@ -53,13 +62,14 @@ class Control:
         # Timers on ROS time would stall in a pause of /clock, or when it jumps back.
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._discovery_time = values['discovery_time']
-        self.active, self.paused = False, values['start_paused']
+        self.active, self.paused, self.stopped = False, values['start_paused'], True
         self._run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None
         self._discovery: Discovery | None = None
         # Steps of the request that is being worked on, and who waits for its end.
         self._left, self._asked, self._waiting = 0, 0, None
+        self._progress: Callable[[int, int], None] | None = None
 
     @property
     def running(self) -> bool:
@@ -68,7 +78,7 @@ class Control:
 
     def activate(self) -> None:
         """Go on, for the first time once subscribers that are there have been found."""
-        self.active = True
+        self.active, self.stopped = True, False
         if self._timer is None and self._discovery is None:
             self._discovery = Discovery(
                 lambda: self._topics.subscribers, self._discovery_time)
@@ -99,6 +109,7 @@ class Control:
     def set_paused(self, paused: bool) -> Answer:
         """Pause or go on; what was missed in a pause is not caught up with."""
         word = 'paused' if paused else 'running' if self.active else 'to run once active'
+        self.stopped = False
         if paused != self.paused:
             self.paused = self._run.status.paused = paused
             self._end_request(Answer(False, 'the pause was ended'))
@@ -108,8 +119,19 @@ class Control:
                 self._run.recording.flush()
         return Answer(True, f'{word} at t = {self._run.simulation.time:.9g} s')
 
-    def request_steps(self, count: int) -> Future:
-        """Take so many steps in the pause; return what will hold the Answer."""
+    def request_steps(self, count: int, progress: Callable[[int, int], None] | None = None
+                      ) -> Future:
+        """
+        Take so many steps in the pause; return what will hold the Answer.
+
+        Parameters
+        ----------
+        count : int
+            How many: what others ask for from now on does not change it.
+        progress : callable, optional
+            Told after each batch how many were taken, and how many are left.
+
+        """
         future = Future()
         if not (self.active and self.paused):
             future.set_result(Answer(False, 'only in a pause of an active node: pause it first'))
@@ -119,9 +141,15 @@ class Control:
             future.set_result(Answer(False, 'expected at least one step'))
         else:
             self._left = self._asked = count
-            self._waiting = future
+            self._waiting, self._progress, self.stopped = future, progress, False
             self._schedule()
         return future
+
+    def cancel_steps(self, future: Future) -> None:
+        """Take no more steps of the request that this future was returned for."""
+        if self._waiting is future:
+            self._end_request(Answer(False, 'cancelled'))
+            self._schedule()
 
     def reset(self, time_too: bool) -> Answer:
         """Go back to the initial state, running or paused as before."""
@@ -133,7 +161,18 @@ class Control:
         finally:
             self._schedule()
         self._run.tell('reset', 'INFO')
-        return Answer(True, f'at the initial state, t = {self._run.sampler.stamp * 1e-9:.9g} s')
+        simulation = self._run.simulation
+        return Answer(True, self._where(q=simulation.q.tolist(), p=simulation.p.tolist(),
+                                        reset_time=time_too))
+
+    def reset_time(self) -> Answer:
+        """Let simulated time begin anew from the state as it is; resets go back as before."""
+        run, start = self._run, self._run.start
+        run.set_start(run.simulation.q.copy(), run.simulation.p.copy())
+        try:
+            return self.reset(True)
+        finally:
+            run.set_start(*start)
 
     def set_period(self) -> None:
         """Follow a change of the pace."""
@@ -192,19 +231,28 @@ class Control:
         """Take a batch of the steps that were asked for; show where they end."""
         taken = self._run.step(self._left)
         self._left -= taken
+        if taken and self._progress is not None:
+            self._progress(self._asked - self._left, self._left)
         if taken == 0:
             self._end_request(Answer(False, 'a step failed: the state is the last good one'))
             self._schedule()
         elif self._left == 0 and self._waiting is not None:
             if not self._run.at_sample:
                 self._run.show_state()
-            self._end_request(Answer(
-                True, f'{self._asked} steps, t = {self._run.simulation.time:.9g} s'))
+            self._end_request(Answer(True, ''))
             self._schedule()
 
     def _end_request(self, answer: Answer) -> None:
-        """Answer a request for steps, if there is one."""
+        """Answer a request for steps, if there is one, and say how many were taken."""
         if self._waiting is not None:
+            words = [answer.message] * bool(answer.message)
+            where = self._where(steps=self._asked - self._left)
             waiting, self._waiting, self._left = self._waiting, None, 0
-            waiting.set_result(answer)
+            waiting.set_result(Answer(answer.success, ': '.join([*words, where])))
             self._node.executor.wake()
+
+    def _where(self, **figures: Any) -> str:
+        """Return figures, and at which step, time [s] and stamp [ns] the run stands, as JSON."""
+        simulation = self._run.simulation
+        return json.dumps(figures | {'step': simulation.steps, 'time': simulation.time,
+                                     'stamp': self._run.sampler.stamp})

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pace, pause, steps by number, reset and /clock of a simulator in another process."""
 
+import json
 from pathlib import Path
 import signal
 import time
@@ -101,12 +102,15 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
             answer = other.trigger('step')
             assert answer.success, answer.message
             total += count
+            # What it took and where it stands, whatever another client has set in between.
+            assert json.loads(answer.message) == {
+                'steps': count, 'step': total, 'time': total * 0.002,
+                'stamp': total * 2_000_000}
             expected.advance(count)
             other.spin_until(
                 lambda: other.states and stamp(other.states[-1]) == total * 2_000_000)
             other.spin_until(lambda: momenta and momenta[-1].data[0] == expected.p[0])
             assert other.states[-1].position[0] == expected.q[0]
-        assert f'{count} steps' in answer.message
         other.spin(0.3)
         assert stamp(other.states[-1]) == total * 2_000_000
         # A long request: others are answered meanwhile, a second one is not taken.
@@ -115,9 +119,15 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
         other.spin(0.5)
         refused = other.trigger('step')
         assert not refused.success and 'already' in refused.message
+        # The count was that of the time of the request.
+        assert other.set_parameters(step_count=1).successful
         assert other.pause(False).success
         other.spin_until(pending.done)
-        assert not pending.result().success and 'pause was ended' in pending.result().message
+        assert not pending.result().success
+        reason, _, figures = pending.result().message.partition(': ')
+        assert 'pause was ended' in reason
+        taken = json.loads(figures)
+        assert 1 < taken['steps'] < 10**8 and taken['step'] == total + taken['steps']
         refused = other.trigger('step')
         assert not refused.success and 'only in a pause' in refused.message
         stop(process)
@@ -134,6 +144,9 @@ def test_reset_repeats_the_run_bit_by_bit_in_a_new_bag(folder, scene):
         other.spin_until(lambda: len(other.states) > 200)
         answer = other.trigger('reset')
         assert answer.success, answer.message
+        begun, initial = json.loads(answer.message), load_scene(folder / scene).initial_state
+        assert (begun['q'], begun['p'], begun['step']) == (initial.q, initial.p, 0)
+        assert not begun['reset_time']
         count = len(other.states)
         other.spin_until(lambda: len(other.states) > count + 200)
         # Also in a pause, and with simulated time.
@@ -157,6 +170,7 @@ def test_reset_repeats_the_run_bit_by_bit_in_a_new_bag(folder, scene):
     stamps = [[s for s, _ in run['/hnn_simulator/q']] for run in runs]
     # Time goes on in a plain reset, and begins anew where that was asked for.
     assert 0 < stamps[1][0] - stamps[0][-1] <= 2 * TICK
+    assert begun['stamp'] == stamps[1][0] - TICK
     assert stamps[0][0] == stamps[2][0] == TICK
 
 

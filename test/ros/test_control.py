@@ -1,0 +1,165 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Requests for steps and resets, as Control answers them; the run and the timers are stand-ins."""
+
+from collections.abc import Callable
+import json
+import math
+from types import SimpleNamespace
+
+from hnn_vi_ros.ros.control import Control
+import numpy as np
+import pytest
+
+
+class Steps:
+    """A run that takes steps in batches of three, and none beyond the hundredth."""
+
+    def __init__(self):
+        self.simulation = SimpleNamespace(
+            steps=0, time=0.0, q=np.array([1.0]), p=np.array([-0.5]), takes_commands=False)
+        self.sampler, self.status = SimpleNamespace(stamp=0), SimpleNamespace()
+        self.recording = SimpleNamespace(flush=lambda: None)
+        # Nothing is due as long as it is not asked for.
+        self.pacer = SimpleNamespace(
+            restart=lambda: None, timer_period=0.01, due=lambda: False, wait=1.0)
+        self.start, self.at_sample, self.began = (np.array([1.0]), np.array([-0.5])), True, []
+
+    def watch(self) -> None:
+        pass
+
+    def publish_diagnostics(self) -> None:
+        pass
+
+    def tell(self, text: str, level: str) -> None:
+        pass
+
+    def step(self, most: float = math.inf) -> int:
+        taken = int(min(3, most, 100 - self.simulation.steps))
+        self._stand(self.simulation.steps + taken)
+        return taken
+
+    def _stand(self, steps: int) -> None:
+        simulation = self.simulation
+        simulation.steps, simulation.time = steps, steps * 0.25
+        self.sampler.stamp = steps * 250_000_000
+
+    def set_start(self, q, p) -> None:
+        self.start = q, p
+
+    def reset(self, time_too: bool) -> None:
+        self.began.append((list(self.start[0]), time_too))
+        self.simulation.q, self.simulation.p = self.start
+        self._stand(0)
+
+
+class Timers:
+    """A node whose timers are called by hand."""
+
+    def __init__(self):
+        self.callbacks: list[Callable[[], None]] = []
+        self.executor = SimpleNamespace(wake=lambda: None)
+
+    def create_timer(self, period: float, callback, clock) -> SimpleNamespace:
+        self.callbacks.append(callback)
+        return SimpleNamespace(reset=lambda: None, cancel=lambda: None)
+
+    def destroy_timer(self, timer) -> None:
+        pass
+
+
+@pytest.fixture
+def control() -> Control:
+    """Return a Control that was activated, in a pause."""
+    node, run = Timers(), Steps()
+    made = Control(node, run, SimpleNamespace(subscribers=0),
+                   {'discovery_time': 0.0, 'start_paused': True})
+    assert made.stopped
+    made.activate()
+    # Discovery is over at once.
+    node.callbacks[0]()
+    made.run, made.turn = run, node.callbacks[-1]
+    return made
+
+
+def figures(message: str) -> dict:
+    """Return the JSON object that a message ends in."""
+    return json.loads(message[message.index('{'):])
+
+
+def test_answer_to_a_request_for_steps_says_how_many_it_took_and_where_the_run_stands(control):
+    answers = []
+    for count in (5, 2):
+        future = control.request_steps(count)
+        control.turn()
+        answers.append(future.result())
+    assert [answer.success for answer in answers] == [True, True]
+    assert [json.loads(answer.message) for answer in answers] == [
+        {'steps': 5, 'step': 5, 'time': 1.25, 'stamp': 1_250_000_000},
+        {'steps': 2, 'step': 7, 'time': 1.75, 'stamp': 1_750_000_000}]
+
+
+@pytest.mark.parametrize('end, reason', [
+    (lambda control, future: control.set_paused(False), 'the pause was ended'),
+    (lambda control, future: control.reset(False), 'the simulation was reset'),
+    (lambda control, future: control.cancel_steps(future), 'cancelled'),
+    (lambda control, future: control.deactivate(), 'the node was deactivated')])
+def test_request_for_steps_that_is_ended_says_how_many_it_took_until_then(control, end, reason):
+    def end_after_six(done: int, left: int) -> None:
+        if done == 6:
+            assert left == 44
+            end(control, future)
+    future = control.request_steps(50, end_after_six)
+    control.turn()
+    success, message = future.result()
+    assert not success and message.startswith(f'{reason}: ')
+    assert (figures(message)['steps'], figures(message)['step']) == (6, 6)
+    # Nobody waits any more: the next request is taken.
+    if reason != 'the node was deactivated':
+        control.set_paused(True)
+        assert not control.request_steps(1).done()
+
+
+def test_request_for_steps_that_fails_says_how_many_were_good(control):
+    future = control.request_steps(1000)
+    control.turn()
+    success, message = future.result()
+    assert not success and message.startswith('a step failed')
+    assert figures(message)['steps'] == 100
+
+
+def test_request_that_is_not_begun_takes_no_step_and_cancels_none(control):
+    first = control.request_steps(50)
+    second = control.request_steps(7)
+    assert 'already' in second.result().message
+    control.cancel_steps(second)
+    assert not first.done() and control.run.simulation.steps == 0
+
+
+def test_answer_to_a_reset_says_at_which_state_and_time_the_run_begins(control):
+    control.request_steps(4)
+    control.turn()
+    # The state of another client's ~/initial_state.
+    control.run.set_start(np.array([0.1]), np.array([1e-17]))
+    success, message = control.reset(True)
+    assert success and json.loads(message) == {
+        'q': [0.1], 'p': [1e-17], 'reset_time': True, 'step': 0, 'time': 0.0, 'stamp': 0}
+
+
+def test_reset_of_the_time_keeps_the_state_and_where_later_resets_go(control):
+    control.run.simulation.q = np.array([7.0])
+    assert control.reset_time().success
+    assert control.run.began == [([7.0], True)]
+    control.reset(False)
+    assert control.run.began[-1] == ([1.0], False)
+
+
+@pytest.mark.parametrize('move', [
+    lambda control: control.request_steps(1), lambda control: control.set_paused(True),
+    lambda control: control.set_paused(False), lambda control: control.activate()])
+def test_stopped_run_is_no_more_stopped_once_it_steps_or_is_paused_or_played(control, move):
+    control.stopped = True
+    control.reset(False)
+    assert control.stopped
+    move(control)
+    assert not control.stopped
