@@ -51,6 +51,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # The mixin's own handler lets the error of an illegal transition end the process.
         self._service_change_state.callback = self._on_change_state
         self._threads: list[threading.Thread] = []
+        self._turn = sys.getswitchinterval()
 
     @property
     def state(self) -> int:
@@ -105,14 +106,14 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # A daemon: nobody waits for a compilation that is not needed any more.
         thread = threading.Thread(target=run, daemon=True)
         self._threads.append(thread)
-        before = sys.getswitchinterval()
         sys.setswitchinterval(THREAD_TURN)
         thread.start()
         try:
             return await future
         finally:
-            sys.setswitchinterval(before)
             self._threads.remove(thread)
+            if not self._threads:
+                sys.setswitchinterval(self._turn)
 
     async def _on_change_state(self, request: ChangeState.Request,
                                response: ChangeState.Response) -> ChangeState.Response:

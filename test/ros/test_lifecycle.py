@@ -4,8 +4,13 @@
 
 from pathlib import Path
 import signal
+import sys
+import threading
 import time
+from types import SimpleNamespace
 
+from hnn_vi_ros.ros.graph import THREAD_TURN
+from hnn_vi_ros.ros.lifecycle import ManagedNode
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions
 from lifecycle_msgs.srv import GetState
 from peer import (
@@ -209,3 +214,23 @@ def test_get_state_during_all_this_is_answered_by_every_node_of_two_namespaces(f
     for process in processes:
         process.send_signal(signal.SIGINT)
         assert finish(process)[0] == 0
+
+
+def test_threads_that_overlap_leave_the_interpreter_as_they_found_it():
+    node = SimpleNamespace(executor=SimpleNamespace(wake=lambda: None), _threads=[],
+                           _turn=sys.getswitchinterval())
+    gate = threading.Event()
+    first, second = (ManagedNode.in_thread(node, gate.wait) for _ in range(2))
+    try:
+        # The second one begins while the first one is at work, and ends after it.
+        for work in (first, second):
+            work.send(None)
+        assert sys.getswitchinterval() == pytest.approx(THREAD_TURN)
+        gate.set()
+        for work in (first, second):
+            with pytest.raises(StopIteration):
+                while True:
+                    work.send(None)
+        assert sys.getswitchinterval() == node._turn
+    finally:
+        sys.setswitchinterval(node._turn)
