@@ -121,6 +121,11 @@ class Run:
         self._diagnostics.publish(self.status.statuses(self.pacer.overruns))
 
     @property
+    def scene(self) -> Scene:
+        """Return what is simulated."""
+        return self._scene
+
+    @property
     def at_sample(self) -> bool:
         """Tell whether the next step is the first after a sample."""
         return self.simulation.steps % self.sampler.every == 0

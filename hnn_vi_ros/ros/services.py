@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The services of the simulator beside those of its lifecycle and parameters."""
 
+from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.control import Answer, Control
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.simulation_services import offer_simulation_interfaces
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 NOT_CONFIGURED = Answer(False, 'the node is not configured: use the transition configure first')
@@ -21,6 +24,11 @@ class Simulator(Protocol):
     run: Run | None
     control: Control | None
     values: dict[str, Any]
+    state: int
+    stop: Callable[[int, str], None]
+    change_state: Callable[[int], Awaitable[bool]]
+    in_thread: Callable[[Callable[[], Any]], Awaitable[Any]]
+    set_parameters_atomically: Callable[[list[Parameter]], SetParametersResult]
 
 
 def offer_services(node: Node, simulator: Simulator) -> None:
@@ -74,7 +82,7 @@ class Services:
 
     async def step(self, request: Trigger.Request, response: Trigger.Response
                    ) -> Trigger.Response:
-        """Take ``step_count`` steps; the answer comes when they are done."""
+        """Take as many steps as ``step_count`` says now; the answer says how many they were."""
         control = self._simulator.control
         if control is None:
             return _fill(response, NOT_CONFIGURED)

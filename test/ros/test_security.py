@@ -6,7 +6,8 @@ from pathlib import Path
 import signal
 from xml.etree import ElementTree
 
-from hnn_vi_ros.ros.simulation_services import SERVICES
+from hnn_vi_ros.ros.simulate_steps import ACTION
+from hnn_vi_ros.ros.simulation_services import INTERFACES, service_name
 from peer import Peer, peer, SIMULATOR
 from processes import finish, start
 import pytest
@@ -35,9 +36,12 @@ def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
     published, heard = other.topics_of_simulator()
     services = {name for name, _ in other.node.get_service_names_and_types_by_node(
         SIMULATOR[1:], '/')}
-    optional = {f'{SIMULATOR}/{name}' for name in SERVICES}
-    return {'publish': relative(published), 'subscribe': relative(heard),
-            'reply': relative(services | optional)}
+    optional = {f'{SIMULATOR}/{service_name(name)}' for name in INTERFACES if name != ACTION}
+    own, replies = ({name for name in names if '/_action/' not in name}
+                    for names in (published, services | optional))
+    # What an action consists of is allowed by its name.
+    return {'publish': relative(own), 'subscribe': relative(heard), 'reply': relative(replies),
+            'execute': [f'~/{service_name(ACTION)}']}
 
 
 def describe(rights: dict[str, list[str]]) -> str:
@@ -47,8 +51,9 @@ def describe(rights: dict[str, list[str]]) -> str:
         ElementTree.SubElement(policy, 'enclaves'), 'enclave', path=SIMULATOR)
     profile = ElementTree.SubElement(ElementTree.SubElement(enclave, 'profiles'), 'profile',
                                      ns='/', node=SIMULATOR[1:])
+    kinds = {'reply': 'service', 'execute': 'action'}
     for right, names in rights.items():
-        kind = 'service' if right == 'reply' else 'topic'
+        kind = kinds.get(right, 'topic')
         group = ElementTree.SubElement(profile, f'{kind}s', {right: 'ALLOW'})
         for name in names:
             ElementTree.SubElement(group, kind).text = name
@@ -77,5 +82,6 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
 def test_policy_holds_no_wildcard_and_no_right_to_call_others():
     profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     assert {(group.tag, *group.attrib) for group in profile} == {
-        ('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply')}
+        ('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply'),
+        ('actions', 'execute')}
     assert not any('*' in name.text for group in profile for name in group)

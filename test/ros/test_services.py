@@ -7,14 +7,10 @@ import os
 from pathlib import Path
 import random
 import signal
-import sys
 import time
-from types import ModuleType, SimpleNamespace
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.control import Answer
 from hnn_vi_ros.ros.initial_state import initial_state
-from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.topics import LARGEST_MESSAGE
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
@@ -25,7 +21,6 @@ import pytest
 from rcl_interfaces.srv import (
     DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically)
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -293,108 +288,3 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
         status, _, error = finish(process)
     assert status == 0, error
     assert '~/commands: message ignored' in error
-
-
-class StandIn:
-    """A node, and the modules of simulation_interfaces, as far as the services use them."""
-
-    def __init__(self, monkeypatch):
-        self.offered: dict[str, tuple] = {}
-        constants = dict(zip(('STATE_STOPPED', 'STATE_PLAYING', 'STATE_PAUSED', 'STATE_QUITTING'),
-                             range(4), strict=True))
-        features = ('SIMULATION_RESET', 'SIMULATION_RESET_TIME', 'SIMULATION_RESET_STATE',
-                    'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING',
-                    'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE',
-                    'STEP_SIMULATION_MULTIPLE')
-        messages = ModuleType('simulation_interfaces.msg')
-        messages.SimulationState = type('SimulationState', (), constants)
-        messages.SimulatorFeatures = type(
-            'SimulatorFeatures', (), {name: 20 + i for i, name in enumerate(features)})
-        messages.Result = type('Result', (), {
-            'RESULT_FEATURE_UNSUPPORTED': 0, 'RESULT_OK': 1, 'RESULT_INCORRECT_STATE': 3,
-            'RESULT_OPERATION_FAILED': 4})
-        types = ModuleType('simulation_interfaces.srv')
-        for name in ('GetSimulatorFeatures', 'GetSimulationState', 'SetSimulationState',
-                     'ResetSimulation', 'StepSimulation'):
-            setattr(types, name, name)
-        for module in (ModuleType('simulation_interfaces'), messages, types):
-            monkeypatch.setitem(sys.modules, module.__name__, module)
-        self.values = {'reset_time': False, 'step_count': 1}
-        self.run, self.control = None, None
-
-    def create_service(self, kind, name, handler, callback_group) -> None:
-        self.offered[name] = (kind, handler)
-
-    def call(self, name: str, **fields):
-        response = SimpleNamespace(result=SimpleNamespace(), state=SimpleNamespace(),
-                                   features=SimpleNamespace())
-        answer = self.offered[f'~/{name}'][1](SimpleNamespace(**fields), response)
-        if hasattr(answer, 'send'):
-            with pytest.raises(StopIteration) as ended:
-                answer.send(None)
-            answer = ended.value.value
-        return answer
-
-
-class Controlled:
-    """A Control that only notes what it is told."""
-
-    def __init__(self):
-        self.active, self.paused, self.resets = True, False, []
-
-    def set_paused(self, paused: bool) -> Answer:
-        self.paused = paused
-        return Answer(True, '')
-
-    def reset(self, time_too: bool) -> Answer:
-        self.resets.append(time_too)
-        return Answer(True, '')
-
-    def request_steps(self, count: int) -> Future:
-        future = Future()
-        future.set_result(Answer(count < 5, f'{count}'))
-        return future
-
-
-def test_simulation_interfaces_are_offered_where_they_are_installed(monkeypatch):
-    node = StandIn(monkeypatch)
-    offer_services(node, node)
-    assert {name: kind for name, (kind, _) in node.offered.items() if isinstance(kind, str)} == {
-        '~/get_simulator_features': 'GetSimulatorFeatures',
-        '~/get_simulation_state': 'GetSimulationState',
-        '~/set_simulation_state': 'SetSimulationState',
-        '~/reset_simulation': 'ResetSimulation', '~/step_simulation': 'StepSimulation'}
-    assert node.call('get_simulator_features').features.features == list(range(20, 28))
-
-    def state(wanted: int) -> int:
-        return node.call('set_simulation_state',
-                         state=SimpleNamespace(state=wanted)).result.result
-
-    scopes = {'SCOPE_DEFAULT': 0, 'SCOPE_TIME': 1, 'SCOPE_STATE': 2, 'SCOPE_ALL': 255}
-    assert node.call('get_simulation_state').state.state == 0
-    assert state(1) == 3
-    assert node.call('reset_simulation', scope=0, **scopes).result.result == 3
-    assert node.call('step_simulation', steps=1).result.result == 3
-    control = node.control = Controlled()
-    assert node.call('get_simulation_state').state.state == 1
-    assert (state(2), control.paused) == (1, True)
-    assert node.call('get_simulation_state').state.state == 2
-    assert node.call('step_simulation', steps=4).result.result == 1
-    failed = node.call('step_simulation', steps=5).result
-    assert (failed.result, failed.error_message) == (4, '5')
-    assert [node.call('reset_simulation', scope=scope, **scopes).result.result
-            for scope in (0, 1, 2, 3, 4, 255)] == [1, 0, 1, 1, 0, 1]
-    assert control.resets == [True, False, True, True]
-    assert (state(1), control.paused) == (1, False)
-    assert (state(0), control.paused, control.resets[-1]) == (1, True, True)
-    assert state(3) == 0
-
-
-def test_simulation_interfaces_that_are_not_installed_cost_nothing(monkeypatch):
-    node = StandIn(monkeypatch)
-    for name in ('simulation_interfaces', 'simulation_interfaces.msg',
-                 'simulation_interfaces.srv'):
-        monkeypatch.setitem(sys.modules, name, None)
-    offer_services(node, node)
-    assert node.offered.keys() == {'~/set_pause', '~/reset', '~/step', '~/start_recording',
-                                   '~/stop_recording'}
