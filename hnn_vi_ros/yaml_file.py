@@ -2,19 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read a YAML file into a pydantic model; every error names file, line and key."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 import os
 from pathlib import Path
-import re
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.named_code import trusting
+from hnn_vi_ros.yaml_text import MAX_BYTES, one_line, parse_mapping, Places
 from pydantic import BaseModel, ConfigDict, ValidationError
-import yaml
-
-MAX_BYTES = 1 << 20
-MAX_DEPTH = 20
 
 Model = TypeVar('Model', bound=BaseModel)
 
@@ -25,46 +21,6 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False, frozen=True)
 
 
-class _Loader(yaml.SafeLoader):
-    """Plain data only: no aliases, and 1e-3 is a number as in YAML 1.2."""
-
-
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float',
-    re.compile(r'[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$'), list('-+.0123456789'))
-
-
-@dataclass(frozen=True)
-class Places:
-    """
-    Where the keys of a YAML file stand in it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    lines : dict of tuple of str to int
-        The line of each key; the items of a list count as keys '0', '1', ...
-
-    """
-
-    path: Path
-    lines: dict[tuple[str, ...], int]
-
-    def follow(self, key: Sequence[str | int]) -> tuple[str, ...]:
-        """Return the parts of a key or of a pydantic location that stand in the file."""
-        followed: tuple[str, ...] = ()
-        for part in key:
-            if (*followed, str(part)) in self.lines:
-                followed = (*followed, str(part))
-        return followed
-
-    def place(self, *key: str | int) -> str:
-        """Return ``file:line: key``; of a key that is left out, the line of what would hold it."""
-        line = self.lines[self.follow(key)]
-        return f'{self.path}:{line}: {".".join(map(str, key)) or "the file"}'
-
-
 def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Model:
     """Read and validate one YAML file; see ``read_yaml``."""
     return read_yaml(path, schema, error)[0]
@@ -73,7 +29,7 @@ def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Mo
 def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
               ) -> tuple[Model, Places]:
     """
-    Read and validate one YAML file, and keep where its keys stand.
+    Read and validate one YAML file that the user names, and keep where its keys stand.
 
     Parameters
     ----------
@@ -85,63 +41,42 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
         The exception to raise, with one line: file, line, key, what is expected.
 
     """
-    root = _compose(path, error)
+    data, places = parse_mapping(_read(path, error), path, error)
+    return validate(data, places, schema, error, trust_code=True), places
+
+
+def validate(data: Mapping[str, Any], places: Places, schema: type[Model],
+             error: type[HnnViRosError], *, trust_code: bool = False) -> Model:
+    """
+    Return the model of data that were read from YAML.
+
+    Parameters
+    ----------
+    data : mapping
+        What was read.
+    places : Places
+        Where its keys stand.
+    schema, error
+        See ``read_yaml``.
+    trust_code : bool, optional
+        Whether the data may name Python code that is run; see ``named_code``.
+
+    """
     try:
-        data = _Loader('').construct_document(root)
-    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as problem:
-        raise error(f'{path}: {_one_line(problem)}') from problem
-    places = Places(path, dict(_lines(root, (), root.start_mark.line + 1)))
-    try:
-        return schema.model_validate(data), places
+        return schema.model_validate(data, context=trusting(trust_code))
     except ValidationError as problem:
         raise error(_describe(places, schema, problem)) from problem
 
 
-def _compose(path: Path, error: type[HnnViRosError]) -> yaml.Node:
+def _read(path: Path, error: type[HnnViRosError]) -> bytes:
+    """Return the content of a regular file; of one that is too large as much as shows that."""
     try:
         if not os.path.isfile(path):
             raise error(f'{path}: no such file')
         with path.open('rb') as stream:
-            raw = stream.read(MAX_BYTES + 1)
-        if len(raw) > MAX_BYTES:
-            raise error(f'{path}: larger than {MAX_BYTES} bytes, which no such file needs')
-        text = raw.decode('utf-8')
-        _refuse_aliases_and_depth(path, text, error)
-        root = yaml.compose(text, _Loader)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError) as problem:
-        raise error(f'{path}: {_one_line(problem)}') from problem
-    if not isinstance(root, yaml.MappingNode):
-        raise error(f'{path}: expected a mapping of keys to values')
-    _refuse_duplicate_keys(path, root, error)
-    return root
-
-
-def _refuse_aliases_and_depth(path: Path, text: str, error: type[HnnViRosError]) -> None:
-    depth = 0
-    for event in yaml.parse(text, _Loader):
-        if isinstance(event, yaml.AliasEvent):
-            line = event.start_mark.line + 1
-            raise error(f'{path}:{line}: aliases are not supported; write the value out')
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
-        if depth > MAX_DEPTH:
-            raise error(f'{path}:{event.start_mark.line + 1}: nested deeper than {MAX_DEPTH}')
-
-
-def _refuse_duplicate_keys(path: Path, node: yaml.Node, error: type[HnnViRosError]) -> None:
-    if isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            _refuse_duplicate_keys(path, item, error)
-    if isinstance(node, yaml.MappingNode):
-        seen = set()
-        for key, value in node.value:
-            if not isinstance(key, yaml.ScalarNode) or key.value in seen:
-                line = key.start_mark.line + 1
-                raise error(f'{path}:{line}: a key must be a plain name and stand only once')
-            seen.add(key.value)
-            _refuse_duplicate_keys(path, value, error)
+            return stream.read(MAX_BYTES + 1)
+    except OSError as problem:
+        raise error(f'{path}: {one_line(problem)}') from problem
 
 
 def _describe(places: Places, schema: type[BaseModel], problem: ValidationError) -> str:
@@ -155,7 +90,7 @@ def _describe(places: Places, schema: type[BaseModel], problem: ValidationError)
         message = f'unknown key; valid keys: {", ".join(sorted(valid))}'
     elif problem_type in ('union_tag_invalid', 'union_tag_not_found'):
         key, tag = (*key, 'kind'), first['ctx'].get('tag')
-        message = 'required' if tag is None else f'unknown kind {tag!r}'
+        message = 'required' if tag is None else f'unknown kind {repr(tag)[:80]}'
         message += f'; valid kinds: {", ".join(sorted(map(_kind, _schemas_at(schema, loc))))}'
     elif problem_type in ('model_type', 'model_attributes_type'):
         message = 'expected keys and values, as in {key: value}'
@@ -166,20 +101,8 @@ def _describe(places: Places, schema: type[BaseModel], problem: ValidationError)
             p['msg'].removeprefix('Value error, ') for p in problems
             if places.follow(p['loc']) == key))
     # What the file as a whole lacks names its key itself.
-    place = places.place(*key) if key else f'{places.path}:1'
-    return f'{place}: {_one_line(message)}'
-
-
-def _lines(node: yaml.Node, key: tuple[str, ...], line: int
-           ) -> Iterator[tuple[tuple[str, ...], int]]:
-    """Yield each key below a node, its own among them, with its line."""
-    yield key, line
-    if isinstance(node, yaml.MappingNode):
-        for name, value in node.value:
-            yield from _lines(value, (*key, name.value), name.start_mark.line + 1)
-    elif isinstance(node, yaml.SequenceNode):
-        for i, item in enumerate(node.value):
-            yield from _lines(item, (*key, str(i)), item.start_mark.line + 1)
+    place = places.place(*key) if key else f'{places.where}:1'
+    return f'{place}: {one_line(message)}'
 
 
 def _schemas_at(schema: type[BaseModel], loc: tuple) -> list[type[BaseModel]]:
@@ -208,7 +131,3 @@ def _nested_models(owner: type[BaseModel], part: object) -> list[type[BaseModel]
             found.append(annotation)
         pending.extend(getattr(annotation, '__args__', ()))
     return found
-
-
-def _one_line(problem: object) -> str:
-    return ' '.join(str(problem).split())

@@ -77,14 +77,25 @@ def test_unknown_scene_names_the_shipped_ones():
     ('  p: [0]', '', r'mine.yaml:4: initial_state.p: .*required'),
     ('step_size: 1e-2\n', '', r'mine.yaml:1: step_size: .*required'),
     ('p: [0]', 'p: [0]\n  p: [1]', r'mine.yaml:7: .*only once'),
-    ('q: [1.0]', 'q: &a [1.0]\n  r: *a', r'mine.yaml:6: aliases'),
-    ('p: [0]', 'p: ' + '[' * 30 + ']' * 30, r'mine.yaml:6: nested'),
-    ('p: [0]', 'p: !!python/object/apply:os.system [exit]', r'mine.yaml.*could not determine'),
+    ('q: [1.0]', 'q: &a [1.0]\n  r: *a', r'mine.yaml:6: initial_state.r: unknown key'),
+    ('p: [0]', 'p: ' + '[' * 33 + ']' * 33, r'mine.yaml:6: nested'),
+    ('p: [0]', 'p: !!python/object/apply:os.system [exit]', r'mine.yaml:6: a tag'),
+    ('1e-2', '1' + ':1' * 300_000, r'mine.yaml:3: step_size: .*number'),
+    ('1e-2', '2020-13-45', r'mine.yaml:3: step_size: .*number'),
+    ('1e-2', '9' * 5000, r'mine.yaml:3: a number of more than 300 characters'),
+    ('1e-2', '010', r'mine.yaml:3: step_size: .*number'),
+    ('step_size', '"step\\x1b_size"', r'mine.yaml:3: a key .* printable'),
+    ('variational_euler', '"' + 'x' * 5000 + '\\n"', r'mine.yaml:2: integrator.kind: unknown'),
 ])
 def test_scene_mistake_is_answered_with_file_line_key_and_remedy(write, old, new, expected):
     with pytest.raises(SceneError, match=expected) as caught:
         load_scene(write(GOOD.replace(old, new, 1)))
     assert '\n' not in str(caught.value)
+
+
+def test_scene_aliases_stand_for_what_they_repeat(write):
+    scene = load_scene(write(GOOD.replace('q: [1.0]', 'q: &a [1.5]').replace('p: [0]', 'p: *a')))
+    assert scene.initial_state.q == scene.initial_state.p == [1.5]
 
 
 def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write):

@@ -11,11 +11,11 @@ from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.loop import History
 from hnn_vi_ros.learning.problem import Comparison
 from hnn_vi_ros.sinks.rerun_curves import write_curves
+from hnn_vi_ros.yaml_text import dump_yaml
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
 import torch
-import yaml
 
 _MOST_ROWS = 4  # of coordinates in the picture of the field
 _MOST_ARROWS, _MOST_POINTS = 150, 2000
@@ -155,7 +155,7 @@ def _page(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: Hi
             for name, value, (low, high) in (('RMS', error.rms, error.rms_interval),
                                              ('largest', error.sup, error.sup_interval))}
     rows = '\n'.join(f'| {key} | {value} |' for key, value in facts.items())
-    settings = yaml.safe_dump(config.model_dump(mode='json', exclude_unset=True), sort_keys=False)
+    settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
     return (f'# {card.name}\n\n{config.description}\n\n| | |\n|---|---|\n{rows}\n\n'
             f'![Losses]({outputs.losses.name})\n\n![Field]({outputs.field.name})\n\n'
             f'The losses as curves: `rerun {outputs.curves.name}`.\n\n'

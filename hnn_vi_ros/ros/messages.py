@@ -14,13 +14,13 @@ from typing import Any, final
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.yaml_text import dump_yaml
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
-import yaml
 
 # The topics of a tick, in the order in which `MessageEncoder.encode` returns their messages.
 TICK_TOPICS: tuple[tuple[str, type], ...] = (
@@ -204,7 +204,7 @@ def qos_yaml(qos: QoSProfile) -> str:
         'liveliness_lease_duration': _offered_duration(qos.liveliness_lease_duration),
         'avoid_ros_namespace_conventions': qos.avoid_ros_namespace_conventions,
     }
-    return yaml.safe_dump([profile], sort_keys=False).rstrip('\n')
+    return dump_yaml([profile]).rstrip('\n')
 
 
 def _offered_duration(duration: Duration) -> dict[str, int]:

@@ -5,10 +5,10 @@
 from collections.abc import Mapping
 from typing import Any
 
+from hnn_vi_ros.sinks.bag_metadata import qos_profiles
 from rclpy.duration import Duration
 from rclpy.qos import (
     DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy)
-import yaml
 
 _DEPTH = 10
 # rosbag2 writes for ever as the largest time there is.
@@ -28,16 +28,12 @@ def recorded_qos(text: str) -> QoSProfile:
         YAML list of profiles, with policies by name or, as older bags have them, by number.
 
     """
-    try:
-        profiles = yaml.safe_load(text or '[]')
-    except yaml.YAMLError:
-        profiles = []
-    first = profiles[0] if isinstance(profiles, list) and profiles else {}
+    first = next(iter(qos_profiles(text)), {})
     profile: Mapping[str, Any] = first if isinstance(first, dict) else {}
     depth = profile.get('depth')
     history = _policy(HistoryPolicy, profile.get('history'), HistoryPolicy.KEEP_LAST)
     return QoSProfile(
-        history=history, depth=depth if isinstance(depth, int) and depth > 0 else _DEPTH,
+        history=history, depth=depth if depth and _is_count(depth, 2**31) else _DEPTH,
         reliability=_policy(ReliabilityPolicy, profile.get('reliability'),
                             ReliabilityPolicy.RELIABLE),
         durability=_policy(DurabilityPolicy, profile.get('durability'),
@@ -53,7 +49,7 @@ def _policy(policies: type, value: object, default: Any) -> Any:
                if policy.name not in ('SYSTEM_DEFAULT', 'UNKNOWN', 'BEST_AVAILABLE')}
     if isinstance(value, int):
         return next((policy for policy in offered.values() if policy.value == value), default)
-    return offered.get(value, default)
+    return offered.get(value, default) if isinstance(value, str) else default
 
 
 def _duration(value: object) -> Duration:
@@ -61,6 +57,10 @@ def _duration(value: object) -> Duration:
     if not isinstance(value, dict):
         return Duration()
     seconds, nanoseconds = value.get('sec', 0), value.get('nsec', 0)
-    if not 0 <= seconds < _FOR_EVER:
+    if not (_is_count(seconds, _FOR_EVER) and _is_count(nanoseconds, 10**9)):
         return Duration()
     return Duration(seconds=seconds, nanoseconds=nanoseconds)
+
+
+def _is_count(value: object, beyond: int) -> bool:
+    return type(value) is int and 0 <= value < beyond

@@ -19,9 +19,9 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.yaml_text import dump_yaml
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
-import yaml
 
 VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
 SERVER_PORT = 9876
@@ -247,8 +247,7 @@ class Recording:
             'scene.yaml': resolved_scene(self._scene, self._simulation, *self._begin),
             'parameters.yaml': self._values}
         self._bag_sink = McapSink(self._bags[-1], self._topics, {
-            name: yaml.safe_dump(data, sort_keys=False).encode()
-            for name, data in attachments.items()})
+            name: dump_yaml(data).encode() for name, data in attachments.items()})
 
     def _open_picture(self) -> None:
         scene, simulation, values = self._scene, self._simulation, self._values

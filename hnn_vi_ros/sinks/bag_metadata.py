@@ -8,7 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-import yaml
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.yaml_text import dump_yaml, parse_yaml
 
 METADATA_VERSION = 9
 # rosbag2 gives a bag without messages the latest time there is as its start.
@@ -85,19 +86,16 @@ def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
     os.replace(temporary, folder / 'metadata.yaml')
 
 
+def qos_profiles(text: str) -> list[Any]:
+    """Return the QoS profiles that a channel's metadata lists; none where they are damaged."""
+    try:
+        profiles, _ = parse_yaml(text or '[]', 'offered_qos_profiles', RecordingError)
+    except RecordingError:
+        return []
+    return profiles if isinstance(profiles, list) else []
+
+
 def _topic_metadata(topic: Topic) -> dict[str, Any]:
     return {'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
-            'offered_qos_profiles': yaml.safe_load(topic.offered_qos_profiles),
+            'offered_qos_profiles': qos_profiles(topic.offered_qos_profiles),
             'type_description_hash': topic.type_hash}
-
-
-class _Dumper(yaml.SafeDumper):
-    """Write a value that occurs twice out twice."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
-
-
-def dump_yaml(data: object) -> str:
-    """Return plain data as YAML, keys in their order, no line folded."""
-    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=2**31, allow_unicode=True)

@@ -13,17 +13,16 @@ import tempfile
 from typing import Any, BinaryIO
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks.bag_metadata import (
-    bag_metadata, dump_yaml, NEVER, Topic, write_bag_metadata)
+from hnn_vi_ros.sinks.bag_metadata import bag_metadata, NEVER, Topic, write_bag_metadata
 from hnn_vi_ros.sinks.mcap_records import (
     check_magic, data_frames, decode, MAGIC, read_content, records_in, unpack)
+from hnn_vi_ros.yaml_text import dump_yaml, parse_mapping
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
-import yaml
 
 _CHUNK_SIZE = 256 * 1024
 
@@ -270,7 +269,8 @@ def _distro(record: Metadata) -> str:
     if record.name != 'rosbag2':
         return ''
     try:
-        described = yaml.safe_load(record.metadata.get('serialized_metadata', ''))
-    except yaml.YAMLError:
+        described, _ = parse_mapping(record.metadata.get('serialized_metadata', ''),
+                                     'serialized_metadata', RecordingError)
+    except RecordingError:
         return ''
-    return str(described.get('ros_distro', '')) if isinstance(described, dict) else ''
+    return str(described.get('ros_distro', ''))

@@ -11,8 +11,8 @@ from typing import Any, BinaryIO, final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.identity import identity
-from hnn_vi_ros.sinks.bag_metadata import (
-    bag_metadata, dump_yaml, NEVER, Topic, write_bag_metadata)
+from hnn_vi_ros.sinks.bag_metadata import bag_metadata, NEVER, Topic, write_bag_metadata
+from hnn_vi_ros.yaml_text import dump_yaml
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
 CHUNK_SIZE = 256 * 1024

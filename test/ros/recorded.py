@@ -12,8 +12,8 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.yaml_text import dump_yaml
 from rclpy.qos import QoSProfile
-import yaml
 
 
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
@@ -29,7 +29,7 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                              kind, QoSProfile(depth=10)) for name, kind in TICK_TOPICS]
     attachments = {'scene.yaml': resolved_scene(scene, simulation) | described,
                    'parameters.yaml': {'publish_rate': rate}}
-    sink = McapSink(bag, topics, {name: yaml.safe_dump(data, sort_keys=False).encode()
+    sink = McapSink(bag, topics, {name: dump_yaml(data).encode()
                                   for name, data in attachments.items()})
     for _ in range(ticks):
         simulation.advance(sampler.every)

@@ -1,0 +1,246 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Read and write YAML: plain data alone, whoever wrote it, within limits that are checked first.
+
+Every YAML that is read, from a file, a bag or a topic, goes through ``parse_yaml``. Numbers are
+decimal, as in YAML 1.2; dates and numbers to base 60 are strings; keys are strings. Tags,
+directives and what exceeds a limit are refused. What ``dump_yaml`` writes is read back unchanged.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import re
+from typing import Any
+
+from hnn_vi_ros.errors import HnnViRosError
+import yaml
+from yaml.composer import Composer, ComposerError
+from yaml.reader import Reader
+
+MAX_BYTES = 1 << 20
+MAX_DEPTH = 32
+# Keys, values and lists; the longest initial state has 20,000.
+MAX_NODES = 50_000
+# What all aliases together may repeat [nodes].
+MAX_GROWTH = 100
+# Characters; every integer of so many digits is within the range of a float.
+MAX_NUMBER = 300
+MAX_KEY = 256
+# Of an error.
+_LONGEST_LINE = 1000
+
+_INT, _FLOAT = 'tag:yaml.org,2002:int', 'tag:yaml.org,2002:float'
+# Without a way back: the time that they take is proportional to the length of the scalar.
+_INTEGER = re.compile(r'[-+]?(?:0|[1-9][0-9]*)\Z')
+_REAL = re.compile(
+    r'(?:[-+]?(?:(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+'
+    r'|\.(?:inf|Inf|INF))|\.(?:nan|NaN|NAN))\Z')
+_FIRST = list('-+.0123456789')
+# Every line break of YAML begins a line, and a byte order mark may come first.
+_DIRECTIVE = re.compile('(?:\\A|[\n\r\x85\u2028\u2029])\ufeff?%')
+
+
+@dataclass(frozen=True)
+class Places:
+    """
+    Where the keys of a YAML text stand in it.
+
+    Parameters
+    ----------
+    where : str
+        What holds the text, a file or a topic.
+    lines : dict of tuple of str to int
+        The line of each key; the items of a list count as keys '0', '1', ...
+
+    """
+
+    where: str
+    lines: dict[tuple[str, ...], int]
+
+    def follow(self, key: Sequence[str | int]) -> tuple[str, ...]:
+        """Return the parts of a key or of a pydantic location that stand in the text."""
+        followed: tuple[str, ...] = ()
+        for part in key:
+            if (*followed, str(part)) in self.lines:
+                followed = (*followed, str(part))
+        return followed
+
+    def place(self, *key: str | int) -> str:
+        """Return ``where:line: key``; of a key that is left out, that of what would hold it."""
+        line = self.lines[self.follow(key)]
+        return f'{self.where}:{line}: {".".join(map(str, key)) or "the file"}'
+
+
+def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
+               ) -> tuple[Any, Places]:
+    """
+    Return the plain data that one YAML document holds, and where its keys stand.
+
+    Parameters
+    ----------
+    text : bytes or str
+        UTF-8; at most 1 MiB, 32 levels deep, 50,000 keys and values, of which aliases repeat at
+        most 100.
+    where : object
+        What holds the text, for errors.
+    error : type of HnnViRosError
+        The exception to raise, with one line: ``where:line:`` and what is wrong there.
+
+    """
+    raw = text.encode('utf-8', 'surrogatepass') if isinstance(text, str) else text
+    if len(raw) > MAX_BYTES:
+        raise error(f'{where}: larger than {MAX_BYTES} bytes, which no such YAML needs')
+    try:
+        decoded = raw.decode('utf-8')
+    except UnicodeDecodeError as problem:
+        line = raw.count(b'\n', 0, problem.start) + 1
+        raise error(f'{where}:{line}: not UTF-8: {problem.reason}') from problem
+    for pattern, what in ((Reader.NON_PRINTABLE, 'a character that YAML has not'),
+                          (_DIRECTIVE, 'a directive; leave out what begins with %')):
+        if found := pattern.search(decoded):
+            raise error(f'{where}:{decoded.count(chr(10), 0, found.end() - 1) + 1}: {what}')
+    try:
+        loader = _Loader(decoded)
+        root = loader.get_single_node()
+        if root is None:
+            raise error(f'{where}:1: holds nothing')
+        return loader.construct_document(root), Places(
+            str(where), dict(_lines(root, (), root.start_mark.line + 1)))
+    except yaml.MarkedYAMLError as problem:
+        mark = problem.problem_mark or problem.context_mark
+        what = ', '.join(filter(None, (problem.context, problem.problem)))
+        raise error(f'{where}:{mark.line + 1 if mark else 1}: {one_line(what)}') from problem
+    except yaml.YAMLError as problem:
+        raise error(f'{where}:1: {one_line(problem)}') from problem
+
+
+def parse_mapping(text: bytes | str, where: object, error: type[HnnViRosError]
+                  ) -> tuple[dict[str, Any], Places]:
+    """Return the keys and values that one YAML document holds; see ``parse_yaml``."""
+    data, places = parse_yaml(text, where, error)
+    if not isinstance(data, dict):
+        raise error(f'{where}:1: expected a mapping of keys to values')
+    return data, places
+
+
+def dump_yaml(data: object) -> str:
+    """Return plain data as YAML: keys in their order, nothing folded, what is twice told twice."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=2**31, allow_unicode=True)
+
+
+def one_line(problem: object) -> str:
+    """Return a text on one line of printable characters, cut where it is beyond reading."""
+    line = ' '.join(str(problem).split())
+    line = ''.join(letter if letter.isprintable() else '?' for letter in line)
+    return line if len(line) <= _LONGEST_LINE else f'{line[:_LONGEST_LINE]} ...'
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quote what would be read as a number, and write a value that occurs twice out twice."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    # Of line breaks of other kinds than \n only this style is read back unchanged.
+    style = None if text.isprintable() else '"'
+    return dumper.represent_scalar('tag:yaml.org,2002:str', text, style)
+
+
+_Dumper.add_representer(str, _represent_text)
+_Dumper.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
+
+if yaml.__with_libyaml__:
+    class _Base(Composer, yaml.CSafeLoader):
+        """The parser in C, with the composer in Python, whose work can be watched."""
+
+        __init__ = yaml.CSafeLoader.__init__
+else:
+    _Base = yaml.SafeLoader
+
+
+class _Loader(_Base):
+    """Compose and construct plain data; refuse what exceeds a limit before it is followed."""
+
+    yaml_implicit_resolvers = {
+        first: [pair for pair in pairs if pair[0].endswith((':null', ':bool'))]
+        for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()}
+
+    def __init__(self, text: str):
+        super().__init__(text)
+        self.anchors: dict[str, yaml.Node] = {}
+        # Of the nodes with an anchor, how many they are with all that they hold.
+        self._sizes: dict[yaml.Node, int] = {}
+        self._depth = self._nodes = self._growth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: object) -> yaml.Node:
+        """Compose a node within the limits."""
+        event = self.peek_event()
+        if isinstance(event, yaml.AliasEvent):
+            return self._repeat(event, super().compose_node(parent, index))
+        nested = isinstance(event, yaml.CollectionStartEvent)
+        self._depth += nested
+        self._nodes += 1
+        before = self._nodes
+        if event.tag is not None:
+            raise _refusal('a tag; write plain values, without !', event)
+        if self._depth > MAX_DEPTH:
+            raise _refusal(f'nested deeper than {MAX_DEPTH}', event)
+        if self._nodes > MAX_NODES:
+            raise _refusal(f'more than {MAX_NODES} keys and values', event)
+        node = super().compose_node(parent, index)
+        if node.tag in (_INT, _FLOAT) and len(node.value) > MAX_NUMBER:
+            raise _refusal(f'a number of more than {MAX_NUMBER} characters', event)
+        if event.anchor is not None:
+            self._sizes[node] = self._nodes - before + 1
+        self._depth -= nested
+        return node
+
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        """Compose a mapping whose keys are plain names, each once."""
+        node = super().compose_mapping_node(anchor)
+        seen = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode) or key.value in seen:
+                raise _refusal('a key must be a plain name and stand only once', key)
+            if len(key.value) > MAX_KEY or not key.value.isprintable():
+                raise _refusal(f'a key must have at most {MAX_KEY} characters, all printable', key)
+            seen.add(key.value)
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
+        """Return a mapping with the keys as they are written."""
+        return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
+
+    def _repeat(self, event: yaml.AliasEvent, node: yaml.Node) -> yaml.Node:
+        """Return the node of an alias, and count it as if it were written out."""
+        if node not in self._sizes:
+            raise _refusal('an alias within what it stands for', event)
+        self._growth += self._sizes[node]
+        self._nodes += self._sizes[node]
+        if self._growth > MAX_GROWTH:
+            raise _refusal(f'aliases repeat more than {MAX_GROWTH} keys and values; write them '
+                           'out', event)
+        return node
+
+
+_Loader.add_implicit_resolver(_INT, _INTEGER, _FIRST)
+_Loader.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
+
+
+def _refusal(what: str, where: yaml.Event | yaml.Node) -> ComposerError:
+    return ComposerError(problem=what, problem_mark=where.start_mark)
+
+
+def _lines(node: yaml.Node, key: tuple[str, ...], line: int
+           ) -> Iterator[tuple[tuple[str, ...], int]]:
+    """Yield each key below a node, its own among them, with its line."""
+    yield key, line
+    if isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            yield from _lines(value, (*key, name.value), name.start_mark.line + 1)
+    elif isinstance(node, yaml.SequenceNode):
+        for i, item in enumerate(node.value):
+            yield from _lines(item, (*key, str(i)), item.start_mark.line + 1)
