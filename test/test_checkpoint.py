@@ -168,6 +168,12 @@ def test_missing_directory_and_huge_files_give_model_error(tmp_path):
     assert_refused(huge, 'larger than')
 
 
+def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
+    path = tmp_path / 'm.safetensors'
+    path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
+    assert_refused(path, 'git-LFS pointer', 'git lfs pull')
+
+
 @pytest.mark.timeout(20)
 def test_named_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / 'pipe.safetensors')

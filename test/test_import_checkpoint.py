@@ -9,9 +9,10 @@ import tarfile
 import zipfile
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint, MAX_BYTES
+from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
-from hnn_vi_ros.learning.import_checkpoint import main, read_layers
+from hnn_vi_ros.learning.import_checkpoint import main
+from hnn_vi_ros.learning.state_dict import MAX_BYTES, read_layers
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -167,13 +168,49 @@ LINEAR = {'linear1.weight': torch.ones(3, 2), 'linear1.bias': torch.ones(3),
     ({**LINEAR, 'linear2.weight': torch.ones(2, 4)}, ['linear2.weight', 'does not fit']),
     ({**LINEAR, 'linear1.bias': torch.ones(4)}, ['linear1.bias has shape (4,)']),
     ({**LINEAR, 'linear1.bias': torch.full((3,), np.nan)}, ['linear1.bias', 'not finite']),
-    ({**LINEAR, 'linear1.bias': torch.ones(3, dtype=torch.int64)}, ['linear1.bias']),
-    ({**LINEAR, 'linear1.weight': torch.ones(1).expand(10**6, 10**6)}, ['256 MiB']),
-    ({**LINEAR, 'linear1.weight': torch.eye(3).to_sparse()}, ['no plain tensor']),
-], ids=range(12))
+    ({**LINEAR, 'linear1.bias': torch.ones(3, dtype=torch.int64)},
+     ['linear1.bias is of type torch.int64', 'float32']),
+    ({**LINEAR, 'linear1.weight': torch.ones(1).expand(10**6, 10**6)}, ['64 MiB']),
+    ({f'linear{i}.weight': torch.ones(1).expand(300, 300) for i in range(1, 100)}, ['64 MiB']),
+    ({**LINEAR, 'linear1.weight': torch.eye(3).to_sparse()}, ['a sparse tensor']),
+    ({**LINEAR, 'linear1.weight': torch.ones(3, 2, device='meta')}, ['a meta tensor']),
+    ({**LINEAR, 'linear1.weight': torch.ones(3, 2, dtype=torch.complex64)}, ['is complex']),
+    ({**LINEAR, 'linear1.weight': torch.ones(3, 2).to(torch.float8_e4m3fn)}, ['float8_e4m3fn']),
+    ({**LINEAR, 'linear1.weight': torch.ones(0, 2)}, ['linear1.weight', 'does not fit']),
+], ids=range(17))
 def test_state_that_is_not_one_network_is_refused(tmp_path, state, words):
     torch.save(state, tmp_path / 'source.tar')
     assert_refused(tmp_path / 'source.tar', *words)
+
+
+@pytest.mark.filterwarnings('ignore')  # torch tells of what is new, and of what is old
+def test_tensor_of_another_kind_is_refused(tmp_path):
+    for weight, kind in (
+            (torch.eye(3).to_sparse_csr(), 'a sparse tensor'),
+            (torch.nested.nested_tensor([torch.ones(2), torch.ones(3)]), 'a nested tensor'),
+            (torch.quantize_per_tensor(torch.ones(3, 2), 0.1, 0, torch.qint8), 'is quantised')):
+        torch.save({**LINEAR, 'linear1.weight': weight}, tmp_path / 'source.tar')
+        assert_refused(tmp_path / 'source.tar', 'linear1.weight', kind)
+
+
+def test_tensors_are_refused_by_their_sum_before_any_is_copied(tmp_path, monkeypatch):
+    torch.save({f'linear{i}.weight': torch.ones(1).expand(2900, 2900) for i in range(1, 100)},
+               tmp_path / 'source.tar')
+    # As an array each would take 64 MiB, all 6.4 GB.
+    monkeypatch.setattr(torch.Tensor, 'numpy', None)
+    assert_refused(tmp_path / 'source.tar', '64 MiB')
+
+
+def test_negated_view_is_read_as_the_numbers_that_it_shows(tmp_path):
+    weight = torch._neg_view(torch.ones(3, 2, dtype=torch.float64))
+    torch.save({**LINEAR, 'linear1.weight': weight}, tmp_path / 'source.tar')
+    assert (read_layers(tmp_path / 'source.tar').weights[0] == -1.0).all()
+
+
+def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
+    (tmp_path / 'source.tar').write_text(
+        'version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n')
+    assert_refused(tmp_path / 'source.tar', 'git-LFS pointer', 'git lfs pull')
 
 
 def test_file_that_is_not_one_of_torch_is_refused(tmp_path):
@@ -205,7 +242,8 @@ def test_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize('more, words', [
-    (['--coordinates', 'x,y', '--layout', 'hnn', '--box=-1:1'], '2 names, but'),
+    (['--coordinates', 'x,y', '--layout', 'hnn', '--box=-1:1'],
+     'takes 2 inputs: 1 coordinates and as many momenta, if its state is (q, p)'),
     (['--coordinates', 'x/y', '--layout', 'hnn', '--box=-1:1'], '--coordinates x/y'),
     (['--coordinates', 'x', '--layout', 'sum_second_half', '--box=-1:1', '--out', 'm.pt'],
      'must end in .safetensors'),
@@ -226,6 +264,17 @@ def test_network_of_another_layout_is_refused(tmp_path):
     torch.save(Whole([4, 8, 2], 'tanh').state_dict(), tmp_path / 'source.tar')
     with pytest.raises(ModelError, match='4 inputs, 2 outputs; the layout sum_second_half'):
         import_file(tmp_path / 'source.tar', 'tanh', 'sum_second_half', 'x,y')
+
+
+@pytest.mark.parametrize('widths, words', [
+    ([3, 8, 2], '3 inputs, an odd number, so that its state is not .q, p.'),
+    ([2, 100_001, 2], 'a layer of width 100001')])
+def test_network_that_is_no_function_of_q_and_p_is_refused(tmp_path, widths, words):
+    torch.save(Whole(widths, 'tanh').state_dict(), tmp_path / 'source.tar')
+    with pytest.raises(ModelError, match=words) as caught:
+        import_file(tmp_path / 'source.tar', 'tanh', 'hnn', 'x')
+    assert '\n' not in str(caught.value)
+    assert not (tmp_path / 'source.safetensors').exists()
 
 
 def test_relu_network_is_imported_with_a_warning(tmp_path, capsys):

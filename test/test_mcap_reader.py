@@ -103,3 +103,10 @@ def test_reader_refuses_what_is_no_bag_in_one_line(tmp_path):
         with pytest.raises(RecordingError) as caught:
             BagReader(path)
         assert '\n' not in str(caught.value)
+
+
+def test_bag_that_is_a_pointer_of_git_lfs_is_named_as_such(tmp_path):
+    path = tmp_path / 'a.mcap'
+    path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
+    with pytest.raises(RecordingError, match='a git-LFS pointer .* git lfs pull'):
+        BagReader(path)

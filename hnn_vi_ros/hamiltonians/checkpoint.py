@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.model_card import ModelCard
+from hnn_vi_ros.lfs_pointer import refuse_pointer
+from hnn_vi_ros.yaml_text import one_line
 import numpy as np
 from pydantic import ValidationError
 import safetensors
@@ -103,6 +105,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
 
     """
     raw = _read(Path(path))
+    refuse_pointer(raw, path, ModelError)
     try:
         tensors = dict(safetensors.deserialize(raw))
         metadata = json.loads(raw[8:8 + int.from_bytes(raw[:8], 'little')]).get('__metadata__')
@@ -111,7 +114,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
             raise ModelError(f'{path}: a pickle or torch.save file, which could run code when '
                              'loaded; a model is a .safetensors file, see: ros2 run hnn_vi_ros '
                              'train --help') from problem
-        raise ModelError(f'{path}: not a safetensors file ({_one_line(problem)}); {_ANEW}'
+        raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
                          ) from problem
     card = _card(path, metadata or {})
     networks = {}
@@ -122,6 +125,11 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     if tensors:
         raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
     return Checkpoint(card, networks, sha256(raw).hexdigest())
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a model file, as load_checkpoint tells it; ModelError if none."""
+    return sha256(_read(path)).hexdigest()
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
@@ -188,7 +196,7 @@ def _read(path: Path) -> bytes:
         raise ModelError(f'{path}: no such model file; train one with: '
                          'ros2 run hnn_vi_ros train --config NAME') from problem
     except (OSError, ValueError) as problem:
-        raise ModelError(f'{path}: cannot be read: {_one_line(problem)}') from problem
+        raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
 
 
 def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
@@ -201,7 +209,7 @@ def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
         first = problem.errors(include_url=False)[0]
         key = '.'.join(str(part) for part in ('model_card', *first['loc']))
         message = first['msg'].removeprefix('Value error, ')
-        raise ModelError(f'{path}: {key}: {_one_line(message)}; {_ANEW}, or use the version of '
+        raise ModelError(f'{path}: {key}: {one_line(message)}; {_ANEW}, or use the version of '
                          'hnn_vi_ros that wrote it') from problem
 
 
@@ -228,7 +236,3 @@ def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict | N
     if not np.isfinite(values).all():
         raise ModelError(f'{path}: {name} holds values that are not finite; {_ANEW}')
     return values.reshape(shape)
-
-
-def _one_line(problem: object) -> str:
-    return ' '.join(str(problem).split())

@@ -9,6 +9,7 @@ from typing import BinaryIO, NamedTuple
 import zlib
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.lfs_pointer import refuse_pointer
 import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
@@ -61,6 +62,7 @@ def check_magic(stream: BinaryIO, name: object) -> None:
     """Read the magic bytes, or raise RecordingError: it is no MCAP file."""
     found = stream.read(len(MAGIC))
     if found != MAGIC:
+        refuse_pointer(found + stream.read(24), name, RecordingError)
         reason = 'it does not begin like one' if found else 'it is empty'
         raise RecordingError(f'{name}: no MCAP file: {reason}; give a bag or its .mcap file')
 
