@@ -3,13 +3,13 @@
 """The YAML of classes that a scene names by kind: the schema is the constructor's signature."""
 
 from collections.abc import Mapping
-from importlib import import_module
 from inspect import cleandoc, Parameter, signature
 import sys
 from typing import Annotated, Any, Literal, Union
 
 from hnn_vi_ros.errors import HnnViRosError, SceneError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.trials import Budget
 from hnn_vi_ros.yaml_file import StrictModel
 from pydantic import BaseModel, create_model, Field, model_validator
@@ -41,7 +41,7 @@ class PythonChoice(StrictModel):
     """A Hamiltonian that a Python function of the user's returns."""
 
     kind: Literal['python'] = Field(description='what a Python function of yours returns')
-    factory: str = Field(pattern=r'^[\w.]+:\w+$', description=(
+    factory: Annotated[str, NAMES_CODE] = Field(pattern=r'^[\w.]+:\w+$', description=(
         'package.module:function; called without arguments, returns a Hamiltonian'))
 
 
@@ -128,7 +128,7 @@ def _parameters(docstring: str) -> dict[str, str]:
     return {name: text.replace('``', '') for name, text in texts.items()}
 
 
-def call_factory(factory: str, place: str, folder: str) -> Hamiltonian:
+def call_factory(factory: str, place: str, folder: str | None) -> Hamiltonian:
     """
     Return the Hamiltonian that a user's function makes.
 
@@ -138,8 +138,8 @@ def call_factory(factory: str, place: str, folder: str) -> Hamiltonian:
         ``package.module:function``.
     place : str
         Where the scene names it, for errors.
-    folder : str
-        Where a module is found that is not installed.
+    folder : str or None
+        Where a module is found that is not installed, if anywhere.
 
     Raises
     ------
@@ -147,14 +147,16 @@ def call_factory(factory: str, place: str, folder: str) -> Hamiltonian:
         It cannot be imported, fails, or returns something else.
 
     """
-    module, function = factory.split(':')
     place = f'{place}: {factory}'
-    if folder not in sys.path:
+    if folder is not None and folder not in sys.path:
         sys.path.append(folder)
     try:
-        hamiltonian = getattr(import_module(module), function)()
+        hamiltonian = import_named(factory)()
     except HnnViRosError:
         raise
+    except ModuleNotFoundError as problem:
+        remedy = '' if folder else '; put the folder that holds it on PYTHONPATH'
+        raise SceneError(f'{place}: {problem}{remedy}') from problem
     except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
         raise SceneError(f'{place}: {type(problem).__name__}: {" ".join(str(problem).split())}'
                          ) from problem

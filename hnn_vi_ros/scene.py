@@ -4,6 +4,8 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
 import os
 from pathlib import Path
 from typing import Any, Literal
@@ -16,14 +18,17 @@ from hnn_vi_ros.effects.base import Effect, EffectError
 from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.checkpoint import file_digest
 from hnn_vi_ros.hamiltonians.confined import load_learned
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
+from hnn_vi_ros.named_code import trusting
 from hnn_vi_ros.rescue import ON_FAILURE
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.scene_origin import Origin
 from hnn_vi_ros.trials import Budget, Problem
-from hnn_vi_ros.yaml_file import Places, read_yaml, StrictModel
+from hnn_vi_ros.yaml_file import read_yaml, StrictModel
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr, ValidationError
 
@@ -53,26 +58,44 @@ class Scene(StrictModel):
             raise ValueError('step_size: Field required')
         return self
 
-    _source: Path = PrivateAttr(Path('scene'))
-    _places: Places | None = PrivateAttr(None)
-    _replaced: frozenset[str] = PrivateAttr(frozenset())
+    _origin: Origin = PrivateAttr(Origin())
     _chosen: tuple[Budget, Choice] | None = PrivateAttr(None)
 
     @property
     def source(self) -> Path:
         """Return the file that the scene was read from."""
-        return self._source
+        return self._origin.path
 
     @property
     def name(self) -> str:
         """Return the name of the file without its suffix."""
-        return self._source.stem
+        return self.source.stem
 
     def place(self, *key: str | int) -> str:
         """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
-        if self._places is not None and key[0] not in self._replaced:
-            return self._places.place(*key)
-        return f'{self.source}: {".".join(map(str, key))}'
+        return self._origin.place(*key)
+
+    def changed(self, changes: Mapping[str, Any]) -> 'Scene':
+        """
+        Return this scene with other values of some keys, of the same origin.
+
+        Raises
+        ------
+        SceneError
+            A value is not valid.
+
+        """
+        try:
+            # The code that it names was admitted when it was read.
+            scene = Scene.model_validate({**self.model_dump(), **changes}, context=trusting(True))
+        except ValidationError as problem:
+            first = problem.errors(include_url=False)[0]
+            where = '.'.join(str(part) for part in first['loc'])
+            raise SceneError(f'{self.source} with other {" or ".join(changes)}: {where}: '
+                             f'{first["msg"]}') from problem
+        scene._origin = replace(
+            self._origin, replaced=self._origin.replaced | changes.keys())
+        return scene
 
     def with_overrides(self, step_size: float | None = None, integrator: str | None = None
                        ) -> 'Scene':
@@ -93,18 +116,7 @@ class Scene(StrictModel):
                 valid = ', '.join(sorted(INTEGRATORS))
                 raise SceneError(f'unknown integrator {integrator!r}; valid: {valid}')
             changes['integrator'] = {'kind': integrator}
-        if not changes:
-            return self
-        try:
-            scene = Scene.model_validate({**self.model_dump(), **changes})
-        except ValidationError as problem:
-            first = problem.errors(include_url=False)[0]
-            where = '.'.join(str(part) for part in first['loc'])
-            raise SceneError(f'{self.source} with other step_size or integrator: {where}: '
-                             f'{first["msg"]}') from problem
-        scene._source, scene._places = self._source, self._places
-        scene._replaced = self._replaced | changes.keys()
-        return scene
+        return self.changed(changes) if changes else self
 
     @property
     def chosen(self) -> tuple[Budget, Choice] | None:
@@ -172,24 +184,28 @@ class Scene(StrictModel):
         """
         choice = self.hamiltonian
         if isinstance(choice, LearnedChoice):
-            file = self._model_file(choice.model, 'hamiltonian')
+            file = self._origin.model_file(choice.model, 'hamiltonian')
             with self.placed('hamiltonian'):
                 hamiltonian = load_learned(file, choice.confine)
         elif isinstance(choice, PythonChoice):
-            # A module beside the scene is found like one that is installed.
             hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),
-                                       str(self.source.resolve().parent))
+                                       self._origin.code_folder)
         else:
             hamiltonian = self._construct(HAMILTONIANS, choice, 'hamiltonian')
         self._check_dimension([coordinate.name for coordinate in hamiltonian.coordinates])
         return hamiltonian
 
-    def model_files(self) -> list[Path]:
-        """Return the model files that the scene needs; ModelError for one that is not there."""
-        placed = [(self.hamiltonian, 'hamiltonian'), *(
+    def model_files(self) -> dict[str, Path]:
+        """Return the files of the models that it names; ModelError for one that is not there."""
+        placed = [(self.hamiltonian, 'hamiltonian'), (self.integrator, 'integrator'), *(
             (choice, 'effects', i) for i, choice in enumerate(self.effects))]
-        return [self._model_file(choice.model, *key) for choice, *key in placed
-                if getattr(choice, 'model', None)]
+        return {choice.model: self._origin.model_file(choice.model, *key)
+                for choice, *key in placed if getattr(choice, 'model', None)}
+
+    @cached_property
+    def model_digests(self) -> dict[str, str]:
+        """Return the SHA-256 of each model file; of one that is changed later, what it was."""
+        return {name: file_digest(file) for name, file in self.model_files().items()}
 
     def _check_dimension(self, names: list[str]) -> None:
         for key, values in self.initial_state:
@@ -210,7 +226,7 @@ class Scene(StrictModel):
         arguments = choice.model_dump()
         kind = arguments.pop('kind')
         if arguments.get('model'):
-            arguments['model'] = self._model_file(arguments['model'], *key)
+            arguments['model'] = self._origin.model_file(arguments['model'], *key)
         with self.placed(*key):
             return classes[kind](**arguments)
 
@@ -251,20 +267,6 @@ class Scene(StrictModel):
         kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
         return f'{self.place(*key, *[name] * own)}: {kind}{message}'
 
-    def _model_file(self, model: str, *key: str | int) -> Path:
-        if is_path('model', model):
-            beside = self.source.parent / model
-            return beside if os.path.exists(beside) else Path(model)
-        # One that the user trained comes before the shipped one of the same name.
-        for candidate in (Path('models') / f'{model}.safetensors', shipped_file('model', model)):
-            if os.path.isfile(candidate):
-                return candidate
-        train = (f'; train it with: ros2 run hnn_vi_ros train --config {model}'
-                 if model in shipped_names('training') else '')
-        raise ModelError(
-            f'{self.place(*key, "model")}: no model {model!r}: not shipped '
-            f'({", ".join(shipped_names("model"))}) nor at models/{model}.safetensors{train}')
-
 
 def load_scene(scene: str | Path) -> Scene:
     """
@@ -292,5 +294,6 @@ def load_scene(scene: str | Path) -> Scene:
         raise SceneError(f'no scene {text!r}; shipped: {", ".join(shipped_names("scene"))}; '
                          'or give the path of a .yaml file')
     loaded, places = read_yaml(path, Scene, SceneError)
-    loaded._source, loaded._places = path, places
+    # A module beside the scene is found like one that is installed.
+    loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))
     return loaded

@@ -3,13 +3,14 @@
 """The discrete Euler-Lagrange equations, for any discrete Lagrangian."""
 
 from collections.abc import Callable
-from importlib import import_module
+from typing import Annotated
 
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.hamiltonians.lagrangian import midpoint_action
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.named_code import import_named, NAMES_CODE
 import numpy as np
 
 _ITERATIONS = 30
@@ -57,17 +58,16 @@ class DiscreteEulerLagrange(Integrator):
     explicit, symmetric, symplectic = False, False, True
     compiled, uses_hamiltonian, takes_forces = False, False, False
 
-    def __init__(self, discrete_lagrangian: str | None = None, order: int = 1,
-                 model: str | None = None):
+    def __init__(self, discrete_lagrangian: Annotated[str | None, NAMES_CODE] = None,
+                 order: int = 1, model: str | None = None):
         if (discrete_lagrangian is None) == (model is None):
             raise ValueError('discrete_lagrangian is required, or a model in its place')
         self._model = None if model is None else load_checkpoint(model)
         if self._model is not None:
             self.discrete_lagrangian, self.order = midpoint_action(self._model), 2
             return
-        module, _, name = discrete_lagrangian.partition(':')
         try:
-            self.discrete_lagrangian: Callable = getattr(import_module(module), name)
+            self.discrete_lagrangian: Callable = import_named(discrete_lagrangian)
         except (Exception, SystemExit) as problem:  # noqa: B902  the user's module may raise any
             raise ValueError(
                 f'discrete_lagrangian = {discrete_lagrangian!r}: {type(problem).__name__}: '

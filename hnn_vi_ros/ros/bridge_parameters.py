@@ -16,6 +16,8 @@ PARAMETERS = tuple(replace(item, changes=START) for item in (
                   'viewer, to viewers that connect', choices=('file', 'connect', 'serve')),
     Specification('rerun_path', '', 'file: the .rrd file, which must not exist. connect: URL of '
                   'the viewer; empty takes the local one. serve: the port; empty takes 9876'),
+    Specification('trust_code', False, 'run Python code that the scene on `~/scene` or in the bag '
+                  'names; `--trust-code` sets it'),
 ))
 
 

@@ -11,7 +11,7 @@ from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.look_ahead import look_ahead
-from hnn_vi_ros.ros.recorded_run import described_scene
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.rerun_sink import RerunSink, Target
 from hnn_vi_ros.sinks.sample import Sample
@@ -29,10 +29,8 @@ class BridgePicture:
 
     Parameters
     ----------
-    described : mapping
-        The scene as ~/scene and the log's scene.yaml have it.
-    where : str
-        What describes it, for errors.
+    scene : Scene
+        As ~/scene or a log describes it.
     target : Path, str or int
         See RerunSink.
     name : str
@@ -41,12 +39,11 @@ class BridgePicture:
     Raises
     ------
     HnnViRosError
-        It is no scene, its model is not there, or the target cannot be opened.
+        The scene's model is not there, or the target cannot be opened.
 
     """
 
-    def __init__(self, described: Mapping[str, Any], where: str, target: Target, name: str):
-        scene = described_scene(dict(described), where)
+    def __init__(self, scene: Scene, target: Target, name: str):
         simulation = Simulation.from_scene(scene)
         hamiltonian = simulation.hamiltonian
         box = hamiltonian.box or look_ahead(simulation, _SEEN).box

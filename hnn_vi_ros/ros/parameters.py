@@ -106,6 +106,8 @@ PARAMETERS = (
                   'name of a shipped scene, or path of a scene file (.yaml)'),
     Specification('resume', '', 'bag to go on from: its last state, and the scene that it was '
                   'recorded from in the place of `scene`; empty begins anew'),
+    Specification('trust_code', False, 'run Python code that the scene in the bag of `resume` '
+                  'names'),
     Specification('real_time_factor', 1.0,
                   'simulated seconds per wall second; 0 runs as fast as possible', '1',
                   0.0, 1e6, changes=ALWAYS),

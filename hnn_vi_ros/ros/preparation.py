@@ -116,7 +116,7 @@ def _load(values: dict) -> tuple[Scene, int, int]:
                              'is resumed; leave it out, or leave out resume')
     # Imported here: it reads bags, which few runs begin with.
     from hnn_vi_ros.ros.recorded_run import resume
-    found = resume(values['resume'])
+    found = resume(values['resume'], values['trust_code'])
     return found.scene, found.step, found.origin
 
 

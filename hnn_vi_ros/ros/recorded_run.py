@@ -8,15 +8,17 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene_origin import Origin
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.yaml_file import validate
+from hnn_vi_ros.yaml_text import parse_mapping
 import numpy as np
-from pydantic import ValidationError
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
-import yaml
 
 # How far back from its end a bag is searched for its last state, each time farther [ns].
 _BACK = (10**9, 10**11, 2**64)
@@ -65,6 +67,8 @@ class RecordedRun:
     ----------
     bag : Path
         A folder with one MCAP file, or the file; one that was cut off will do.
+    trust_code : bool, optional
+        Whether Python code that its scene names may be run.
 
     Attributes
     ----------
@@ -84,12 +88,12 @@ class RecordedRun:
 
     """
 
-    def __init__(self, bag: Path):
+    def __init__(self, bag: Path, trust_code: bool = False):
         self.reader = BagReader(bag)
-        self.described = self._yaml('scene.yaml')
-        self.scene = described_scene(self.described, f'{self.reader.path}: its scene.yaml')
-        self.origin = _count(self.described, 'origin')
-        self.first_step = _count(self.described, 'first_step')
+        self.scene, self.described = described_scene(
+            self.reader.attachment('scene.yaml'), self._where('scene.yaml'), trust_code)
+        self.origin = self._count('origin')
+        self.first_step = self._count('first_step')
         self._nanoseconds = Fraction(repr(self.scene.step_size)) * 10**9
         self._channels = self._find_channels()
 
@@ -124,19 +128,19 @@ class RecordedRun:
         else:
             raise RecordingError(f'{self.reader.path}: holds no state to go on from')
         stamp, q, p = last
-        state = {'initial_state': {'q': q.tolist(), 'p': p.tolist()}}
-        scene = Scene.model_validate(self.scene.model_dump() | state)
-        scene._source = self.scene.source
-        return Resumption(scene, self.step_of(stamp), self.origin, self._yaml('parameters.yaml'))
+        scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
+        parameters, _ = parse_mapping(self.reader.attachment('parameters.yaml'),
+                                      self._where('parameters.yaml'), RecordingError)
+        return Resumption(scene, self.step_of(stamp), self.origin, parameters)
 
-    def _yaml(self, name: str) -> dict[str, Any]:
-        try:
-            content = yaml.safe_load(self.reader.attachment(name))
-        except yaml.YAMLError as problem:
-            raise RecordingError(f'{self.reader.path}: its {name} is damaged') from problem
-        if not isinstance(content, dict):
-            raise RecordingError(f'{self.reader.path}: its {name} is damaged')
-        return content
+    def _where(self, attachment: str) -> str:
+        return f'{self.reader.path}: its {attachment}'
+
+    def _count(self, name: str) -> int:
+        value = self.described.get(name, 0)
+        if type(value) is not int or not 0 <= value < 2**63:
+            raise RecordingError(f'{self._where("scene.yaml")}: {name} is no count')
+        return value
 
     def _find_channels(self) -> dict[int, str]:
         topics = {channel.topic: number for number, channel in self.reader.channels.items()}
@@ -148,27 +152,48 @@ class RecordedRun:
                              f'topics: {", ".join(sorted(topics)) or "none"}')
 
 
-def described_scene(described: dict[str, Any], where: str) -> Scene:
-    """Return the scene that a log or ~/scene describes; RecordingError if it is none."""
-    try:
-        scene = Scene.model_validate({
-            name: value for name, value in described.items() if name in Scene.model_fields})
-    except ValidationError as problem:
-        raise RecordingError(f'{where} is no scene of this version: '
-                             f'{" ".join(str(problem).split())}') from problem
+def described_scene(text: bytes | str, where: str, trust_code: bool = False
+                    ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Return the scene that a log or ~/scene describes, and all that is told with it.
+
+    Whoever wrote it chooses none of what is run, or opened, here: code that it names is refused
+    unless it is trusted, and then comes from the path of Python's modules alone; model files are
+    those that the digests told with it belong to.
+
+    Parameters
+    ----------
+    text : bytes or str
+        YAML.
+    where : str
+        What describes it, for errors.
+    trust_code : bool, optional
+        Whether Python code that it names may be run.
+
+    Raises
+    ------
+    RecordingError
+        It is no scene, or names code; one line.
+
+    """
+    described, places = parse_mapping(text, where, RecordingError)
+    fields = {name: value for name, value in described.items() if name in Scene.model_fields}
+    scene = validate(fields, places, Scene, RecordingError, trust_code=trust_code)
+    if isinstance(scene.integrator, AutoChoice):
+        raise RecordingError(f'{places.place("integrator")}: does not say what auto chose')
     # Where models beside the scene are found again.
-    scene._source = Path(str(described.get('source', 'scene')))
-    return scene
+    source = str(described.get('source', 'scene'))
+    files = described.get('model_files', {})
+    digests = [described.get('model_sha256'), *(files.values() if isinstance(files, dict) else ())]
+    scene._origin = Origin(
+        Path(source if source.isprintable() else 'scene'), places,
+        digests=frozenset(digest for digest in digests if isinstance(digest, str)))
+    return scene, described
 
 
-def resume(bag: str | Path) -> Resumption:
-    """Return what a simulator needs to go on from the last state of a bag."""
-    return RecordedRun(Path(bag).expanduser()).resumption()
-
-
-def _count(described: dict[str, Any], name: str) -> int:
-    value = described.get(name, 0)
-    return value if isinstance(value, int) else 0
+def resume(bag: str | Path, trust_code: bool = False) -> Resumption:
+    """Return what a simulator needs to go on from the last state of a bag; see RecordedRun."""
+    return RecordedRun(Path(bag).expanduser(), trust_code).resumption()
 
 
 def _array(data: bytes) -> np.ndarray:

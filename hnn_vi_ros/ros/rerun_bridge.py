@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED
@@ -18,16 +18,16 @@ from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.graph import init_ros
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.parameters import declare_parameters
-from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun
 from hnn_vi_ros.sinks.rerun_sink import Target
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
-import yaml
 
 _QUEUE = QoSProfile(depth=1000)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -42,6 +42,11 @@ class RerunBridge(Node):
     The messages of one tick are put together by the number that the middleware gives each message
     of a topic: the simulator publishes every tick topic once a tick.
 
+    Parameters
+    ----------
+    trust_code : bool, optional
+        Whether Python code that a scene names may be run; the parameter's value if it is set.
+
     Attributes
     ----------
     problem : HnnViRosError or None
@@ -49,8 +54,9 @@ class RerunBridge(Node):
 
     """
 
-    def __init__(self):
-        super().__init__('hnn_rerun_bridge')
+    def __init__(self, trust_code: bool = False):
+        super().__init__('hnn_rerun_bridge', parameter_overrides=[
+            Parameter('trust_code', value=True)] if trust_code else [])
         self._values = declare_parameters(self, PARAMETERS)
         self.target = target_of(self._values)
         self.problem: HnnViRosError | None = None
@@ -73,9 +79,8 @@ class RerunBridge(Node):
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
-        run = RecordedRun(bag)
-        picture = BridgePicture(run.described, f'{run.reader.path}: its scene.yaml', self.target,
-                                bag.resolve().name)
+        run = RecordedRun(bag, self._values['trust_code'])
+        picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
         kinds = {name.rpartition('/')[2]: kind
                  for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
@@ -113,16 +118,19 @@ class RerunBridge(Node):
             return
         self._described = message.data
         try:
+            scene, _ = described_scene(message.data, '~/scene', self._values['trust_code'])
+        except RecordingError as problem:
+            # Anybody may have sent it: what is shown goes on.
+            self.get_logger().error(str(problem))
+            return
+        try:
             self.close()
-            described = yaml.safe_load(message.data)
             self._scenes += 1
-            self._picture = BridgePicture(described, '~/scene', self._next_target(), 'bridge')
+            self._picture = BridgePicture(scene, self._next_target(), 'bridge')
             shown = f'port {self.target}' if isinstance(self.target, int) else self.target
             self.get_logger().info(f'showing {self._values["simulator"]} on {shown}')
         except HnnViRosError as problem:
             self.problem = problem
-        except (yaml.YAMLError, TypeError, AttributeError) as problem:
-            self.get_logger().error(f'~/scene is no scene: {" ".join(str(problem).split())}')
 
     def _next_target(self) -> Target:
         target = self.target
@@ -164,18 +172,20 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(prog='rerun_bridge', description=__doc__)
     parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
         'folder of a bag, or its .mcap file, to show in place of a running simulator'))
-    bag = parser.parse_args(remove_ros_args(argv)).bag
+    parser.add_argument('--trust-code', action='store_true', help=(
+        'run Python code that a scene names, which others may have written'))
+    options = parser.parse_args(remove_ros_args(argv))
     init_ros(argv)
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: received.append(number))
     try:
-        node = RerunBridge()
+        node = RerunBridge(options.trust_code)
         try:
-            if bag is None:
+            if options.bag is None:
                 _show_simulator(node, received)
             else:
-                _show_bag(node, bag, received)
+                _show_bag(node, options.bag, received)
         finally:
             node.close()
         if node.problem is not None:

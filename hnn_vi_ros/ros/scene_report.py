@@ -8,7 +8,7 @@ from typing import Any
 
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-import yaml
+from hnn_vi_ros.yaml_text import dump_yaml
 
 
 def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_step: int = 0
@@ -31,7 +31,8 @@ def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_
     if scene.chosen is not None:
         chosen = dict(zip(('budget', 'choice'), map(asdict, scene.chosen), strict=True))
     begin = {'source': str(scene.source.absolute()), 'origin': origin, 'first_step': first_step}
-    return scene.model_dump() | chosen | simulation.hamiltonian.provenance | begin
+    return (scene.model_dump() | chosen | simulation.hamiltonian.provenance
+            | {'model_files': scene.model_digests} | begin)
 
 
 def scene_report(scene: Scene, simulation: Simulation, microseconds_per_step: float | None,
@@ -62,7 +63,7 @@ def scene_report(scene: Scene, simulation: Simulation, microseconds_per_step: fl
         report['added_microseconds'] = {
             label: _rounded(1e6 * seconds)
             for label, seconds in measure_effects(scene).added.items()}
-    return yaml.safe_dump(report, sort_keys=False)
+    return dump_yaml(report)
 
 
 def _rounded(microseconds: float | None) -> float | None:

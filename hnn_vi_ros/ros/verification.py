@@ -44,9 +44,16 @@ class Margin(NamedTuple):
     stamp: int
 
 
-def verify(bag: Path) -> Verdict:
+def verify(bag: Path, trust_code: bool = False) -> Verdict:
     """
     Simulate what a bag tells of, from its scene and first state, and compare each sample.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with one MCAP file, or the file.
+    trust_code : bool, optional
+        Whether Python code that its scene names may be run.
 
     Raises
     ------
@@ -54,7 +61,7 @@ def verify(bag: Path) -> Verdict:
         The bag does not come from the simulator, or what it simulated is not there any more.
 
     """
-    run = RecordedRun(bag)
+    run = RecordedRun(bag, trust_code)
     simulation = _simulation(run)
     # Now that all that it takes is imported.
     there, here = run.reader.metadata('hnn_vi_ros'), identity()

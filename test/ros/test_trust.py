@@ -1,0 +1,274 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags and topics run no code, unless it is trusted, and choose neither folders nor models."""
+
+import ast
+from collections.abc import Callable, Iterator
+from pathlib import Path
+import shutil
+import signal
+import sys
+import time
+
+from hnn_vi_ros import load_scene, yaml_text
+from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
+from hnn_vi_ros.named_code import trusting
+from hnn_vi_ros.resources import shipped_file
+from hnn_vi_ros.ros.messages import TICK_TOPICS
+from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun, resume
+from hnn_vi_ros.ros.replay_node import find_type
+from hnn_vi_ros.ros.replay_node import main as replay
+from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.scene_report import resolved_scene, scene_report
+from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.yaml_text import dump_yaml, parse_mapping
+from processes import finish, start, start_executable, started, wait_until
+from pydantic import ValidationError
+import pytest
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from recorded import record_run
+from std_msgs.msg import String
+
+PYTHON = {'hamiltonian': {'kind': 'python', 'factory': 'marker:make'}}
+LAGRANGIAN = {'integrator': {'kind': 'discrete_euler_lagrange',
+                             'discrete_lagrangian': 'marker:make'}}
+NAMED = [PYTHON, LAGRANGIAN]
+ABORT = {'hamiltonian': {'kind': 'python', 'factory': 'os:abort'}}
+MARKER = """\
+from pathlib import Path
+from hnn_vi_ros.hamiltonians.pendulum import Pendulum
+Path({path!r}).touch()
+def make(*arguments):
+    return Pendulum()
+"""
+
+
+@pytest.fixture
+def marker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return the file that importing the module marker makes; nothing finds the module yet."""
+    (tmp_path / 'code').mkdir()
+    (tmp_path / 'code' / 'marker.py').write_text(MARKER.format(path=str(tmp_path / 'run')))
+    monkeypatch.setattr(sys, 'path', sys.path[:])
+    yield tmp_path / 'run'
+    sys.modules.pop('marker', None)
+
+
+@pytest.fixture
+def on_path(marker: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put the module marker on Python's path, where a user has it."""
+    monkeypatch.syspath_prepend(str(marker.parent / 'code'))
+
+
+@pytest.fixture
+def node() -> Iterator[RerunBridge]:
+    """Return a bridge that is asked for nothing."""
+    rclpy.init()
+    bridge = RerunBridge()
+    yield bridge
+    bridge.close()
+    bridge.destroy_node()
+    rclpy.shutdown()
+
+
+def record(folder: Path, **described: object) -> Path:
+    return record_run(folder / 'bag', load_scene('exact_pendulum'), 5, **described)
+
+
+def described(**changes: object) -> str:
+    scene = load_scene('exact_pendulum')
+    return dump_yaml(resolved_scene(scene, Simulation.from_scene(scene)) | changes)
+
+
+def to_file(path: Path) -> list[str]:
+    return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
+
+
+READERS: dict[str, Callable] = {
+    'RecordedRun': RecordedRun, 'verify': verify, 'resume': resume,
+    'replay --verify': lambda bag: replay([str(bag), '--verify'])}
+
+
+@pytest.mark.parametrize('way', READERS)
+@pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
+def test_code_that_a_bag_names_is_refused_and_not_run(tmp_path, marker, on_path, way, named):
+    bag = record(tmp_path, **named)
+    with pytest.raises(RecordingError) as caught:
+        READERS[way](bag)
+    for word in ('scene.yaml:', "'marker:make' is code", '--trust-code', 'trust_code'):
+        assert word in str(caught.value)
+    assert '\n' not in str(caught.value)
+    assert not marker.exists() and 'marker' not in sys.modules
+
+
+@pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
+def test_code_that_a_topic_names_is_refused_and_not_run(node, capfd, marker, on_path, named):
+    node._on_scene(String(data=described(**named)))
+    log = capfd.readouterr().err
+    assert "'marker:make' is code" in log and '--trust-code' in log
+    assert log.count('\n') == 1 and not marker.exists()
+    assert node.problem is None and node._picture is None
+
+
+def test_picture_goes_on_when_a_message_is_refused(node):
+    class Picture:
+        def close(self) -> None:
+            """Do nothing."""
+    node._picture = picture = Picture()
+    node._on_scene(String(data=described(**PYTHON)))
+    assert node._picture is picture
+
+
+@pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
+def test_code_is_refused_wherever_nobody_says_that_it_is_trusted(named):
+    scene = load_scene('exact_pendulum').model_dump() | named
+    for context in (None, {}, trusting(False)):
+        with pytest.raises(ValidationError, match='is code'):
+            Scene.model_validate(scene, context=context)
+    assert Scene.model_validate(scene, context=trusting(True))
+
+
+def test_executables_survive_a_bag_that_names_os_abort(tmp_path):
+    bag = record(tmp_path, **ABORT)
+    for process in (
+            start_executable('replay', bag, '--verify'),
+            start_executable('rerun_bridge', bag, *to_file(tmp_path / 'a.rrd')),
+            start(tmp_path, scene='harmonic_oscillator', resume=bag, record='false',
+                  rerun_sink='none')):
+        status, _, error = finish(process)
+        assert status == 1
+        assert "'os:abort' is code" in error.splitlines()[-1]
+        assert '--trust-code' in error.splitlines()[-1]
+
+
+def test_bridge_survives_a_message_that_names_os_abort(tmp_path):
+    rclpy.init()
+    try:
+        sender = rclpy.create_node('sender')
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        publisher = sender.create_publisher(String, '/hnn_simulator/scene', latched)
+        publisher.publish(String(data=described(**ABORT)))
+        bridge = start_executable('rerun_bridge', *to_file(tmp_path / 'a.rrd'))
+
+        def told() -> bool:
+            started[bridge][1].seek(0)
+            return "'os:abort' is code" in started[bridge][1].read()
+        wait_until(told)
+        time.sleep(0.2)
+        bridge.send_signal(signal.SIGINT)
+        assert finish(bridge)[0] == 0
+    finally:
+        rclpy.shutdown()
+
+
+def test_trusted_code_is_run_from_the_path_of_python(tmp_path, marker, on_path):
+    # The pendulum of exact_pendulum, so that the samples agree.
+    verdict = verify(record(tmp_path, **PYTHON), trust_code=True)
+    assert verdict.good and marker.exists()
+
+
+def test_trust_is_given_on_the_command_line(tmp_path, marker, on_path, capsys):
+    bag = record(tmp_path, **PYTHON)
+    assert replay([str(bag), '--verify', '--trust-code']) == 0, capsys.readouterr().out
+    assert marker.exists()
+    with pytest.raises(SystemExit):
+        replay([str(bag), '--trust-code'])
+
+
+@pytest.mark.parametrize('name, words', [
+    ('rerun_bridge', ['BAG', '--trust-code', *to_file(Path('a.rrd'))]),
+    ('rerun_bridge', ['BAG', *to_file(Path('a.rrd')), '-p', 'trust_code:=true']),
+    ('simulator', ['--ros-args', '-p', 'resume:=BAG', '-p', 'trust_code:=true', '-p',
+                   'duration:=0.1', '-p', 'real_time_factor:=0.0', '-p', 'record:=false', '-p',
+                   'rerun_sink:=none', '-p', 'discovery_time:=0.0']),
+], ids=['option', 'parameter', 'resume'])
+def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, monkeypatch, name, words):
+    bag = record(tmp_path, **PYTHON)
+    monkeypatch.setenv('PYTHONPATH', ':'.join(
+        [str(marker.parent / 'code'), str(Path(yaml_text.__file__).parents[1])]))
+    process = start_executable(name, *[word.replace('BAG', str(bag)) for word in words],
+                               folder=tmp_path)
+    status, _, error = finish(process, 120.0)
+    assert status == 0, error
+    assert marker.exists()
+
+
+def test_folder_of_code_is_not_taken_from_a_bag(tmp_path, marker):
+    bag = record(tmp_path, **PYTHON, source=str(marker.parent / 'code' / 'scene.yaml'))
+    with pytest.raises(SceneError, match="No module named 'marker'; .* PYTHONPATH") as caught:
+        verify(bag, trust_code=True)
+    assert '\n' not in str(caught.value)
+    assert not marker.exists() and str(marker.parent / 'code') not in sys.path
+
+
+def test_code_beside_a_scene_file_that_the_user_names_is_found(marker):
+    file = marker.parent / 'code' / 'scene.yaml'
+    file.write_text(dump_yaml(load_scene('exact_pendulum').model_dump() | PYTHON))
+    assert load_scene(file).with_overrides(step_size=0.01).create_hamiltonian().dimension == 1
+    assert marker.exists()
+
+
+def test_type_that_a_bag_names_is_imported_only_from_a_package_of_messages(marker, on_path):
+    for name in ('marker/msg/String', 'antigravity/msg/String', 'os/msg/path'):
+        with pytest.raises(RecordingError, match='not installed'):
+            find_type(name)
+    assert not marker.exists() and 'antigravity' not in sys.modules
+    assert find_type('std_msgs/msg/String') is String and TICK_TOPICS
+
+
+def test_names_are_imported_in_one_place():
+    # Which modules a name may choose: ours, those of two packages of messages, and named_code.
+    allowed = {'named_code.py', 'cli.py', '__init__.py', 'replay_node.py'}
+    for path in Path(yaml_text.__file__).parent.rglob('*.py'):
+        for call in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if isinstance(call, ast.Call) and ast.unparse(call.func).endswith('import_module'):
+                assert path.name in allowed or isinstance(call.args[0], ast.Constant), path
+
+
+@pytest.fixture
+def with_model(tmp_path: Path) -> Path:
+    """Return the bag of a scene whose model is a file beside it."""
+    shutil.copy(shipped_file('model', 'harmonic_oscillator'), tmp_path / 'm.safetensors')
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(
+        'hamiltonian: {kind: hnn, model: m.safetensors}\nstep_size: 0.01\n'
+        'integrator: {kind: variational_euler}\ninitial_state: {q: [1.0], p: [0.0]}\n')
+    return record_run(tmp_path / 'bag', load_scene(scene), 5)
+
+
+def test_model_beside_a_recorded_scene_is_found_if_it_is_the_one_recorded(tmp_path, with_model):
+    assert RecordedRun(with_model).scene.create_hamiltonian().dimension == 1
+    assert resume(with_model).scene.create_hamiltonian().dimension == 1
+    shutil.copy(shipped_file('model', 'pendulum'), tmp_path / 'm.safetensors')
+    with pytest.raises(ModelError, match='is not the file that was recorded') as caught:
+        RecordedRun(with_model).scene.create_hamiltonian()
+    assert 'hamiltonian.model' in str(caught.value) and '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('model', ['/etc/hostname', '/dev/zero', '../secret.txt', '/proc/self'])
+def test_file_that_a_recording_names_as_its_model_is_not_opened(monkeypatch, model):
+    scene, _ = described_scene(described(
+        hamiltonian={'kind': 'hnn', 'model': model}), 'here')
+    monkeypatch.setattr(Path, 'open', None)
+    monkeypatch.setattr(Path, 'read_bytes', None)
+    with pytest.raises(ModelError, match='here:.*no .safetensors file'):
+        scene.create_hamiltonian()
+
+
+def test_models_of_effects_are_recorded_with_their_digests(tmp_path):
+    shutil.copy(shipped_file('model', 'pendulum'), tmp_path / 'm.safetensors')
+    path = tmp_path / 'scene.yaml'
+    path.write_text(dump_yaml(load_scene('exact_pendulum').model_dump() | {
+        'effects': [{'kind': 'learned_dissipation', 'model': 'm.safetensors'}]}))
+    scene = load_scene(path)
+    told, _ = parse_mapping(
+        scene_report(scene, Simulation.from_scene(scene), None, False), 'here', RecordingError)
+    assert told['model_files'] == scene.model_digests
+    again, _ = described_scene(dump_yaml(told), 'here')
+    assert len(again.create_effects()) == 1
+    told['model_files'] = {}
+    again, _ = described_scene(dump_yaml(told), 'here')
+    with pytest.raises(ModelError, match='effects.0.model: .*not the file that was recorded'):
+        again.create_effects()
