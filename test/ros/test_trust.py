@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 import time
+from types import SimpleNamespace
 
 from hnn_vi_ros import load_scene, yaml_text
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
@@ -113,10 +114,7 @@ def test_code_that_a_topic_names_is_refused_and_not_run(node, capfd, marker, on_
 
 
 def test_picture_goes_on_when_a_message_is_refused(node):
-    class Picture:
-        def close(self) -> None:
-            """Do nothing."""
-    node._picture = picture = Picture()
+    node._picture = picture = SimpleNamespace(close=lambda: None)
     node._on_scene(String(data=described(**PYTHON)))
     assert node._picture is picture
 
