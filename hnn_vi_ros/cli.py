@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executables: each imports its module late, so that a missing package is one plain line."""
 
+from collections.abc import Sequence
 from importlib import import_module
 import os
 from pathlib import Path
+import signal
 import sys
 import tempfile
 from typing import NoReturn
@@ -27,67 +29,67 @@ _PIP_NAMES = {
 
 def simulator() -> NoReturn:
     """Run the simulator node."""
-    _run('hnn_vi_ros.ros.simulator_node')
+    _run('simulator', 'hnn_vi_ros.ros.simulator_node')
 
 
 def listener() -> NoReturn:
     """Run the example subscriber."""
-    _run('hnn_vi_ros.ros.listener_node')
+    _run('listener', 'hnn_vi_ros.ros.listener_node')
 
 
 def recover_bag() -> NoReturn:
     """Make interrupted recordings whole."""
-    _run('hnn_vi_ros.recover_bag')
+    _run('recover_bag', 'hnn_vi_ros.recover_bag')
 
 
 def replay() -> NoReturn:
     """Publish a bag, or verify it."""
-    _run('hnn_vi_ros.ros.replay_node')
+    _run('replay', 'hnn_vi_ros.ros.replay_node')
 
 
 def rerun_bridge() -> NoReturn:
     """Show a running simulator or a bag in rerun."""
-    _run('hnn_vi_ros.ros.rerun_bridge')
+    _run('rerun_bridge', 'hnn_vi_ros.ros.rerun_bridge')
 
 
 def train() -> NoReturn:
     """Train a Hamiltonian neural network."""
-    _run('hnn_vi_ros.learning.train')
+    _run('train', 'hnn_vi_ros.learning.train')
 
 
 def import_checkpoint() -> NoReturn:
     """Turn a network of the original HNN code into a model."""
-    _run('hnn_vi_ros.learning.import_checkpoint')
+    _run('import_checkpoint', 'hnn_vi_ros.learning.import_checkpoint')
 
 
 def bag_to_model() -> NoReturn:
     """Record the double pendulum, train on the bag, simulate what was learned."""
-    _run('hnn_vi_ros.studies.bag_to_model')
+    _run('bag_to_model', 'hnn_vi_ros.studies.bag_to_model')
 
 
 def paper_figures() -> NoReturn:
     """Regenerate the figures of the paper."""
-    _run('hnn_vi_ros.studies.paper_figures')
+    _run('paper_figures', 'hnn_vi_ros.studies.paper_figures')
 
 
 def published_tables() -> NoReturn:
     """Measure our models where published ones were measured."""
-    _run('hnn_vi_ros.studies.published_tables')
+    _run('published_tables', 'hnn_vi_ros.studies.published_tables')
 
 
 def work_precision() -> NoReturn:
     """Measure what accuracy costs."""
-    _run('hnn_vi_ros.studies.work_precision')
+    _run('work_precision', 'hnn_vi_ros.studies.work_precision')
 
 
 def hard_cases() -> NoReturn:
     """Run the fourteen hard cases."""
-    _run('hnn_vi_ros.studies.hard_cases')
+    _run('hard_cases', 'hnn_vi_ros.studies.hard_cases')
 
 
 def scene() -> NoReturn:
     """Check, list or explain scenes."""
-    _run('hnn_vi_ros.scene_tool')
+    _run('scene', 'hnn_vi_ros.scene_tool')
 
 
 def _choose_cache() -> None:
@@ -101,11 +103,19 @@ def _choose_cache() -> None:
             Path(tempfile.gettempdir()) / f'hnn_vi_ros-cache-{os.getuid()}')
 
 
-def _run(module: str) -> NoReturn:
+def _answer_at_once(name: str, module: str, argv: Sequence[str]) -> None:
+    """Exit if help or the version is asked for: that takes none of the module's libraries."""
+    asked = [word for word in argv if word in ('-h', '--help', '--version')]
+    if asked:
+        package = module.rpartition('.')[0]
+        getattr(import_module(f'{package}.arguments'), name)().parse_args(asked[:1])
+
+
+def _run(name: str, module: str) -> NoReturn:
     """Call ``main(argv)`` of a module; an error that a user can mend becomes one line."""
-    name = module.rpartition('.')[2]
     _choose_cache()
     try:
+        _answer_at_once(name, module, sys.argv[1:])
         status = import_module(module).main(sys.argv[1:])
     except HnnViRosError as problem:
         status = f'{name}: {problem}'
@@ -118,5 +128,7 @@ def _run(module: str) -> NoReturn:
         if sys.prefix == sys.base_prefix:
             status += ' (best in a virtual environment, active while colcon builds)'
     except KeyboardInterrupt:
+        # Ctrl-C again must not interrupt the end.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         status = 130
     sys.exit(status)

@@ -26,6 +26,7 @@ from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers, MAX_BYTES, save_checkpoint
 from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.version import __version__
@@ -33,8 +34,6 @@ import numpy as np
 from pydantic import ValidationError
 import torch
 
-LAYOUTS = ('hnn', 'sum_second_half')
-ORDERS = ('qp', 'pq')
 _NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
 _SHAPES = ('expected the state_dict of a network whose layers are named linear1, linear2, ... '
            'with weights and biases')
@@ -198,9 +197,9 @@ def parse_box(text: str, d: int) -> Box:
             'momenta, as in --box=-1:1,-2:2, or one for all') from problem
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str]) -> None:
     """Import a network as the command line says."""
-    arguments = _parser().parse_args(argv)
+    arguments = command_lines.import_checkpoint().parse_args(argv)
     names = arguments.coordinates.split(',')
     out = arguments.out or Path('models') / f'{arguments.file.stem}.safetensors'
     if out.suffix != '.safetensors':
@@ -215,35 +214,12 @@ def main(argv: Sequence[str] | None = None) -> None:
             f'--coordinates {arguments.coordinates}: {len(names)} names, but the network of '
             f'{arguments.file} has {layers.weights[0].shape[1] // 2} coordinates')
     card = _card(arguments, names, layers, shlex.join(
-        ['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *(argv or ())]))
+        ['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv]))
     save_checkpoint(out, Checkpoint(card, {'energy': layers}))
     print(f'model: {out}')
     if not ACTIVATIONS[arguments.activation].smooth:
         print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
               'its order there')
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='import_checkpoint', description=__doc__.strip(),
-        formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('file', type=Path, metavar='FILE', help='what torch.save wrote')
-    parser.add_argument('--layout', required=True, choices=LAYOUTS, help='which outputs are H')
-    parser.add_argument('--activation', required=True, choices=tuple(ACTIVATIONS),
-                        help='between the layers; the file does not say')
-    parser.add_argument('--coordinates', required=True, metavar='NAME,...',
-                        help='a name for each coordinate')
-    parser.add_argument('--order', default='qp', choices=ORDERS,
-                        help='of the inputs: coordinates first (default), or momenta first')
-    box = parser.add_mutually_exclusive_group(required=True)
-    box.add_argument('--box', metavar='LOW:HIGH,...', help=(
-        'bounds of the data that the network was trained on: of each coordinate, then of each '
-        'momentum, or one for all; beyond them a simulation raises an alarm'))
-    box.add_argument('--box-of', metavar='NAME|FILE', help=(
-        'instead: the bounds of the data of this training configuration'))
-    parser.add_argument('--out', type=Path, metavar='FILE',
-                        help='the model file to write (default: models/<name>.safetensors)')
-    return parser
 
 
 def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str

@@ -9,6 +9,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.graph import THREAD_TURN
+from hnn_vi_ros.ros.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -45,7 +46,8 @@ class ManagedNode(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str):
-        Node.__init__(self, name)
+        with plain_ros_errors('ROS'):
+            Node.__init__(self, name, automatically_declare_parameters_from_overrides=True)
         # All services of this group answer while a transition is under way.
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         # The mixin's own handler lets the error of an illegal transition end the process.

@@ -2,29 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node: its lifecycle, from parameters to a run, and the process around it."""
 
+from collections.abc import Sequence
 import os
 import signal
 import sys
 import time
 from typing import Any
 
-from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Control
-from hnn_vi_ros.ros.graph import init_ros
+from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
-from hnn_vi_ros.ros.parameters import Parameters
+from hnn_vi_ros.ros.node_parameters import Parameters
+from hnn_vi_ros.ros.parameters import PARAMETERS
 from hnn_vi_ros.ros.preparation import prepare, Prepared
 from hnn_vi_ros.ros.run import log, Run
 from hnn_vi_ros.ros.services import offer_services
-from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.ros.starting import ignore_signals, init_ros, note_signals, own_arguments
+from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
 from lifecycle_msgs.msg import Transition
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
 
 # Wall time between two lines about a configuration that takes long [s].
@@ -34,6 +37,11 @@ _PROGRESS = 5.0
 class SimulatorNode(ManagedNode):
     """
     Simulate a scene at a given pace, publish it, record it and show it.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line, by which parameters were given.
 
     Attributes
     ----------
@@ -51,7 +59,7 @@ class SimulatorNode(ManagedNode):
 
     """
 
-    def __init__(self):
+    def __init__(self, arguments: Sequence[str] = ()):
         super().__init__('hnn_simulator')
         self.exit_status: int | None = None
         self.run: Run | None = None
@@ -59,6 +67,7 @@ class SimulatorNode(ManagedNode):
         self.topics: Topics | None = None
         self._incomplete, self._stage = False, ''
         self._settings = Parameters(self)
+        refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
         offer_services(self, self)
 
     @property
@@ -176,34 +185,20 @@ class SimulatorNode(ManagedNode):
 
 def main(argv: list[str]) -> int:
     """Run the node until its duration is over, a guard stops it, or SIGINT or SIGTERM arrives."""
+    command_lines.simulator().parse_args(own_arguments(argv))
     init_ros(argv)
-    if others := remove_ros_args(argv):
-        rclpy.shutdown()
-        raise ParameterError(f'unknown argument {others[0]!r}; parameters are given as: '
-                             '--ros-args -p NAME:=VALUE')
-    received: list[int] = []
-    node = None
-
-    def on_signal(number: int, frame: object) -> None:
-        if node is None:
-            raise KeyboardInterrupt
-        received.append(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # Our own handlers: rclpy's would end the context before the files are closed.
-        signal.signal(number, on_signal)
+    # Not rclpy's handlers, which would end the context before the files are closed.
+    received, node = note_signals(), None
     try:
-        node = SimulatorNode()
+        node = SimulatorNode(argv)
         _spin(node, received)
-    except KeyboardInterrupt:
-        # Stopped while it was still starting.
-        return 0
     finally:
         if node is not None:
             node.finish()
             busy = node.busy
             node.destroy_node()
         rclpy.try_shutdown()
+        ignore_signals()
     if busy:
         # A compilation that nobody needs cannot be interrupted, nor be left to run into the end.
         sys.stdout.flush()
@@ -217,13 +212,14 @@ def _spin(node: SimulatorNode, received: list[int]) -> None:
     executor.add_node(node)
     executor.create_task(node.autostart)
     while node.exit_status is None:
+        if received:
+            node.stop(0, f'stopped by {signal.Signals(received[0]).name}')
+            continue
         try:
             executor.spin_once(timeout_sec=0.1)
         except rclpy_implementation.RCLError as problem:
             # Such as a client that is gone before its answer: no reason to stop simulating.
             node.get_logger().warning(
                 f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
-        if received:
-            node.stop(0, f'stopped by {signal.Signals(received[0]).name}')
     if node.topics is not None:
         node.topics.wait_for_delivery()

@@ -6,8 +6,8 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters import (
-    ALWAYS, declare_parameters, PARAMETERS, START, UNCONFIGURED)
+from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters import ALWAYS, PARAMETERS, START, UNCONFIGURED
 from hypothesis import given, HealthCheck, settings, strategies
 from peer import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, peer, stamp
 from processes import finish, start
