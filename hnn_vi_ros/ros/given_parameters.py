@@ -27,7 +27,7 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
     """
     Refuse parameters that a node was given and does not have, before they run the default.
 
-    A parameter file may hold a section for several nodes, whose name has a wildcard (``/**``).
+    A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
     What the node does not have there belongs to another one: it is told if it looks like a
     misspelling, and left.
 
@@ -91,14 +91,19 @@ def _shared_names(arguments: Sequence[str]) -> Iterator[str]:
     """Yield the names of the parameters that files give to several nodes."""
     for option, path in zip(arguments, arguments[1:], strict=False):
         if option == '--params-file':
-            # ROS has read it already, and refused what is no parameter file.
-            yield from _names_in(yaml.safe_load(Path(path).read_bytes()), '')
+            # ROS has read it already, and refused what is no parameter file. Only names count.
+            try:
+                content = yaml.load(Path(path).read_bytes(), Loader=yaml.BaseLoader)
+            except (yaml.YAMLError, RecursionError) as problem:
+                raise ParameterError(f'{path}: {" ".join(str(problem).split())}') from problem
+            yield from _names_in(content if isinstance(content, Mapping) else {}, '')
 
 
 def _names_in(content: Mapping, node: str) -> Iterator[str]:
     for key, value in content.items():
         if key == _SECTION:
-            yield from _flat(value, '') if '*' in node else ()
+            # The name of the node itself, not of where it is.
+            yield from _flat(value, '') if '*' in node.rpartition('/')[2] else ()
         elif isinstance(value, Mapping):
             yield from _names_in(value, f'{node}/{key}')
 

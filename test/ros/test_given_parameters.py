@@ -87,7 +87,7 @@ def test_parameters_of_ros_of_qos_and_of_other_nodes_are_taken_or_left(arguments
         assert node.values['integrator'] == ('rk4' if own else '')
 
 
-@pytest.mark.parametrize('section', ['hnn_simulator', '/hnn_simulator'])
+@pytest.mark.parametrize('section', ['hnn_simulator', '/hnn_simulator', '/**/hnn_simulator'])
 def test_unknown_parameter_of_a_file_under_the_name_of_the_node_is_refused(tmp_path, section):
     arguments = parameter_file(tmp_path, {section: {'ros__parameters': {'integratr': 'rk4'}}})
     assert refused(*arguments).endswith('did you mean integrator?')
