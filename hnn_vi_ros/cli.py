@@ -4,11 +4,14 @@
 
 from collections.abc import Sequence
 from importlib import import_module
+import math
 import os
 from pathlib import Path
 import signal
 import sys
 import tempfile
+import time
+from types import FrameType
 from typing import NoReturn
 
 from hnn_vi_ros.errors import HnnViRosError
@@ -25,6 +28,8 @@ _PIP_NAMES = {
     'std_srvs': 'ros-jazzy-common-interfaces',
     'yaml': 'pyyaml',
 }
+# Within this time SIGINT counts as one [s].
+_ONE_INTERRUPT = 1.0
 
 
 def simulator() -> NoReturn:
@@ -103,6 +108,19 @@ def _choose_cache() -> None:
             Path(tempfile.gettempdir()) / f'hnn_vi_ros-cache-{os.getuid()}')
 
 
+def _merge_interrupts() -> None:
+    """Let SIGINT raise KeyboardInterrupt, but not again while that is being handled."""
+    last = -math.inf
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        if time.monotonic() - last > _ONE_INTERRUPT:
+            last = time.monotonic()
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, on_signal)
+
+
 def _answer_at_once(name: str, module: str, argv: Sequence[str]) -> None:
     """Exit if help or the version is asked for: that takes none of the module's libraries."""
     asked = [word for word in argv if word in ('-h', '--help', '--version')]
@@ -113,6 +131,7 @@ def _answer_at_once(name: str, module: str, argv: Sequence[str]) -> None:
 
 def _run(name: str, module: str) -> NoReturn:
     """Call ``main(argv)`` of a module; an error that a user can mend becomes one line."""
+    _merge_interrupts()
     _choose_cache()
     try:
         _answer_at_once(name, module, sys.argv[1:])
@@ -128,7 +147,8 @@ def _run(name: str, module: str) -> NoReturn:
         if sys.prefix == sys.base_prefix:
             status += ' (best in a virtual environment, active while colcon builds)'
     except KeyboardInterrupt:
-        # Ctrl-C again must not interrupt the end.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         status = 130
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Nothing is to interrupt the end, that of the interpreter included.
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(status)

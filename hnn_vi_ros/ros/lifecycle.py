@@ -64,6 +64,11 @@ class ManagedNode(LifecycleNodeMixin, Node):
         """Tell whether a thread of ``in_thread`` is at work."""
         return any(thread.is_alive() for thread in self._threads)
 
+    def wait(self, seconds: float) -> None:
+        """Wait at most so long for what is at work."""
+        for thread in list(self._threads):
+            thread.join(seconds)
+
     async def change_state(self, transition: int) -> bool:
         """
         Go through a transition; tell whether it succeeded.
@@ -91,6 +96,9 @@ class ManagedNode(LifecycleNodeMixin, Node):
         finally:
             if self.state != State.PRIMARY_STATE_FINALIZED:
                 self._state_machine.trigger_transition_by_label(result.to_label(), True)
+        if result == SUCCESS:
+            self.get_logger().info(
+                f'{before.label} -> {self._state_machine.current_state[1]}')
         return result == SUCCESS
 
     async def in_thread(self, work: Callable[[], Any]) -> Any:

@@ -4,8 +4,7 @@
 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.starting import (
-    ignore_signals, init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Float64
@@ -37,5 +36,4 @@ def main(argv: list[str]) -> None:
         while not received:
             rclpy.spin_once(node, timeout_sec=0.1)
     finally:
-        ignore_signals()
         rclpy.try_shutdown()

@@ -20,8 +20,7 @@ from hnn_vi_ros.ros.player import Player, read_ahead
 from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
-from hnn_vi_ros.ros.starting import (
-    ignore_signals, init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -213,7 +212,6 @@ def main(argv: list[str]) -> int:
     try:
         return _play(ReplayNode(options.bag, given, argv), received)
     finally:
-        ignore_signals()
         rclpy.try_shutdown()
 
 

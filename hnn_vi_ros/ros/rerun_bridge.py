@@ -19,8 +19,7 @@ from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import RecordedRun
-from hnn_vi_ros.ros.starting import (
-    ignore_signals, init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.sinks.rerun_sink import Target
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
@@ -197,7 +196,6 @@ def main(argv: list[str]) -> int:
         if node.problem is not None:
             raise node.problem
     finally:
-        ignore_signals()
         rclpy.try_shutdown()
     return 0
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starting and ending ROS in a process: its arguments, its errors in a line, and signals."""
+"""Starting ROS in a process: its arguments, its errors in a line, and signals."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +16,6 @@ from rclpy.logging import get_logger_effective_level, LoggingSeverity, set_logge
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SYNTAX = 'parameters are given as: --ros-args -p NAME:=VALUE, remaps as: --ros-args -r FROM:=TO'
 
 
@@ -84,12 +83,6 @@ def plain_ros_errors(what: str) -> Iterator[None]:
 def note_signals() -> list[int]:
     """Let SIGINT and SIGTERM end nothing by themselves; return the list that they appear in."""
     received: list[int] = []
-    for number in _SIGNALS:
+    for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: received.append(number))
     return received
-
-
-def ignore_signals() -> None:
-    """Let nothing interrupt the end, the interpreter's included, which unsets all handlers."""
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
