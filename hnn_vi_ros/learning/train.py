@@ -26,7 +26,7 @@ from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import Family
-from hnn_vi_ros.learning.interruption import Interrupted, Keeper
+from hnn_vi_ros.learning.interruption import Keeper
 from hnn_vi_ros.learning.loop import History, Loop
 from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.report import Outputs, write_report
@@ -172,11 +172,8 @@ def main(argv: Sequence[str]) -> None:
     told = [part for part in argv if part != '--resume']
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
     start = time.perf_counter()
-    try:
-        checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
-                                             arguments.device, keeper, arguments.resume)
-    except Interrupted as stop:
-        raise SystemExit(str(stop)) from None
+    checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
+                                         arguments.device, keeper, arguments.resume)
     seconds = time.perf_counter() - start
     save_checkpoint(outputs.model, checkpoint)
     card = checkpoint.card
