@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters that a node does not have are refused, not ignored; QoS can be set in full."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 import signal
@@ -17,7 +17,7 @@ from hnn_vi_ros.ros.starting import own_arguments
 from hnn_vi_ros.ros.topics import ENDPOINTS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sinks.mcap_reader import BagReader
-from peer import peer
+from peer import Peer, peer
 from processes import finish, start, start_executable
 import pytest
 import rclpy
@@ -61,6 +61,13 @@ def parameter_file(folder: Path, content: dict) -> tuple[str, str]:
     path = folder / 'given.yaml'
     path.write_text(yaml.safe_dump(content))
     return '--params-file', str(path)
+
+
+def in_the_graph(other: Peer, find: Callable, topic: str) -> QoSProfile:
+    """Return the QoS of the only endpoint that another node finds of a topic."""
+    other.spin_until(lambda: find(topic))
+    info, = find(topic)
+    return info.qos_profile
 
 
 @pytest.mark.parametrize('name, nearest', [
@@ -155,10 +162,9 @@ def test_qos_overrides_of_every_policy_are_what_the_topics_offer(tmp_path):
                         for name, value in overrides.items()})
     with peer() as other:
         other.spin_until(lambda: other.states)
-        offered = {}
-        for name in ('q', 'p', 'energy', 'scene'):
-            info, = other.node.get_publishers_info_by_topic(f'/hnn_simulator/{name}')
-            offered[name] = info.qos_profile
+        offered = {name: in_the_graph(other, other.node.get_publishers_info_by_topic,
+                                      f'/hnn_simulator/{name}')
+                   for name in ('q', 'p', 'energy', 'scene')}
         process.send_signal(signal.SIGINT)
         assert finish(process)[0] == 0
     assert offered['q'].reliability == ReliabilityPolicy.BEST_EFFORT
@@ -172,6 +178,25 @@ def test_qos_overrides_of_every_policy_are_what_the_topics_offer(tmp_path):
     recorded = {channel.topic[15:]: yaml.safe_load(channel.metadata['offered_qos_profiles'])[0]
                 for channel in BagReader(tmp_path / 'bag').channels.values()}
     assert recorded['q']['history'] == 'keep_all' and recorded['p']['depth'] == 77
+
+
+def test_qos_overrides_of_replay_and_bridge_are_what_they_offer_and_ask_for(tmp_path):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_harmonic_oscillator'), 2)
+    replay = start_executable('replay', bag, '--start-paused', '--ros-args', '-p',
+                              f'{Q}.reliability:=best_effort', folder=tmp_path)
+    bridge = start_executable(
+        'rerun_bridge', '--ros-args', '-p', 'rerun_sink:=file', '-p', 'rerun_path:=a.rrd', '-p',
+        'qos_overrides./hnn_simulator/q.subscription.reliability:=best_effort', folder=tmp_path)
+    with peer() as other:
+        for find in (other.node.get_publishers_info_by_topic,
+                     other.node.get_subscriptions_info_by_topic):
+            for topic, expected in (('q', ReliabilityPolicy.BEST_EFFORT),
+                                    ('p', ReliabilityPolicy.RELIABLE)):
+                found = in_the_graph(other, find, f'/hnn_simulator/{topic}')
+                assert found.reliability == expected
+    for process in (replay, bridge):
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
 
 
 def test_topics_whose_qos_can_be_set_are_those_of_the_policy():
