@@ -2,11 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executables: each imports its module late, so that a missing package is one plain line."""
 
+from collections.abc import Sequence
 from importlib import import_module
+import math
 import os
 from pathlib import Path
+import signal
 import sys
 import tempfile
+import time
+from types import FrameType
 from typing import NoReturn
 
 from hnn_vi_ros.errors import HnnViRosError
@@ -23,71 +28,73 @@ _PIP_NAMES = {
     'std_srvs': 'ros-jazzy-common-interfaces',
     'yaml': 'pyyaml',
 }
+# Within this time SIGINT counts as one [s].
+_ONE_INTERRUPT = 1.0
 
 
 def simulator() -> NoReturn:
     """Run the simulator node."""
-    _run('hnn_vi_ros.ros.simulator_node')
+    _run('simulator', 'hnn_vi_ros.ros.simulator_node')
 
 
 def listener() -> NoReturn:
     """Run the example subscriber."""
-    _run('hnn_vi_ros.ros.listener_node')
+    _run('listener', 'hnn_vi_ros.ros.listener_node')
 
 
 def recover_bag() -> NoReturn:
     """Make interrupted recordings whole."""
-    _run('hnn_vi_ros.recover_bag')
+    _run('recover_bag', 'hnn_vi_ros.recover_bag')
 
 
 def replay() -> NoReturn:
     """Publish a bag, or verify it."""
-    _run('hnn_vi_ros.ros.replay_node')
+    _run('replay', 'hnn_vi_ros.ros.replay_node')
 
 
 def rerun_bridge() -> NoReturn:
     """Show a running simulator or a bag in rerun."""
-    _run('hnn_vi_ros.ros.rerun_bridge')
+    _run('rerun_bridge', 'hnn_vi_ros.ros.rerun_bridge')
 
 
 def train() -> NoReturn:
     """Train a Hamiltonian neural network."""
-    _run('hnn_vi_ros.learning.train')
+    _run('train', 'hnn_vi_ros.learning.train')
 
 
 def import_checkpoint() -> NoReturn:
     """Turn a network of the original HNN code into a model."""
-    _run('hnn_vi_ros.learning.import_checkpoint')
+    _run('import_checkpoint', 'hnn_vi_ros.learning.import_checkpoint')
 
 
 def bag_to_model() -> NoReturn:
     """Record the double pendulum, train on the bag, simulate what was learned."""
-    _run('hnn_vi_ros.studies.bag_to_model')
+    _run('bag_to_model', 'hnn_vi_ros.studies.bag_to_model')
 
 
 def paper_figures() -> NoReturn:
     """Regenerate the figures of the paper."""
-    _run('hnn_vi_ros.studies.paper_figures')
+    _run('paper_figures', 'hnn_vi_ros.studies.paper_figures')
 
 
 def published_tables() -> NoReturn:
     """Measure our models where published ones were measured."""
-    _run('hnn_vi_ros.studies.published_tables')
+    _run('published_tables', 'hnn_vi_ros.studies.published_tables')
 
 
 def work_precision() -> NoReturn:
     """Measure what accuracy costs."""
-    _run('hnn_vi_ros.studies.work_precision')
+    _run('work_precision', 'hnn_vi_ros.studies.work_precision')
 
 
 def hard_cases() -> NoReturn:
     """Run the fourteen hard cases."""
-    _run('hnn_vi_ros.studies.hard_cases')
+    _run('hard_cases', 'hnn_vi_ros.studies.hard_cases')
 
 
 def scene() -> NoReturn:
     """Check, list or explain scenes."""
-    _run('hnn_vi_ros.scene_tool')
+    _run('scene', 'hnn_vi_ros.scene_tool')
 
 
 def _choose_cache() -> None:
@@ -101,11 +108,33 @@ def _choose_cache() -> None:
             Path(tempfile.gettempdir()) / f'hnn_vi_ros-cache-{os.getuid()}')
 
 
-def _run(module: str) -> NoReturn:
+def _merge_interrupts() -> None:
+    """Let SIGINT raise KeyboardInterrupt, but not again while that is being handled."""
+    last = -math.inf
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        if time.monotonic() - last > _ONE_INTERRUPT:
+            last = time.monotonic()
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, on_signal)
+
+
+def _answer_at_once(name: str, module: str, argv: Sequence[str]) -> None:
+    """Exit if help or the version is asked for: that takes none of the module's libraries."""
+    asked = [word for word in argv if word in ('-h', '--help', '--version')]
+    if asked:
+        package = module.rpartition('.')[0]
+        getattr(import_module(f'{package}.arguments'), name)().parse_args(asked[:1])
+
+
+def _run(name: str, module: str) -> NoReturn:
     """Call ``main(argv)`` of a module; an error that a user can mend becomes one line."""
-    name = module.rpartition('.')[2]
+    _merge_interrupts()
     _choose_cache()
     try:
+        _answer_at_once(name, module, sys.argv[1:])
         status = import_module(module).main(sys.argv[1:])
     except HnnViRosError as problem:
         status = f'{name}: {problem}'
@@ -119,4 +148,7 @@ def _run(module: str) -> NoReturn:
             status += ' (best in a virtual environment, active while colcon builds)'
     except KeyboardInterrupt:
         status = 130
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Nothing is to interrupt the end, that of the interpreter included.
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(status)

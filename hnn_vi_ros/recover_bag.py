@@ -2,19 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make bags whole whose recording was interrupted."""
 
-import argparse
-from pathlib import Path
 import sys
 
+from hnn_vi_ros.arguments import recover_bag
 from hnn_vi_ros.sinks.mcap_recovery import recover, Recovery
 
 
 def main(argv: list[str]) -> int:
     """Make each bag whole, and say what is in it."""
-    parser = argparse.ArgumentParser(prog='recover_bag', description=__doc__)
-    parser.add_argument('bag', type=Path, nargs='+', help=(
-        'folder of a bag, or its .mcap file, that a recorder did not close'))
-    for bag in parser.parse_args(argv).bag:
+    for bag in recover_bag().parse_args(argv).bag:
         print(_told(recover(bag)), file=sys.stdout, flush=True)
     return 0
 

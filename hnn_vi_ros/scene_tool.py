@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check, list and explain scenes, and print their JSON schema."""
 
-import argparse
 from collections.abc import Iterator, Sequence
 import json
 import math
 import sys
 
+from hnn_vi_ros import arguments
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.resources import shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
@@ -19,16 +19,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 def main(argv: list[str]) -> int:
     """Do what the one option asks for; return 1 if a scene that is checked is not valid."""
-    parser = argparse.ArgumentParser(prog='scene', description=__doc__)
-    task = parser.add_mutually_exclusive_group(required=True)
-    task.add_argument('--check', nargs='+', metavar='SCENE', help=(
-        'say of each scene, a shipped name or a file, whether it is valid'))
-    task.add_argument('--list', action='store_true', help='name the shipped scenes')
-    task.add_argument('--schema', action='store_true', help=(
-        'print the JSON schema by which editors complete and check scenes'))
-    task.add_argument('--explain', metavar='SCENE', help=(
-        'tell what a scene simulates, and measure what each of its effects adds to a step'))
-    options = parser.parse_args(argv)
+    options = arguments.scene().parse_args(argv)
     if options.check:
         return check(options.check)
     if options.list:

@@ -9,4 +9,4 @@ from launch import LaunchDescription
 
 def generate_launch_description() -> LaunchDescription:
     """Return the lifecycle node, its transitions, and its parameters as arguments."""
-    return describe_node('simulator', PARAMETERS, manage='hnn_simulator')
+    return describe_node('simulator', 'hnn_simulator', PARAMETERS, managed=True)

@@ -9,4 +9,5 @@ from launch import LaunchDescription
 
 def generate_launch_description() -> LaunchDescription:
     """Return the node and the arguments that configure it: the bag, and its parameters."""
-    return describe_node('replay', PARAMETERS, [('bag', 'folder of the bag, or its .mcap file')])
+    return describe_node('replay', 'hnn_replay', PARAMETERS, [
+        ('bag', 'folder of the bag, or its .mcap file')])

@@ -9,4 +9,4 @@ from launch import LaunchDescription
 
 def generate_launch_description() -> LaunchDescription:
     """Return the node and the arguments that configure it: its parameters."""
-    return describe_node('simulator', PARAMETERS)
+    return describe_node('simulator', 'hnn_simulator', PARAMETERS)

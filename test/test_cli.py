@@ -2,14 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executables: a missing package and an error of the user's are one line each."""
 
+from importlib import import_module
+from pathlib import Path
+import re
 import subprocess
 import sys
+from xml.etree import ElementTree
 
+from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
+from hnn_vi_ros.learning import arguments as learning
+from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.version import __version__
 import pytest
 
-EXECUTABLES = ['simulator', 'listener', 'train', 'paper_figures', 'scene', 'work_precision',
-               'import_checkpoint', 'bag_to_model']
-
+ROOT = Path(__file__).resolve().parents[1]
+EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text())
+# The parsers are told apart by the package that their executable belongs to.
+HOMES = {'learning': ['train', 'import_checkpoint'],
+         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener'],
+         '': ['recover_bag', 'scene']}
+# What help can do without: these take seconds to import.
+HEAVY = {'torch', 'numba', 'rclpy', 'numpy', 'scipy', 'matplotlib', 'rerun', 'pydantic', 'yaml'}
 
 HIDE = """
 import sys
@@ -77,3 +91,96 @@ def test_error_of_the_user_is_one_line_and_no_traceback(executable, arguments):
     assert result.returncode == 1
     assert result.stderr.count('\n') == 1
     assert 'nothing' in result.stderr or '/dev/null' in result.stderr
+
+
+def parser(executable: str) -> Parser:
+    """Return the parser of an executable."""
+    home = next((home for home, names in HOMES.items() if executable in names), 'studies')
+    return getattr(import_module('.'.join(filter(None, ['hnn_vi_ros', home, 'arguments']))),
+                   executable)()
+
+
+def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
+    """Run an executable; what it has imported is the last line that it prints."""
+    code = ('import atexit, sys; atexit.register(lambda: print(*sys.modules)); '
+            f'from hnn_vi_ros.cli import {executable}; {executable}()')
+    return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
+                          timeout=60, check=False)
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_help_comes_without_the_libraries_that_the_work_takes(executable):
+    result = ask(executable, *(['-h'] if executable == 'scene' else ['x', '--help', '-p', 'y']))
+    assert (result.returncode, result.stderr) == (0, '')
+    *text, imported = result.stdout.splitlines()
+    assert text[0].startswith(f'usage: {executable} ')
+    assert 'examples:' in text
+    assert any(line.startswith(f'  ros2 run hnn_vi_ros {executable}') for line in text)
+    assert not HEAVY & set(imported.split())
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_help_tells_every_option(executable):
+    text = parser(executable).format_help()
+    for action in parser(executable)._actions:
+        assert action.help, f'{executable}: {action.dest}'
+    # Command lines can be pasted: they are not broken.
+    assert all(len(line) <= 99 or 'ros2 run' in line for line in text.splitlines())
+
+
+@pytest.mark.parametrize('executable, table', [
+    ('simulator', parameters.PARAMETERS), ('replay', replay_parameters.PARAMETERS),
+    ('rerun_bridge', bridge_parameters.PARAMETERS)])
+def test_help_tells_every_parameter_with_unit_values_and_default(executable, table):
+    entries = parser(executable).format_help().split('NAME:=VALUE):\n')[1]
+    for item in table:
+        entry = re.search(rf'^  {item.name}\n((?:      .*\n)+)', entries, re.M)[1]
+        text = ' '.join(entry.split())
+        assert text.startswith(item.description)
+        assert all(choice in text for choice in item.choices)
+        assert f'[{item.unit}]' in text or not item.unit
+        shown = str(item.default).lower() if isinstance(item.default, bool) else item.default
+        assert text.endswith(f'default: {"empty" if shown == "" else shown}')
+
+
+def test_help_of_the_simulator_names_every_topic_and_service():
+    rights = ElementTree.parse(ROOT / 'config' / 'security' / 'simulator.policy.xml').getroot()
+    text = parser('simulator').format_help()
+    own = {name.text for name in rights.iter() if name.tag in ('topic', 'service')
+           and not re.search('parameter|rosout|transition|get_|change_st|simulation', name.text)}
+    assert own >= {'~/q', '~/step', '~/commands', 'joint_states', '/clock'}
+    assert {name for name in own if name not in text} == set()
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_version_is_told(executable):
+    result = ask(executable, '--version')
+    assert (result.returncode, result.stdout.splitlines()[0]) == (0, f'hnn_vi_ros {__version__}')
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_misspelt_option_is_one_line_with_the_nearest(executable, capsys):
+    found = parser(executable)
+    option = next((name for name in reversed(found._option_string_actions)
+                   if name.startswith('--') and len(name) > 4), '--version')
+    for misspelt in (option[:-1], f'{option}x', f'{option[:-1]}=3'):
+        with pytest.raises(SystemExit, match='2'):
+            found.parse_args([misspelt])
+        error = capsys.readouterr().err
+        assert error.startswith(f'{executable}: unknown option ') and error.count('\n') == 1
+        assert 'did you mean' in error and f'see {executable} --help' in error
+
+
+@pytest.mark.parametrize('words, what', [
+    (['--config'], 'expected one argument'), ([], 'required: --config'),
+    (['--config', 'a', 'b'], "'b'"), (['--config', 'a', '--seed', 'x'], 'x'),
+    (['--config', 'a', '--device', 'tpu'], 'cuda')])
+def test_error_of_the_command_line_is_one_line_with_the_name(words, what, capsys):
+    with pytest.raises(SystemExit, match='2'):
+        learning.train().parse_args(words)
+    error = capsys.readouterr().err
+    assert error.startswith('train: ') and error.count('\n') == 1 and what in error
+
+
+def test_activations_of_the_command_line_are_those_that_can_be_imported():
+    assert set(learning.ACTIVATIONS) == set(ACTIVATIONS)

@@ -94,7 +94,7 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
     out = str(tmp_path / 'm.safetensors')
     with monkeypatch.context() as context:
         context.setattr(Problem, 'validation_loss', interrupted)
-        with pytest.raises(SystemExit, match='stopped at step .*m.training.*--resume'):
+        with pytest.raises(Interrupted, match='stopped at step .*m.training.*--resume'):
             main([*arguments, out])
     assert not (tmp_path / 'm.safetensors').exists()
     with pytest.raises(ParameterError, match='m.training is a run that was interrupted'):

@@ -23,6 +23,7 @@ from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.learning.state_dict import read_layers
@@ -30,8 +31,6 @@ from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError
 
-LAYOUTS = ('hnn', 'sum_second_half')
-ORDERS = ('qp', 'pq')
 _OTHER_STATE = ('a network of another state, such as (q, dq/dt), (cos q, sin q, p) or (q, p, t), '
                 'is no H(q, p) and cannot be imported')
 
@@ -104,9 +103,9 @@ def parse_box(text: str, d: int) -> Box:
             'momenta, as in --box=-1:1,-2:2, or one for all') from problem
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str]) -> None:
     """Import a network as the command line says."""
-    arguments = _parser().parse_args(argv)
+    arguments = command_lines.import_checkpoint().parse_args(argv)
     names = arguments.coordinates.split(',')
     out = arguments.out or Path('models') / f'{arguments.file.stem}.safetensors'
     if out.suffix != '.safetensors':
@@ -123,35 +122,12 @@ def main(argv: Sequence[str] | None = None) -> None:
             f'{layers.weights[0].shape[1] // 2} coordinates and as many momenta, if its state is '
             f'(q, p); {_OTHER_STATE}')
     card = _card(arguments, names, layers, shlex.join(
-        ['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *(argv or ())]))
+        ['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv]))
     save_checkpoint(out, Checkpoint(card, {'energy': layers}))
     print(f'model: {out}')
     if not ACTIVATIONS[arguments.activation].smooth:
         print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
               'its order there')
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='import_checkpoint', description=__doc__.strip(),
-        formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('file', type=Path, metavar='FILE', help='what torch.save wrote')
-    parser.add_argument('--layout', required=True, choices=LAYOUTS, help='which outputs are H')
-    parser.add_argument('--activation', required=True, choices=tuple(ACTIVATIONS),
-                        help='between the layers; the file does not say')
-    parser.add_argument('--coordinates', required=True, metavar='NAME,...',
-                        help='a name for each coordinate')
-    parser.add_argument('--order', default='qp', choices=ORDERS,
-                        help='of the inputs: coordinates first (default), or momenta first')
-    box = parser.add_mutually_exclusive_group(required=True)
-    box.add_argument('--box', metavar='LOW:HIGH,...', help=(
-        'bounds of the data that the network was trained on: of each coordinate, then of each '
-        'momentum, or one for all; beyond them a simulation raises an alarm'))
-    box.add_argument('--box-of', metavar='NAME|FILE', help=(
-        'instead: the bounds of the data of this training configuration'))
-    parser.add_argument('--out', type=Path, metavar='FILE',
-                        help='the model file to write (default: models/<name>.safetensors)')
-    return parser
 
 
 def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str

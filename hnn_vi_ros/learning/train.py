@@ -9,7 +9,6 @@ then by L-BFGS, which descends it. All in float64, on all the data at once, and 
 same machine for the same seed.
 """
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 import os
@@ -22,11 +21,12 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.hamiltonians.families import FAMILIES
 from hnn_vi_ros.hamiltonians.model_card import ModelCard
+from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import Family
-from hnn_vi_ros.learning.interruption import Interrupted, Keeper
+from hnn_vi_ros.learning.interruption import Keeper
 from hnn_vi_ros.learning.loop import History, Loop
 from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.report import Outputs, write_report
@@ -151,21 +151,9 @@ def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig,
     return energy_spread(learned, numbers, config.seed)
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str]) -> None:
     """Train a model as the command line says."""
-    parser = argparse.ArgumentParser(prog='train', description=__doc__.strip().split('\n')[0])
-    parser.add_argument('--config', required=True, metavar='NAME|FILE',
-                        help='a shipped training configuration, or a YAML file')
-    parser.add_argument('--out', type=Path, metavar='FILE',
-                        help='the model file to write (default: models/<name>.safetensors)')
-    parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
-                        help='a measured log, or bags, instead of data.path')
-    parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
-    parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
-                        help='where to train (default: cpu)')
-    parser.add_argument('--resume', action='store_true',
-                        help='go on with a run that was interrupted')
-    arguments = parser.parse_args(argv)
+    arguments = command_lines.train().parse_args(argv)
     # Small networks gain nothing from more threads, and sums come out the same on any machine.
     torch.set_num_threads(1)
     source = find_config(arguments.config)
@@ -181,14 +169,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     dataset = make_dataset(config.data, config.seed, source, arguments.data)
     state = _check_outputs(outputs, arguments.resume)
     keeper = Keeper(state, config, dataset, arguments.device)
-    told = [part for part in argv or () if part != '--resume']
+    told = [part for part in argv if part != '--resume']
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
     start = time.perf_counter()
-    try:
-        checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
-                                             arguments.device, keeper, arguments.resume)
-    except Interrupted as stop:
-        raise SystemExit(str(stop)) from None
+    checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
+                                         arguments.device, keeper, arguments.resume)
     seconds = time.perf_counter() - start
     save_checkpoint(outputs.model, checkpoint)
     card = checkpoint.card

@@ -3,12 +3,8 @@
 """The parameters of the rerun bridge."""
 
 from dataclasses import replace
-from pathlib import Path
 
-from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters import Specification, START, Value
-from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
-from hnn_vi_ros.sinks.rerun_sink import Target
+from hnn_vi_ros.ros.parameters import Specification, START
 
 PARAMETERS = tuple(replace(item, changes=START) for item in (
     Specification('simulator', '/hnn_simulator', 'full name of the simulator node'),
@@ -19,18 +15,3 @@ PARAMETERS = tuple(replace(item, changes=START) for item in (
     Specification('trust_code', False, 'run Python code that the scene on `~/scene` or in the bag '
                   'names; `--trust-code` sets it'),
 ))
-
-
-def target_of(values: dict[str, Value]) -> Target:
-    """Return where the picture goes, or raise ParameterError."""
-    path = str(values['rerun_path'])
-    if values['rerun_sink'] == 'connect':
-        return path or VIEWER_URL
-    if values['rerun_sink'] == 'serve':
-        port = path or str(SERVER_PORT)
-        if not (port.isdecimal() and 0 < int(port) < 65536):
-            raise ParameterError(f'parameter rerun_path = {path!r}: expected a port, 1 to 65535')
-        return int(port)
-    if not path:
-        raise ParameterError('parameter rerun_path: expected the .rrd file to write')
-    return Path(path).expanduser()

@@ -4,13 +4,17 @@
 
 from collections.abc import Mapping
 import math
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.look_ahead import look_ahead
+from hnn_vi_ros.ros.parameters import Value
+from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.rerun_sink import RerunSink, Target
@@ -108,3 +112,18 @@ class BridgePicture:
             step=round(stamp * 1e-9 / self._step_size), stamp=stamp,
             q=np.array(messages['q'].data), p=np.array(messages['p'].data), dH_dq=dH_dq,
             dH_dp=dH_dp, energy=energy, modified_energy=modified, energy_error=error, work=work)
+
+
+def target_of(values: dict[str, Value]) -> Target:
+    """Return where parameters say that the picture goes, or raise ParameterError."""
+    path = str(values['rerun_path'])
+    if values['rerun_sink'] == 'connect':
+        return path or VIEWER_URL
+    if values['rerun_sink'] == 'serve':
+        port = path or str(SERVER_PORT)
+        if not (port.isdecimal() and 0 < int(port) < 65536):
+            raise ParameterError(f'parameter rerun_path = {path!r}: expected a port, 1 to 65535')
+        return int(port)
+    if not path:
+        raise ParameterError('parameter rerun_path: expected the .rrd file to write')
+    return Path(path).expanduser()

@@ -79,6 +79,8 @@ class Control:
     def activate(self) -> None:
         """Go on, for the first time once subscribers that are there have been found."""
         self.active, self.stopped = True, False
+        if self.paused:
+            self._run.tell('paused until ~/set_pause ends it', 'INFO')
         if self._timer is None and self._discovery is None:
             self._discovery = Discovery(
                 lambda: self._topics.subscribers, self._discovery_time)

@@ -1,16 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joining the graph: ROS itself, subscribers that are there already, and what reaches them."""
+"""Joining the graph: subscribers that are there already, and what reaches them."""
 
 from collections.abc import Callable, Iterable
 import gc
 import time
 
-from hnn_vi_ros.errors import ParameterError
-import rclpy
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
 
 # How long a thread may hold the interpreter while another one wants it [s]. With Python's 5 ms,
 # whoever serves would wait that long after each call to the system, and messages would be late.
@@ -21,22 +18,6 @@ DISCOVERY_PERIOD = 0.02
 _SETTLED = 0.5
 # What the delivery of the last messages may take [s].
 _DELIVERY = 1.0
-
-
-def init_ros(argv: list[str]) -> None:
-    """
-    Initialise rclpy without its signal handlers, which would end the context at once.
-
-    Raises
-    ------
-    ParameterError
-        ROS does not understand its arguments; one line.
-
-    """
-    try:
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, ValueError) as problem:
-        raise ParameterError(f'ROS arguments: {" ".join(str(problem).split())}') from problem
 
 
 def freeze_memory() -> None:

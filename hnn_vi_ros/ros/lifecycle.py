@@ -9,6 +9,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.graph import THREAD_TURN
+from hnn_vi_ros.ros.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -45,7 +46,8 @@ class ManagedNode(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str):
-        Node.__init__(self, name)
+        with plain_ros_errors('ROS'):
+            Node.__init__(self, name, automatically_declare_parameters_from_overrides=True)
         # All services of this group answer while a transition is under way.
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         # The mixin's own handler lets the error of an illegal transition end the process.
@@ -62,6 +64,11 @@ class ManagedNode(LifecycleNodeMixin, Node):
     def busy(self) -> bool:
         """Tell whether a thread of ``in_thread`` is at work."""
         return any(thread.is_alive() for thread in self._threads)
+
+    def wait(self, seconds: float) -> None:
+        """Wait at most so long for what is at work."""
+        for thread in list(self._threads):
+            thread.join(seconds)
 
     async def change_state(self, transition: int) -> bool:
         """
@@ -90,6 +97,9 @@ class ManagedNode(LifecycleNodeMixin, Node):
         finally:
             if self.state != State.PRIMARY_STATE_FINALIZED:
                 self._state_machine.trigger_transition_by_label(result.to_label(), True)
+        if result == SUCCESS:
+            self.get_logger().info(
+                f'{before.label} -> {self._state_machine.current_state[1]}')
         return result == SUCCESS
 
     async def in_thread(self, work: Callable[[], Any]) -> Any:

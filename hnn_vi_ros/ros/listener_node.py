@@ -2,27 +2,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """The example subscriber: prints the energy of a running simulator once a second."""
 
+from hnn_vi_ros.ros import arguments
+from hnn_vi_ros.ros.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
 from std_msgs.msg import Float64
 
 
+class Listener(Node):
+    """Print every hundredth energy."""
+
+    def __init__(self):
+        super().__init__('hnn_listener', automatically_declare_parameters_from_overrides=True)
+        self._count = 0
+        self.create_subscription(Float64, '/hnn_simulator/energy', self._on_energy, 10)
+
+    def _on_energy(self, message: Float64) -> None:
+        if self._count % 100 == 0:
+            self.get_logger().info(f'sample {self._count}: H = {message.data:.6f} J')
+        self._count += 1
+
+
 def main(argv: list[str]) -> None:
-    """Print every hundredth energy until the node is stopped."""
-    rclpy.init(args=argv)
-    node = rclpy.create_node('hnn_listener')
-    count = 0
-
-    def on_energy(message: Float64) -> None:
-        nonlocal count
-        if count % 100 == 0:
-            node.get_logger().info(f'sample {count}: H = {message.data:.6f} J')
-        count += 1
-
-    node.create_subscription(Float64, '/hnn_simulator/energy', on_energy, 10)
+    """Listen until the node is stopped."""
+    arguments.listener().parse_args(own_arguments(argv))
+    init_ros(argv)
+    received = note_signals()
     try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        with plain_ros_errors('ROS'):
+            node = Listener()
+        refuse_unknown(node, (), (), argv)
+        while not received:
+            rclpy.spin_once(node, timeout_sec=0.1)
     finally:
         rclpy.try_shutdown()

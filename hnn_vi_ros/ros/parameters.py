@@ -1,17 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the simulator node: one table that declares, checks and documents them."""
+"""
+The parameters of the simulator node: one table that declares, checks and documents them.
+
+Imports nothing of ROS: help is written from it as well.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.errors import ParameterError
-from rcl_interfaces.msg import (
-    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 Value = str | bool | int | float
 
@@ -53,25 +52,6 @@ class Specification:
     largest: float = math.inf
     choices: tuple[str, ...] = ()
     changes: str = UNCONFIGURED
-
-    def descriptor(self) -> ParameterDescriptor:
-        """Return the ROS descriptor, which ``ros2 param describe`` shows."""
-        unit = f' [{self.unit}]' if self.unit else ''
-        constraints = [f'one of: {", ".join(self.choices)}'] if self.choices else []
-        if self.changes == UNCONFIGURED:
-            constraints.append('can be set while the node is unconfigured')
-        descriptor = ParameterDescriptor(
-            description=f'{self.description}{unit}', read_only=self.changes == START,
-            additional_constraints='; '.join(constraints))
-        if type(self.default) is int:
-            descriptor.integer_range = [
-                IntegerRange(from_value=int(self.smallest), to_value=int(self.largest))]
-        elif isinstance(self.default, float):
-            # An integer given for a double must work; the range is checked below.
-            descriptor.dynamic_typing = True
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=self.smallest, to_value=self.largest)]
-        return descriptor
 
     def check(self, value: object) -> Value:
         """Return the value in the parameter's type, or raise ParameterError."""
@@ -150,102 +130,6 @@ PARAMETERS = (
                   'compiles one kernel for each effect'),
     Specification('frame_id', 'world', 'frame that `~/markers` are drawn in'),
 )
-_BY_NAME = {item.name: item for item in PARAMETERS}
-_DOUBLES = {item.name for item in PARAMETERS if isinstance(item.default, float)}
-
-
-def declare_parameters(node: Node, table: Sequence[Specification] = PARAMETERS
-                       ) -> dict[str, Value]:
-    """
-    Declare every parameter of a table and return the values, checked.
-
-    Raises
-    ------
-    ParameterError
-        A value of the wrong type or out of its range; one line.
-
-    """
-    values = {}
-    for specification in table:
-        name = specification.name
-        try:
-            parameter = node.declare_parameter(
-                name, specification.default, specification.descriptor())
-        except (InvalidParameterTypeException, InvalidParameterValueException) as problem:
-            raise ParameterError(f'parameter {name}: {specification.expected}; '
-                                 f'{" ".join(str(problem).split())}') from problem
-        values[name] = specification.check(parameter.value)
-    return values
-
-
-class Parameters:
-    """
-    The parameters of a node: declared, checked, and changed only where they may.
-
-    Changes that are asked for together are checked together: all of them or none are made.
-
-    Parameters
-    ----------
-    node : Node
-        Whose parameters they are.
-
-    Attributes
-    ----------
-    values : dict
-        Name and value of each.
-    configured : bool
-        Whether a configured run uses them.
-    run : object or None
-        Told of changes while it goes on: ``check(values)``, which may raise ParameterError, and
-        then ``apply(values)`` with all values.
-
-    Raises
-    ------
-    ParameterError
-        A value of the wrong type or out of its range; one line.
-
-    """
-
-    def __init__(self, node: Node):
-        self.values = declare_parameters(node)
-        self.configured, self.run = False, None
-        node.add_pre_set_parameters_callback(_with_doubles)
-        node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._apply)
-
-    def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        try:
-            values = self._changed(parameters)
-            if self.run is not None:
-                self.run.check(values)
-        except ParameterError as problem:
-            return SetParametersResult(successful=False, reason=str(problem))
-        return SetParametersResult(successful=True)
-
-    def _apply(self, parameters: Sequence[Parameter]) -> None:
-        self.values = self._changed(parameters)
-        if self.run is not None:
-            self.run.apply(self.values)
-
-    def _changed(self, parameters: Sequence[Parameter]) -> dict[str, Value]:
-        """Return all values with changes, or raise ParameterError; other parameters are ROS's."""
-        changes = {}
-        for parameter in parameters:
-            specification = _BY_NAME.get(parameter.name)
-            if specification is not None:
-                if self.configured and specification.changes == UNCONFIGURED:
-                    raise ParameterError(
-                        f'parameter {parameter.name}: can only be set while the node is '
-                        'unconfigured; use the transition cleanup first')
-                changes[parameter.name] = specification.check(parameter.value)
-        return self.values | changes
-
-
-def _with_doubles(parameters: list[Parameter]) -> list[Parameter]:
-    """Return them with doubles where integers were given for them."""
-    return [Parameter(item.name, Parameter.Type.DOUBLE, float(item.value))
-            if item.type_ == Parameter.Type.INTEGER and item.name in _DOUBLES else item
-            for item in parameters]
 
 
 def markdown_table(table: Sequence[Specification] = PARAMETERS) -> str:
@@ -263,3 +147,13 @@ def _shown(value: Value) -> str:
     if isinstance(value, bool):
         return f'`{str(value).lower()}`'
     return f'`{value}`' if value != '' else 'empty'
+
+
+def help_of(item: Specification) -> str:
+    """Return what the help of an executable says of a parameter: meaning, values, default."""
+    values = f' ({item.expected.removeprefix("expected ")})' if _is_limited(item) else ''
+    return f'{item.description}{values}; default: {_shown(item.default).strip("`")}'
+
+
+def _is_limited(item: Specification) -> bool:
+    return bool(item.choices) or type(item.default) in (int, float)

@@ -18,6 +18,8 @@ from hnn_vi_ros.sinks.bag_metadata import Topic
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+# The last stage, from which on there are files.
+OPENING = 'opening the files'
 # Simulated time of which the picture leaves room, at the pace of the clock [s].
 _SEEN = 30.0
 # Wall time between two samples beyond which a pace is taken for a mistake [s].
@@ -100,7 +102,7 @@ def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
     report = scene_report(scene, simulation, cost, values['explain'])
-    begin('opening the files')
+    begin(OPENING)
     recording = Recording(logger, scene, simulation, values, topics, box, origin)
     return Prepared(scene, simulation, box, report, recording, events, origin)
 

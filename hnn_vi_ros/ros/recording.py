@@ -80,6 +80,7 @@ class Recording:
         try:
             self._open_bag()
             self._open_picture()
+            self._tell_bag()
         except BaseException:
             self.close()
             raise
@@ -104,6 +105,7 @@ class Recording:
                 sink()
             except RecordingError as problem:
                 self._give_up(problem)
+        self._tell_bag()
 
     def start_bag(self) -> str:
         """Begin a new bag and return where it is, or raise RecordingError."""
@@ -265,6 +267,10 @@ class Recording:
             conservative=simulation.conservative,
             modified=simulation.modified_energy is not None, pace=pace or None,
             interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
+
+    def _tell_bag(self) -> None:
+        if self._bag_sink is not None:
+            self._logger.info(f'recording to {self._bags[-1]}')
 
     def _give_up(self, problem: RecordingError) -> None:
         self.problem = str(problem)

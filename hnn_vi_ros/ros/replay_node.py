@@ -2,31 +2,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
 
-import argparse
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-import signal
 import sys
 
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
+from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.graph import (
-    Discovery, DISCOVERY_PERIOD, freeze_memory, init_ros, THREAD_TURN, wait_for_delivery)
+    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.messages import type_hash
-from hnn_vi_ros.ros.parameters import declare_parameters, Value
+from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.player import Player, read_ahead
+from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.utilities import remove_ros_args
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_srvs.srv import SetBool, Trigger
 
 
@@ -40,6 +44,8 @@ class ReplayNode(Node):
         A folder with one MCAP file, or the file.
     values : dict
         Parameters that were given as options; the others are ROS's.
+    arguments : sequence of str
+        The command line, by which these were given.
 
     Attributes
     ----------
@@ -53,11 +59,16 @@ class ReplayNode(Node):
 
     """
 
-    def __init__(self, bag: Path, values: dict[str, Value]):
-        super().__init__('hnn_replay', parameter_overrides=[
-            Parameter(name, value=value) for name, value in values.items()])
+    def __init__(self, bag: Path, values: dict[str, Value], arguments: Sequence[str]):
+        with plain_ros_errors('ROS'):
+            super().__init__('hnn_replay', parameter_overrides=[
+                Parameter(name, value=value) for name, value in values.items()],
+                automatically_declare_parameters_from_overrides=True)
         values = declare_parameters(self, PARAMETERS)
         self._reader = BagReader(bag)
+        topics = {CLOCK_TOPIC[0], *(found.topic for found in self._reader.channels.values())}
+        refuse_unknown(self, PARAMETERS, [
+            Endpoint(name, 'publisher') for name in sorted(topics) if _is_topic(name)], arguments)
         self._publishers_of = self._open(values)
         first = self._reader.first + round(values['start_offset'] * 1e9)
         last = self._reader.last
@@ -69,7 +80,7 @@ class ReplayNode(Node):
             last = min(last, first + round(values['duration'] * 1e9))
         if values['publish_clock']:
             self._clock_publisher = ClockPublisher(
-                self.create_publisher(*reversed(CLOCK_TOPIC), CLOCK_QOS))
+                create_publisher(self, *reversed(CLOCK_TOPIC), CLOCK_QOS))
         self.player = Player(
             lambda: read_ahead(self._reader.messages(self._publishers_of, first, last)),
             self._publish, self._clock_publisher.tell if values['publish_clock'] else None,
@@ -134,9 +145,9 @@ class ReplayNode(Node):
             raise RecordingError(f'{schema.name} was recorded with another definition than the '
                                  'one that is installed')
         try:
-            return self.create_publisher(message_type, channel.topic, recorded_qos(
+            return create_publisher(self, message_type, channel.topic, recorded_qos(
                 channel.metadata.get('offered_qos_profiles', '')))
-        except (RuntimeError, ValueError) as problem:
+        except (RuntimeError, ValueError, InvalidTopicNameException) as problem:
             raise RecordingError(' '.join(str(problem).split())) from problem
 
     def _publish(self, message: Recorded) -> None:
@@ -166,6 +177,13 @@ class ReplayNode(Node):
         return response
 
 
+def _is_topic(name: str) -> bool:
+    try:
+        return validate_full_topic_name(name)
+    except InvalidTopicNameException:
+        return False
+
+
 def find_type(name: str) -> type:
     """Return the class of a message type, ``'std_msgs/msg/Float64'``; RecordingError if none."""
     package, _, rest = name.partition('/')
@@ -181,7 +199,10 @@ def find_type(name: str) -> type:
 
 def main(argv: list[str]) -> int:
     """Play or verify a bag, until its end or SIGINT or SIGTERM."""
-    options = _parse(remove_ros_args(argv))
+    parser = arguments.replay()
+    options = parser.parse_args(own_arguments(argv))
+    if options.trust_code and not options.verify:
+        parser.error('--trust-code: only --verify runs code')
     if options.verify:
         # Imported here: who only plays does not wait for the compiler.
         from hnn_vi_ros.ros.verification import verify
@@ -191,12 +212,10 @@ def main(argv: list[str]) -> int:
     given = {item.name: item.check(value) for item in PARAMETERS
              if (value := getattr(options, item.name)) is not None}
     init_ros(argv)
-    received: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, frame: received.append(number))
+    received = note_signals()
     sys.setswitchinterval(THREAD_TURN)
     try:
-        return _play(ReplayNode(options.bag, given), received)
+        return _play(ReplayNode(options.bag, given, argv), received)
     finally:
         rclpy.try_shutdown()
 
@@ -217,21 +236,3 @@ def _play(node: ReplayNode, received: Sequence[int]) -> int:
             raise RecordingError(f'replay stopped: {player.problem}') from player.problem
         raise player.problem
     return 0
-
-
-def _parse(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog='replay', description=__doc__)
-    parser.add_argument('bag', type=Path, metavar='BAG', help=(
-        'folder of a bag, or its .mcap file; one that was cut off will do'))
-    parser.add_argument('--verify', action='store_true', help=(
-        'simulate the bag again, from its own scene, and compare bit by bit'))
-    parser.add_argument('--trust-code', action='store_true', help=(
-        'with --verify: run Python code that the scene in the bag names'))
-    for item in PARAMETERS:
-        kind = {'action': 'store_true', 'default': None} if isinstance(item.default, bool) \
-            else {'type': type(item.default)}
-        parser.add_argument(f'--{item.name.replace("_", "-")}', help=item.description, **kind)
-    options = parser.parse_args(argv)
-    if options.trust_code and not options.verify:
-        parser.error('--trust-code: only --verify runs code')
-    return options

@@ -2,31 +2,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show a running simulator, or a bag, in rerun without a hand in the simulation's process."""
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-import signal
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.errors import HnnViRosError, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
-from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
-from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED
+from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
+from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
-from hnn_vi_ros.ros.graph import init_ros
+from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.messages import TICK_TOPICS
-from hnn_vi_ros.ros.parameters import declare_parameters
+from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.sinks.rerun_sink import Target
 import rclpy
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.utilities import remove_ros_args
+from rclpy.validate_topic_name import validate_topic_name
 from std_msgs.msg import String
 
 _QUEUE = QoSProfile(depth=1000)
@@ -44,6 +46,8 @@ class RerunBridge(Node):
 
     Parameters
     ----------
+    arguments : sequence of str
+        The command line, by which parameters were given.
     trust_code : bool, optional
         Whether Python code that a scene names may be run; the parameter's value if it is set.
 
@@ -54,10 +58,15 @@ class RerunBridge(Node):
 
     """
 
-    def __init__(self, trust_code: bool = False):
-        super().__init__('hnn_rerun_bridge', parameter_overrides=[
-            Parameter('trust_code', value=True)] if trust_code else [])
+    def __init__(self, arguments: Sequence[str], trust_code: bool = False):
+        with plain_ros_errors('ROS'):
+            super().__init__(
+                'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,
+                parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
         self._values = declare_parameters(self, PARAMETERS)
+        self._topics = self._find_topics()
+        refuse_unknown(self, PARAMETERS, [
+            Endpoint(name, 'subscription') for name in self._topics], arguments)
         self.target = target_of(self._values)
         self.problem: HnnViRosError | None = None
         self._described, self._scenes = '', 0
@@ -67,15 +76,23 @@ class RerunBridge(Node):
 
     def listen(self) -> None:
         """Subscribe to the scene and the topics of a tick."""
+        for topic, (kind, callback, qos) in self._topics.items():
+            create_subscription(self, kind, topic, callback, qos)
+
+    def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile]]:
+        """Return message type, callback and QoS by topic."""
         simulator = self._values['simulator']
-        self.create_subscription(String, f'{simulator}/scene', self._on_scene, _LATCHED)
-        for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC):
-            last = name.rpartition('/')[2]
-            self.create_subscription(
-                kind, name.replace('~', simulator), self._keeper(last), _QUEUE)
+        try:
+            validate_topic_name(simulator)
+        except InvalidTopicNameException as problem:
+            raise ParameterError(f'parameter simulator = {simulator!r}: expected the full name '
+                                 'of a node, such as /hnn_simulator') from problem
         name, kind = DIAGNOSTICS_TOPIC
-        self.create_subscription(
-            kind, name, lambda message: self._tell(message, simulator), _QUEUE)
+        return {
+            f'{simulator}/scene': (String, self._on_scene, _LATCHED),
+            **{tick.replace('~', simulator): (kind, self._keeper(tick.rpartition('/')[2]), _QUEUE)
+               for tick, kind in (*TICK_TOPICS, ACCURACY_TOPIC)},
+            name: (kind, lambda message: self._tell(message, simulator), _QUEUE)}
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
@@ -169,18 +186,11 @@ class RerunBridge(Node):
 
 def main(argv: list[str]) -> int:
     """Show a simulator until SIGINT or SIGTERM, or a bag until it is shown."""
-    parser = argparse.ArgumentParser(prog='rerun_bridge', description=__doc__)
-    parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
-        'folder of a bag, or its .mcap file, to show in place of a running simulator'))
-    parser.add_argument('--trust-code', action='store_true', help=(
-        'run Python code that a scene names, which others may have written'))
-    options = parser.parse_args(remove_ros_args(argv))
+    options = arguments.rerun_bridge().parse_args(own_arguments(argv))
     init_ros(argv)
-    received: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, frame: received.append(number))
+    received = note_signals()
     try:
-        node = RerunBridge(options.trust_code)
+        node = RerunBridge(argv, options.trust_code)
         try:
             if options.bag is None:
                 _show_simulator(node, received)

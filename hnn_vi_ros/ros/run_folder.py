@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a run puts its files; nothing that exists is ever overwritten."""
 
+from contextlib import suppress
 from datetime import datetime, timezone
-import os
+from itertools import count
 from pathlib import Path
 
 from hnn_vi_ros.errors import RecordingError
@@ -20,18 +21,16 @@ def create_run_folder(scene: str) -> Path:
 
     """
     stem = f'{scene}-{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}'
-    number = 1
-    while True:
-        folder = Path('runs') / (stem if number == 1 else f'{stem}-{number}')
-        try:
-            folder.parent.mkdir(exist_ok=True)
-            if os.path.lexists(folder):
-                number += 1
-                continue
-            folder.mkdir()
-        except OSError as problem:
-            raise RecordingError(
-                f'{folder} cannot be created ({problem.strerror}); set record_path and '
-                'rerun_path to a place that can be written') from problem
-        else:
-            return folder
+    folder = Path('runs')
+    try:
+        folder.mkdir(exist_ok=True)
+        for number in count(1):
+            folder = Path('runs') / (stem if number == 1 else f'{stem}-{number}')
+            # Not looked for before: another process may make it in between.
+            with suppress(FileExistsError):
+                folder.mkdir()
+                return folder
+    except OSError as problem:
+        raise RecordingError(
+            f'{folder} cannot be created ({problem.strerror}); set record_path and '
+            'rerun_path to a place that can be written') from problem

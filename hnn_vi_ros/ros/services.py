@@ -3,6 +3,7 @@
 """The services of the simulator beside those of its lifecycle and parameters."""
 
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 from hnn_vi_ros.errors import RecordingError
@@ -15,11 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-NOT_CONFIGURED = Answer(False, 'the node is not configured: use the transition configure first')
-
 
 class Simulator(Protocol):
-    """What the services need of the node."""
+    """What the services need of the node; the refusal says why there is no run."""
 
     run: Run | None
     control: Control | None
@@ -29,6 +28,7 @@ class Simulator(Protocol):
     change_state: Callable[[int], Awaitable[bool]]
     in_thread: Callable[[Callable[[], Any]], Awaitable[Any]]
     set_parameters_atomically: Callable[[list[Parameter]], SetParametersResult]
+    refusal: str
 
 
 def offer_services(node: Node, simulator: Simulator) -> None:
@@ -69,46 +69,53 @@ class Services:
 
     def __init__(self, simulator: Simulator):
         self._simulator = simulator
+        # Looked up now: later it may be gone.
+        self._folder = Path.cwd()
+
+    @property
+    def _refusal(self) -> Answer:
+        return Answer(False, self._simulator.refusal)
 
     def set_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Pause, or end the pause."""
         control = self._simulator.control
-        return _fill(response, control.set_paused(request.data) if control else NOT_CONFIGURED)
+        return _fill(
+            response, control.set_paused(request.data) if control else self._refusal)
 
     def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Begin anew at the initial state."""
         control, time_too = self._simulator.control, self._simulator.values['reset_time']
-        return _fill(response, control.reset(time_too) if control else NOT_CONFIGURED)
+        return _fill(response, control.reset(time_too) if control else self._refusal)
 
     async def step(self, request: Trigger.Request, response: Trigger.Response
                    ) -> Trigger.Response:
         """Take as many steps as ``step_count`` says now; the answer says how many they were."""
         control = self._simulator.control
         if control is None:
-            return _fill(response, NOT_CONFIGURED)
+            return _fill(response, self._refusal)
         return _fill(
             response, await control.request_steps(self._simulator.values['step_count']))
 
     def start_recording(self, request: Trigger.Request, response: Trigger.Response
                         ) -> Trigger.Response:
-        """Begin a new bag."""
+        """Begin a new bag; the answer is its absolute path."""
         return self._record(response, 'start_bag', 'recording to')
 
     def stop_recording(self, request: Trigger.Request, response: Trigger.Response
                        ) -> Trigger.Response:
-        """Complete the bag."""
+        """Complete the bag; the answer is its absolute path."""
         return self._record(response, 'stop_bag', 'recorded')
 
     def _record(self, response: Trigger.Response, method: str, words: str) -> Trigger.Response:
         run = self._simulator.run
         if run is None:
-            return _fill(response, NOT_CONFIGURED)
+            return _fill(response, self._refusal)
         try:
-            path = getattr(run.recording, method)()
+            path = self._folder / getattr(run.recording, method)()
         except RecordingError as problem:
             return _fill(response, Answer(False, str(problem)))
         run.tell(f'{words} {path}', 'INFO')
-        return _fill(response, Answer(True, path))
+        return _fill(response, Answer(True, str(path)))
 
 
 def _fill(response: Any, answer: Answer) -> Any:

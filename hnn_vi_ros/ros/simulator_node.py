@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node: its lifecycle, from parameters to a run, and the process around it."""
 
+from collections.abc import Sequence
 import os
 import signal
 import sys
@@ -9,31 +10,41 @@ import time
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Control
-from hnn_vi_ros.ros.graph import init_ros
+from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
-from hnn_vi_ros.ros.parameters import Parameters
-from hnn_vi_ros.ros.preparation import prepare, Prepared
+from hnn_vi_ros.ros.node_parameters import Parameters
+from hnn_vi_ros.ros.parameters import PARAMETERS
+from hnn_vi_ros.ros.preparation import OPENING, prepare, Prepared
 from hnn_vi_ros.ros.run import log, Run
 from hnn_vi_ros.ros.services import offer_services
-from hnn_vi_ros.ros.topics import Topics
-from lifecycle_msgs.msg import Transition
+from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
+from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
+from hnn_vi_ros.sinks.bag_metadata import Topic
+from lifecycle_msgs.msg import State, Transition
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
 
 # Wall time between two lines about a configuration that takes long [s].
 _PROGRESS = 5.0
+# What the end waits for files that are being opened [s].
+_OPENING_TIME = 5.0
 
 
 class SimulatorNode(ManagedNode):
     """
     Simulate a scene at a given pace, publish it, record it and show it.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line, by which parameters were given.
 
     Attributes
     ----------
@@ -51,15 +62,24 @@ class SimulatorNode(ManagedNode):
 
     """
 
-    def __init__(self):
+    def __init__(self, arguments: Sequence[str] = ()):
         super().__init__('hnn_simulator')
         self.exit_status: int | None = None
         self.run: Run | None = None
         self.control: Control | None = None
         self.topics: Topics | None = None
         self._incomplete, self._stage = False, ''
+        self._prepared: Prepared | None = None
         self._settings = Parameters(self)
+        refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
         offer_services(self, self)
+
+    @property
+    def refusal(self) -> str:
+        """Return why there is no run to act on."""
+        if self.state == State.TRANSITION_STATE_CONFIGURING:
+            return f'configuring: {self._stage}; call again when the node is configured'
+        return 'the node is not configured: use the transition configure first'
 
     @property
     def values(self) -> dict[str, Any]:
@@ -80,18 +100,15 @@ class SimulatorNode(ManagedNode):
             _PROGRESS, lambda: self.get_logger().info(
                 f'configuring: {self._stage}, {time.monotonic() - begin:.0f} s so far'),
             clock=Clock(clock_type=ClockType.STEADY_TIME))
-        prepared: Prepared | None = None
         try:
             # There from now on, so that other nodes find them while the kernel is compiled.
             self.topics = Topics(self, values['publish_accuracy'], values['publish_clock'])
             descriptions = self.topics.descriptions
-            prepared = await self.in_thread(lambda: prepare(
-                values, descriptions, self.get_logger(), self._set_stage))
-            self.run = Run(self, self.topics, prepared, values, self.stop)
+            await self.in_thread(lambda: self._prepare(values, descriptions))
+            self.run = Run(self, self.topics, self._prepared, values, self.stop)
             self.topics.hear('~/initial_state', JointState, self._on_initial_state)
         except HnnViRosError:
-            if prepared is not None:
-                prepared.recording.close()
+            self._close_prepared()
             self._forget()
             raise
         finally:
@@ -137,6 +154,8 @@ class SimulatorNode(ManagedNode):
 
     def finish(self) -> None:
         """Close the files and say where they are; makes no ROS call but to the log."""
+        if self.run is None:
+            self._close_prepared()
         self._close_run()
         if self._incomplete:
             self.exit_status = self.exit_status or 1
@@ -150,7 +169,21 @@ class SimulatorNode(ManagedNode):
         self.run.apply(values)
         self.control.set_period()
 
+    def _prepare(self, values: dict, descriptions: list[Topic]) -> None:
+        """Keep what is prepared: the node may be stopped before it can take it."""
+        self._prepared = prepare(values, descriptions, self.get_logger(), self._set_stage)
+
+    def _close_prepared(self) -> None:
+        """Close the files of a run that has not begun, those as well that are being opened."""
+        if self._stage == OPENING:
+            self.wait(_OPENING_TIME)
+        if self._prepared is not None:
+            self._prepared.recording.close()
+
     def _set_stage(self, stage: str) -> None:
+        if self.exit_status is not None:
+            # Nobody would close what is opened from now on.
+            raise ParameterError('the node was stopped')
         self._stage = stage
 
     def _on_initial_state(self, message: JointState) -> None:
@@ -170,34 +203,19 @@ class SimulatorNode(ManagedNode):
             self.control.close()
         if self.topics is not None:
             self.topics.close()
-        self.run = self.control = self.topics = self._settings.run = None
-        self._settings.configured = False
+        self.run = self.control = self.topics = self._settings.run = self._prepared = None
+        self._settings.configured, self._stage = False, ''
 
 
 def main(argv: list[str]) -> int:
     """Run the node until its duration is over, a guard stops it, or SIGINT or SIGTERM arrives."""
+    command_lines.simulator().parse_args(own_arguments(argv))
     init_ros(argv)
-    if others := remove_ros_args(argv):
-        rclpy.shutdown()
-        raise ParameterError(f'unknown argument {others[0]!r}; parameters are given as: '
-                             '--ros-args -p NAME:=VALUE')
-    received: list[int] = []
-    node = None
-
-    def on_signal(number: int, frame: object) -> None:
-        if node is None:
-            raise KeyboardInterrupt
-        received.append(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # Our own handlers: rclpy's would end the context before the files are closed.
-        signal.signal(number, on_signal)
+    # Not rclpy's handlers, which would end the context before the files are closed.
+    received, node = note_signals(), None
     try:
-        node = SimulatorNode()
+        node = SimulatorNode(argv)
         _spin(node, received)
-    except KeyboardInterrupt:
-        # Stopped while it was still starting.
-        return 0
     finally:
         if node is not None:
             node.finish()
@@ -217,13 +235,14 @@ def _spin(node: SimulatorNode, received: list[int]) -> None:
     executor.add_node(node)
     executor.create_task(node.autostart)
     while node.exit_status is None:
+        if received:
+            node.stop(0, f'stopped by {signal.Signals(received[0]).name}')
+            continue
         try:
             executor.spin_once(timeout_sec=0.1)
         except rclpy_implementation.RCLError as problem:
             # Such as a client that is gone before its answer: no reason to stop simulating.
             node.get_logger().warning(
                 f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
-        if received:
-            node.stop(0, f'stopped by {signal.Signals(received[0]).name}')
     if node.topics is not None:
         node.topics.wait_for_delivery()

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics of the simulator: what a scene does not call for does not exist."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
@@ -15,25 +13,32 @@ from hnn_vi_ros.ros.graph import wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.phase_portrait import frames_of, reach_of
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
-from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
 
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
+_TICKS = QoSProfile(depth=10)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An alarm is not to be replaced by the next report before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+
+# All that there can be: what a scene does not call for is known, but does not exist.
+ENDPOINTS = (
+    *(Endpoint(name, 'publisher') for name, _ in (
+        *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC)),
+    Endpoint('~/scene', 'publisher'),
+    Endpoint('~/commands', 'subscription'), Endpoint('~/initial_state', 'subscription'))
 
 
 class Topics:
@@ -55,17 +60,12 @@ class Topics:
     diagnostics : Publisher
         Of the health of the run.
 
-    Raises
-    ------
-    ParameterError
-        An overridden QoS policy is not valid.
-
     """
 
     def __init__(self, node: Node, accuracy: bool, clock: bool = False):
         self._node, self._opened = node, []
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
-        self._publishers = [self._publisher(*topic, 10) for topic in self._tick_topics]
+        self._publishers = [self._publisher(*topic, _TICKS) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
         self._clock = ClockPublisher(
             self._publisher(*CLOCK_TOPIC, CLOCK_QOS)) if clock else None
@@ -135,10 +135,8 @@ class Topics:
                     f'{topic}: message ignored: {" ".join(str(problem).split())[:200]}',
                     throttle_duration_sec=1.0)
 
-        with _valid_qos(topic):
-            self._opened.append(self._node.create_subscription(
-                message_type, topic, on_message, _NEWEST, raw=True,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies()))
+        self._opened.append(create_subscription(
+            self._node, message_type, topic, on_message, _NEWEST, raw=True))
 
     def close(self) -> None:
         """Take all topics away."""
@@ -182,22 +180,10 @@ class Topics:
         """Let matched subscribers receive what is still on its way."""
         wait_for_delivery((*self._publishers, self.diagnostics))
 
-    def _publisher(self, topic: str, message_type: type, qos: QoSProfile | int) -> Publisher:
-        with _valid_qos(topic):
-            publisher = self._node.create_publisher(
-                message_type, topic, qos,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+    def _publisher(self, topic: str, message_type: type, qos: QoSProfile) -> Publisher:
+        publisher = create_publisher(self._node, message_type, topic, qos)
         self._opened.append(publisher)
         return publisher
 
     def _on_command(self, message: Float64MultiArray) -> None:
         self._simulation.set_command(list(message.data))
-
-
-@contextmanager
-def _valid_qos(topic: str) -> Iterator[None]:
-    try:
-        yield
-    except (RuntimeError, InvalidParameterTypeException) as problem:
-        raise ParameterError(f'qos_overrides of {topic}: {" ".join(str(problem).split())}'
-                             ) from problem

@@ -9,10 +9,10 @@ from pathlib import Path
 import shutil
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.measuring import Row
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw
-from hnn_vi_ros.studies.work_precision_plan import SCENES
 from hnn_vi_ros.studies.work_precision_report import (
     best_table, cheapest, circumstances, drift_table, horizons_of, of_horizon, ours, peers, ratio)
 

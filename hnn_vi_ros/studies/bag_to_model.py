@@ -8,7 +8,6 @@ states of the bag, and from its last one on into what no bag holds, and is compa
 system. What is there already in the folder of the run is not made again.
 """
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 import shlex
@@ -22,6 +21,7 @@ from hnn_vi_ros.phase_space import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.sinks.cdr import decode_float64_multi_array
 from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.results import machine
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -74,14 +74,7 @@ several bags and pass them together, `--data BAG BAG ...`.
 
 def main(argv: Sequence[str]) -> int:
     """Make what is missing, compare, and write the page; status 1 if a promise is not kept."""
-    parser = argparse.ArgumentParser(
-        prog='bag_to_model', description=__doc__.strip(),
-        formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--out', type=Path, default=Path('bag_to_model'), metavar='DIR',
-                        help='folder of the bag and the model (default: bag_to_model)')
-    parser.add_argument('--docs', type=Path, metavar='DIR',
-                        help=f'write {PAGE} and {PICTURE} there as well')
-    arguments = parser.parse_args(argv)
+    arguments = command_lines.bag_to_model().parse_args(argv)
     bag, model = arguments.out / 'bag', arguments.out / f'{CONFIG}.safetensors'
     commands = _commands(bag, model)
     for target, words in zip((bag, model), commands, strict=True):

@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the fourteen hard cases: each must stay stable, or say that it does not."""
 
-import argparse
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from itertools import groupby
-import os
-from pathlib import Path
 import time
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.hard_cases_checks import run_job
 from hnn_vi_ros.studies.hard_cases_plan import Job, load_plan, make_jobs
 from hnn_vi_ros.studies.hard_cases_results import (
@@ -26,7 +24,7 @@ _TOGETHER = 4
 
 def main(argv: list[str]) -> int:
     """Run what is not there yet, write tables and pictures, and compare with what is committed."""
-    arguments = _parser().parse_args(argv)
+    arguments = command_lines.hard_cases().parse_args(argv)
     run = QUICK if arguments.quick else FULL
     plan = load_plan()
     jobs = make_jobs(plan, arguments.quick, arguments.case)
@@ -58,21 +56,6 @@ def main(argv: list[str]) -> int:
         print(f'not as expected: {line}')
     print(f'{len(rows)} rows, {len(different)} not as expected')
     return 1 if different else 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog='hard_cases', description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='short runs of few methods')
-    parser.add_argument('--case', nargs='+', type=int, metavar='N', help='only these cases')
-    parser.add_argument('--out', type=Path, metavar='DIR', default=Path('hard_cases'), help=(
-        'folder of the results, from which an interrupted run goes on (default: hard_cases)'))
-    parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1, metavar='N',
-                        help='processes (default: one for each processor)')
-    parser.add_argument('--docs', type=Path, metavar='DIR',
-                        help='folder to write the page hard-cases.md into as well')
-    parser.add_argument('--commit', action='store_true', help=(
-        'take what comes out for what is expected from now on'))
-    return parser
 
 
 def run_jobs(jobs: Sequence[Job], folder: Folder, processes: int) -> None:

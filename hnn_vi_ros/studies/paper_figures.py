@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Regenerate figures 1 and 2 of the paper from the shipped model, as PNG and CSV."""
 
-import argparse
 from pathlib import Path
 
 from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.phase_space import Trajectory
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.studies import arguments
 import numpy as np
 
 # As in the paper, section 5.
@@ -20,10 +20,7 @@ Q_COLOR, P_COLOR, ENERGY_COLOR = '#1f4e9c', '#f28e2b', '#222222'
 
 def main(argv: list[str]) -> int:
     """Run both methods and write the two figures and their data into a folder."""
-    parser = argparse.ArgumentParser(prog='paper_figures', description=__doc__)
-    parser.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
-                        help='folder to write to (default: docs)')
-    out = parser.parse_args(argv).out
+    out = arguments.paper_figures().parse_args(argv).out
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / 'paper_figures.csv').touch()

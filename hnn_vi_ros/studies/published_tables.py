@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.resources import share_folder
+from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.published_page import (
     FOLDER, PAGE, read_results, Result, write_page, write_results)
 from hnn_vi_ros.studies.published_pendulum import FILE
@@ -19,17 +20,7 @@ from tqdm import tqdm
 
 def main(argv: list[str]) -> int:
     """Train and measure every model of the tables, then write the page and its data."""
-    parser = argparse.ArgumentParser(prog='published_tables', description=__doc__)
-    parser.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
-                        help='folder to write to (default: docs)')
-    parser.add_argument('--data', type=Path, default=Path(), metavar='DIR',
-                        help=f'folder of {FILE}, the log of the real pendulum from the supplement '
-                             'of Schmidt and Lipson, Science 324 (2009) (default: here)')
-    parser.add_argument('--quick', action='store_true',
-                        help='a few steps of one seed: whether everything runs, no results')
-    parser.add_argument('--page', action='store_true',
-                        help='measure nothing: write the page anew from the values in DIR')
-    arguments = parser.parse_args(argv)
+    arguments = command_lines.published_tables().parse_args(argv)
     try:
         results = read_results(arguments.out) if arguments.page else measure(arguments)
         print(write_page(arguments.out, results, arguments.quick))

@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure what accuracy costs: methods, step sizes and horizons against error and time."""
 
-import argparse
 from dataclasses import replace
 import math
 from pathlib import Path
 
+from hnn_vi_ros.studies import arguments as command_lines
+from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.measuring import measure_row, Row, Run, TOO_LONG
 from hnn_vi_ros.studies.references import (
     make_reference, model_error, Reference, true_hamiltonian)
-from hnn_vi_ros.studies.work_precision_plan import (
-    HALVINGS, LONGEST, prepare, SCENES, Setting, Study)
+from hnn_vi_ros.studies.work_precision_plan import prepare, Setting, Study
 from tqdm import tqdm
 
 # Timed runs at all but the shortest horizon.
@@ -24,7 +24,7 @@ _GRADIENT, _GRADIENTS_PER_STAGE = 1e-6, 6
 
 def main(argv: list[str]) -> int:
     """Measure what is not measured yet, then write tables and pictures."""
-    arguments = _parser().parse_args(argv)
+    arguments = command_lines.work_precision().parse_args(argv)
     base = arguments.out or Path('work_precision')
     if arguments.scene is not None:
         studies = [prepare(arguments, arguments.scene, arguments.out)]
@@ -45,31 +45,6 @@ def main(argv: list[str]) -> int:
     for path in written if arguments.scene is not None else write_page(base, arguments.docs):
         print(path)
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog='work_precision', description=__doc__)
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument('--scene', metavar='NAME', help='shipped name or file')
-    what.add_argument('--all', action='store_true', help=(
-        f'measure {", ".join(SCENES)}, and write the page on accuracy and cost'))
-    parser.add_argument('--methods', nargs='+', metavar='METHOD', help=(
-        'integrators; METHOD@1e-4 or METHOD@3 does not solve its equations further than a '
-        'residual or some iterations, METHOD@float32 takes gradients in single precision'))
-    parser.add_argument('--horizons', nargs='+', type=float, metavar='SECONDS')
-    parser.add_argument('--steps', nargs='+', type=float, metavar='SECONDS', help=(
-        f'step sizes (default: {LONGEST:g} times that of the scene, and {HALVINGS} halvings)'))
-    parser.add_argument('--out', type=Path, metavar='DIR', help=(
-        'folder of the results (default: work_precision/SCENE; with --all work_precision, with a '
-        'folder for each scene in it)'))
-    parser.add_argument('--docs', type=Path, metavar='DIR', default=Path('docs'),
-                        help='folder of the page that --all writes (default: docs)')
-    parser.add_argument('--peers', action='store_true',
-                        help='measure scipy, torchdiffeq and diffrax as well')
-    parser.add_argument('--runs', type=int, help='timed runs at the shortest horizon')
-    parser.add_argument('--limit', type=float, metavar='SECONDS',
-                        help='a single run that would take longer is not begun')
-    return parser
 
 
 def measure(study: Study) -> None:

@@ -18,6 +18,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.resources import share_folder
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.studies.arguments import HALVINGS, LONGEST
 from hnn_vi_ros.studies.measuring import OwnRun, Peer, PeerRun, Run, whole_steps
 from hnn_vi_ros.studies.results import machine, Results
 from hnn_vi_ros.studies.variants import applicable, create, Method, parse_method
@@ -26,15 +27,8 @@ from hnn_vi_ros.yaml_file import load_yaml, StrictModel
 import numpy as np
 from pydantic import Field
 
-# The longest step over the scene's own: 0.2 s where that is 0.01 s. Each further one is half.
-LONGEST, HALVINGS = 20.0, 8
 # Methods of this order or higher begin with longer ones, and end as many halvings earlier.
 HIGH_ORDER, LONGER = 8, (5.0, 2.5, 2.0, 1.25)
-
-# Of the page on accuracy and cost: learned ones, then those that a formula gives.
-SCENES = ('harmonic_oscillator', 'pendulum', 'double_pendulum', 'learned_kepler',
-          'learned_henon_heiles', 'exact_harmonic_oscillator', 'exact_pendulum',
-          'exact_double_pendulum', 'kepler', 'henon_heiles')
 
 Positive = Annotated[float, Field(gt=0.0, lt=1e12)]
 

@@ -12,16 +12,17 @@ from hnn_vi_ros.ros.parameters import PARAMETERS
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS as REPLAY_PARAMETERS
 from processes import read_bag
 import pytest
+import yaml
 
 LAUNCH_FILES = Path(__file__).resolve().parents[2] / 'launch'
-COMMON = {'namespace', 'log_level'}
-# Executable, its parameters, the words of its command line.
+# Executable, name of the node, its parameters, the words of its command line.
 FILES = {
-    'simulator': ('simulator', PARAMETERS, []),
-    'managed_simulator': (
-        'simulator', [item for item in PARAMETERS if item.name != 'autostart'], []),
-    'replay': ('replay', REPLAY_PARAMETERS, ['bag']),
+    'simulator': ('simulator', 'hnn_simulator', PARAMETERS, []),
+    'managed_simulator': ('simulator', 'hnn_simulator', [
+        item for item in PARAMETERS if item.name != 'autostart'], []),
+    'replay': ('replay', 'hnn_replay', REPLAY_PARAMETERS, ['bag']),
 }
+MANAGED = pytest.mark.parametrize('name', ['managed_simulator'], indirect=True)
 
 
 def declare(name, description, default_value=None):
@@ -39,8 +40,9 @@ def thing(kind):
 STAND_INS = {
     'launch': {'LaunchDescription': list},
     'launch.actions': {'DeclareLaunchArgument': declare, 'EmitEvent': thing('event'),
+                       'OpaqueFunction': thing('function'),
                        'RegisterEventHandler': lambda handler: handler},
-    'launch.event_handlers': {'OnProcessStart': thing('start')},
+    'launch.event_handlers': {'OnProcessExit': thing('exit'), 'OnProcessStart': thing('start')},
     'launch.events': {'matches_action': lambda action: action},
     'launch.substitutions': {'LaunchConfiguration': lambda name: f'${name}'},
     'launch_ros': {},
@@ -67,6 +69,18 @@ def description(monkeypatch, name):
     return runpy.run_path(str(path))['generate_launch_description']()
 
 
+@pytest.fixture
+def launch(description):
+    """Return what goes through the description with these arguments."""
+    def go(**given):
+        arguments = {entity.name: entity.default if entity.default is not None else ''
+                     for entity in description if entity.kind == 'argument'}
+        assert given.keys() <= arguments.keys()
+        return only(description, 'function').function(
+            SimpleNamespace(launch_configurations=arguments | given))
+    return go
+
+
 def only(description, kind):
     found, = (entity for entity in description if entity.kind == kind)
     return found
@@ -77,52 +91,90 @@ def test_every_launch_file_is_tested():
         f'{name}.launch.py' for name in FILES}
 
 
-def test_launch_file_declares_every_parameter_with_default_and_description(description, name):
-    _, table, words = FILES[name]
-    arguments = [entity for entity in description if entity.kind == 'argument']
-    assert {argument.name for argument in arguments} == (
-        {item.name for item in table} | COMMON | set(words))
+def test_launch_file_declares_every_parameter_with_its_default_and_description(
+        description, name):
+    _, node, table, words = FILES[name]
+    arguments = {entity.name: entity for entity in description if entity.kind == 'argument'}
+    assert arguments.keys() == {item.name for item in table} | set(words) | {
+        'name', 'namespace', 'params_file', 'use_sim_time', 'log_level'}
     # What has no default must be given: the bag.
-    assert [a.name for a in arguments if not isinstance(a.default, str)] == words
-    assert all(argument.text for argument in arguments)
+    assert [a.name for a in arguments.values() if not isinstance(a.default, str)] == words
+    assert arguments['name'].default == node
+    for item in table:
+        # Empty is not given: the node has the default itself.
+        assert arguments[item.name].default == ''
+        shown = yaml.safe_dump(item.default).splitlines()[0] if item.default != '' else 'empty'
+        assert arguments[item.name].text == f'{item.description} (default: {shown})'
+    assert all(argument.text for argument in arguments.values())
 
 
-def test_launch_file_forwards_every_argument_to_its_node(description, name):
-    executable, table, words = FILES[name]
-    node = only(description, 'node')
-    assert (node.package, node.executable) == ('hnn_vi_ros', executable)
+def test_launch_file_forwards_every_argument_to_its_node_in_its_type(launch, name):
+    executable, _, table, words = FILES[name]
+    types = {item.name: type(item.default) for item in table} | {'use_sim_time': bool}
+    node = only(launch(**dict.fromkeys((*types, *words), '1'), name='mine', namespace='/arm',
+                       params_file='a.yaml', log_level='warn'), 'node')
+    assert (node.package, node.executable, node.name, node.namespace) == (
+        'hnn_vi_ros', executable, 'mine', '/arm')
     parameters, = node.parameters
-    assert {key: value.source for key, value in parameters.items() if key != 'autostart'
-            or name == 'simulator'} == {item.name: f'${item.name}' for item in table}
-    assert node.arguments == [f'${word}' for word in words]
-    assert node.namespace == '$namespace'
-    assert node.ros_arguments == ['--log-level', '$log_level']
+    if name == 'managed_simulator':
+        assert parameters.pop('autostart') is False
+    assert {key: (value.source, value.type) for key, value in parameters.items()} == {
+        key: (f'${key}', kind) for key, kind in types.items()}
+    assert node.arguments == ['1'] * len(words)
+    assert node.ros_arguments == ['--log-level', 'warn', '--params-file', 'a.yaml']
 
 
-def test_launch_parameters_have_the_types_and_defaults_of_the_node(description, name):
-    defaults = {item.name: item.default for item in FILES[name][1]}
-    parameters, = only(description, 'node').parameters
-    assert {key: parameters[key].type for key in defaults} == {
-        key: type(value) for key, value in defaults.items()}
-    for argument in description:
-        if argument.kind == 'argument' and argument.name in defaults:
-            kind = type(defaults[argument.name])
-            declared = argument.default == 'true' if kind is bool else kind(argument.default)
-            assert declared == defaults[argument.name], argument.name
+def test_launch_file_leaves_what_is_not_given_to_the_parameter_file_and_the_node(launch, name):
+    node = only(launch(params_file='a.yaml', use_sim_time='true'), 'node')
+    parameters, = node.parameters
+    assert parameters.keys() - {'autostart'} == {'use_sim_time'}
+    node = only(launch(), 'node')
+    assert node.ros_arguments == ['--log-level', 'info']
+    assert node.name == FILES[name][1]
+    assert node.parameters == ([{'autostart': False}] if name == 'managed_simulator' else [])
 
 
-@pytest.mark.parametrize('name', ['managed_simulator'], indirect=True)
-def test_launch_system_configures_the_managed_node_and_then_activates_it(description):
-    node = only(description, 'node')
-    assert node.parameters[0]['autostart'] is False
-    start, transition = only(description, 'start'), only(description, 'transition')
+@MANAGED
+def test_launch_system_configures_the_managed_node_and_then_activates_it(launch):
+    entities = launch()
+    node = only(entities, 'node')
+    start = only(entities, 'start')
+    transition, = (item for item in entities
+                   if item.kind == 'transition' and item.goal_state == 'inactive')
     assert start.target_action is node and transition.target_lifecycle_node is node
-    assert (transition.start_state, transition.goal_state) == ('configuring', 'inactive')
+    assert transition.start_state == 'configuring'
     for handler, number in ((start.on_start, 1), (transition.entities, 3)):
         event, = handler
         assert (event.event.lifecycle_node_matcher, event.event.transition_id) == (node, number)
     # Handlers stand before what they wait for.
-    assert description.index(start) < description.index(node)
+    assert entities[-1] is node
+
+
+@MANAGED
+def test_launch_fails_if_the_managed_node_cannot_be_configured(launch):
+    entities = launch()
+    failed, = (item for item in entities
+               if item.kind == 'transition' and item.goal_state == 'unconfigured')
+    # Not at cleanup, which ends in the same state.
+    assert failed.start_state == 'configuring'
+    assert failed.target_lifecycle_node is only(entities, 'node')
+    act, = failed.entities
+    with pytest.raises(RuntimeError, match='configured'):
+        act.function(SimpleNamespace())
+
+
+def test_launch_fails_if_the_process_of_its_node_does(launch):
+    entities = launch()
+    handler = only(entities, 'exit')
+    assert handler.target_action is only(entities, 'node')
+
+    def end(status: int, is_shutdown: bool) -> None:
+        handler.on_exit(SimpleNamespace(returncode=status, process_name='simulator-1'),
+                        SimpleNamespace(is_shutdown=is_shutdown))
+    with pytest.raises(RuntimeError, match='simulator-1 .* status 1'):
+        end(1, False)
+    # A run that is over, and what the launch system ends itself.
+    assert end(0, False) is end(130, True) is None
 
 
 SYSTEM = """
@@ -147,3 +199,12 @@ def test_launch_system_runs_the_simulator_to_its_end(tmp_path, name):
     subprocess.run([sys.executable, '-c', SYSTEM, LAUNCH_FILES / f'{name}.launch.py', *words],
                    cwd=tmp_path, timeout=120, check=True)
     assert len(read_bag(tmp_path / 'bag')['/arm/hnn_simulator/q']) == 200
+
+
+@pytest.mark.parametrize('name', ['simulator', 'managed_simulator'])
+def test_launch_system_fails_with_a_scene_that_is_none(tmp_path, name):
+    pytest.importorskip('launch_ros', reason='ros2 launch is not installed')
+    ended = subprocess.run(
+        [sys.executable, '-c', SYSTEM, LAUNCH_FILES / f'{name}.launch.py', 'scene:=nothing'],
+        cwd=tmp_path, timeout=120, check=False)
+    assert ended.returncode != 0

@@ -164,6 +164,11 @@ def test_services_answer_while_the_node_configures_and_autostart_says_how_far_it
             assert not other.set_parameters(scene='oscillator.yaml').successful
             assert other.set_parameters(step_count=7).successful
             waits.append((time.monotonic() - begin) / 4)
+            refused = [*map(other.trigger, ('start_recording', 'stop_recording', 'step', 'reset')),
+                       other.pause()]
+            if other.state == 'configuring':
+                assert not any(answer.success for answer in refused)
+                assert all(answer.message.startswith('configuring: ') for answer in refused)
             other.spin(0.1)
         # Another thread holds the interpreter for 5 ms at a time, and a call needs it often.
         assert len(waits) > 5 and max(waits) < 1.0

@@ -6,8 +6,11 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters import (
-    ALWAYS, declare_parameters, PARAMETERS, START, UNCONFIGURED)
+from hnn_vi_ros.ros.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters import ALWAYS, PARAMETERS, START, UNCONFIGURED
+from hnn_vi_ros.ros.starting import plain_ros_errors
+from hnn_vi_ros.ros.topics import ENDPOINTS
 from hypothesis import given, HealthCheck, settings, strategies
 from peer import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, peer, stamp
 from processes import finish, start
@@ -33,10 +36,14 @@ def declare(*arguments: str) -> tuple[dict, Node]:
     context = Context()
     rclpy.init(args=['--ros-args', *arguments], context=context)
     try:
-        node = Node('hnn_simulator', context=context, enable_rosout=False,
-                    start_parameter_services=False)
+        with plain_ros_errors('ROS'):
+            node = Node('hnn_simulator', context=context, enable_rosout=False,
+                        start_parameter_services=False,
+                        automatically_declare_parameters_from_overrides=True)
         try:
-            return declare_parameters(node), node
+            values = declare_parameters(node)
+            refuse_unknown(node, PARAMETERS, ENDPOINTS, arguments)
+            return values, node
         finally:
             node.destroy_node()
     finally:

@@ -9,7 +9,8 @@ import time
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.bridge_parameters import PARAMETERS, target_of
+from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
+from hnn_vi_ros.ros.bridge_picture import target_of
 from hnn_vi_ros.ros.parameters import markdown_table
 import numpy as np
 from processes import finish, read_bag, start, start_executable, wait_until

@@ -65,7 +65,7 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         tmp_path: Path, request: pytest.FixtureRequest):
     (tmp_path / 'arms.yaml').write_text(SCENE)
     process = start(tmp_path, scene='arms.yaml', record='false', rerun_sink='none',
-                    publish_clock='true', publish_accuracy='true')
+                    publish_clock='true', publish_accuracy='true', use_sim_time='true')
     with peer() as other:
         # All of its topics are there once it publishes.
         other.spin_until(lambda: other.states)
@@ -77,6 +77,12 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         POLICY.write_text(found, encoding='utf-8')
     assert POLICY.read_text(encoding='utf-8') == found, (
         "make test ARGS='test/ros/test_security.py --policy' renews the policy")
+
+
+def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():
+    profile = ElementTree.parse(POLICY).getroot().find('.//profile')
+    heard = [name.text for name in profile.find("topics[@subscribe='ALLOW']")]
+    assert heard == ['/clock', '~/commands', '~/initial_state']
 
 
 def test_policy_holds_no_wildcard_and_no_right_to_call_others():

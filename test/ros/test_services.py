@@ -151,13 +151,13 @@ def test_recording_is_started_and_stopped_by_service(folder):
         assert not other.trigger('stop_recording').success
         for name in ('bag', 'bag-2'):
             answer = other.trigger('start_recording')
-            assert (answer.success, answer.message) == (True, name)
+            assert (answer.success, answer.message) == (True, str(folder / name))
             again = other.trigger('start_recording')
             assert not again.success and 'already' in again.message
             count = len(other.states)
             other.spin_until(lambda: len(other.states) > count + 50)
             answer = other.trigger('stop_recording')
-            assert (answer.success, answer.message) == (True, name)
+            assert (answer.success, answer.message) == (True, str(folder / name))
             # Complete, while the simulation goes on.
             stamps = [s for s, _ in read_bag(folder / name)['/hnn_simulator/q']]
             assert len(stamps) >= 50
@@ -165,7 +165,7 @@ def test_recording_is_started_and_stopped_by_service(folder):
         # Nothing that exists is overwritten.
         (folder / 'bag-3').write_text('')
         (folder / 'bag-4').write_text('')
-        assert other.trigger('start_recording').message == 'bag-5'
+        assert other.trigger('start_recording').message == str(folder / 'bag-5')
         process.send_signal(signal.SIGINT)
         status, out, _ = finish(process)
     assert status == 0

@@ -298,5 +298,5 @@ def test_simulator_mistake_is_one_line_and_status_1(folder, parameters, expected
     assert status == 1
     (line,) = [line for line in error.splitlines() if '[INFO]' not in line]
     assert expected in line
-    assert line.startswith('simulator_node: ')
+    assert line.startswith('simulator: ')
     assert not list((folder / 'taken').iterdir())

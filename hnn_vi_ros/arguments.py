@@ -1,0 +1,33 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command lines of the tools for bags and scenes; import none of what they work with."""
+
+from pathlib import Path
+
+from hnn_vi_ros.command_line import Parser
+
+
+def recover_bag() -> Parser:
+    """Return the parser of ``recover_bag``."""
+    parser = Parser('recover_bag', 'Make bags whole whose recording was interrupted.', [
+        'ros2 run hnn_vi_ros recover_bag runs/pendulum-20260101T120000Z/bag'])
+    parser.add_argument('bag', type=Path, nargs='+', metavar='BAG', help=(
+        'folder of a bag, or its .mcap file, that a recorder did not close'))
+    return parser
+
+
+def scene() -> Parser:
+    """Return the parser of ``scene``."""
+    parser = Parser('scene', 'Check, list and explain scenes, and print their JSON schema.', [
+        'ros2 run hnn_vi_ros scene --list',
+        'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
+        'ros2 run hnn_vi_ros scene --explain double_pendulum'])
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument('--check', nargs='+', metavar='SCENE', help=(
+        'say of each scene, a shipped name or a file, whether it is valid'))
+    task.add_argument('--list', action='store_true', help='name the shipped scenes')
+    task.add_argument('--schema', action='store_true', help=(
+        'print the JSON schema by which editors complete and check scenes'))
+    task.add_argument('--explain', metavar='SCENE', help=(
+        'tell what a scene simulates, and measure what each of its effects adds to a step'))
+    return parser

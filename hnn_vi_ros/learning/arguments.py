@@ -1,0 +1,66 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command lines of training and import; import nothing of what they work with."""
+
+from pathlib import Path
+
+from hnn_vi_ros.command_line import Parser
+
+# Which outputs of an imported network are H, and the order of its inputs.
+LAYOUTS, ORDERS = ('hnn', 'sum_second_half'), ('qp', 'pq')
+# As in hamiltonians/activations.py, which takes the compiler to import.
+ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
+_IMPORTED = """\
+The original HNN code and its forks save the state_dict of a torch module,
+differentiable_model.linear1.weight, ..., the last layer without bias, of several outputs F:
+
+    hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
+    sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
+
+Nothing of the file but its tensors is unpickled. H is that of the source network: its unit, its
+zero and its box are what its authors say they are."""
+
+
+def train() -> Parser:
+    """Return the parser of ``train``."""
+    parser = Parser('train', 'Train a model of a mechanical system.', [
+        'ros2 run hnn_vi_ros train --config pendulum',
+        'ros2 run hnn_vi_ros train --config double_pendulum_bag --data BAG '
+        '--out models/mine.safetensors'])
+    parser.add_argument('--config', required=True, metavar='NAME|FILE',
+                        help='a shipped training configuration, or a YAML file')
+    parser.add_argument('--out', type=Path, metavar='FILE',
+                        help='the model file to write (default: models/<name>.safetensors)')
+    parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
+                        help='a measured log, or bags, instead of data.path')
+    parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
+    parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
+                        help='where to train (default: cpu)')
+    parser.add_argument('--resume', action='store_true',
+                        help='go on with a run that was interrupted')
+    return parser
+
+
+def import_checkpoint() -> Parser:
+    """Return the parser of ``import_checkpoint``."""
+    parser = Parser('import_checkpoint', (
+        'Turn a network of the original HNN code or of its forks into a model of ours.'), [
+            'ros2 run hnn_vi_ros import_checkpoint funnel.tar --layout sum_second_half '
+            '--activation sine --coordinates q1,q2 --box=-6:6,-4:4,-4:4,-4:4'], _IMPORTED)
+    parser.add_argument('file', type=Path, metavar='FILE', help='what torch.save wrote')
+    parser.add_argument('--layout', required=True, choices=LAYOUTS, help='which outputs are H')
+    parser.add_argument('--activation', required=True, choices=ACTIVATIONS,
+                        help='between the layers; the file does not say')
+    parser.add_argument('--coordinates', required=True, metavar='NAME,...',
+                        help='a name for each coordinate')
+    parser.add_argument('--order', default='qp', choices=ORDERS,
+                        help='of the inputs: coordinates first (default), or momenta first')
+    box = parser.add_mutually_exclusive_group(required=True)
+    box.add_argument('--box', metavar='LOW:HIGH,...', help=(
+        'bounds of the data that the network was trained on: of each coordinate, then of each '
+        'momentum, or one for all; beyond them a simulation raises an alarm'))
+    box.add_argument('--box-of', metavar='NAME|FILE', help=(
+        'instead: the bounds of the data of this training configuration'))
+    parser.add_argument('--out', type=Path, metavar='FILE',
+                        help='the model file to write (default: models/<name>.safetensors)')
+    return parser

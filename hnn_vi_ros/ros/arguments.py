@@ -1,0 +1,90 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command lines of the nodes; import nothing of ROS, so that help comes at once."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import fill
+
+from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros.parameters import help_of, Specification
+
+_SIMULATOR = """\
+It publishes ~/q, ~/p, ~/energy, joint_states, ~/scene and /diagnostics; as far as the scene or a
+parameter calls for them ~/markers, ~/accuracy and /clock. It hears ~/initial_state and, where the
+scene has an input, ~/commands. Services: ~/set_pause, ~/step, ~/reset, ~/start_recording,
+~/stop_recording, and those of its lifecycle; ~ is /hnn_simulator."""
+_REPLAY = """\
+It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/set_pause, ~/step;
+~ is /hnn_replay. Each parameter is an option as well."""
+_BRIDGE = """\
+It subscribes to the topics of the simulator, and offers nothing."""
+_LISTENER = """\
+It subscribes to /hnn_simulator/energy, and has no parameters."""
+
+
+def simulator() -> Parser:
+    """Return the parser of ``simulator``."""
+    return Parser('simulator', (
+        'Simulate a scene at the pace of the clock, publish it, record it and show it.'), [
+            'ros2 run hnn_vi_ros simulator --ros-args -p scene:=pendulum -p duration:=10.0',
+            'ros2 run hnn_vi_ros simulator --ros-args -p integrator:=gauss8 -p record:=false',
+            'ros2 run hnn_vi_ros simulator --ros-args --params-file my.yaml -r __ns:=/arm',
+            'ros2 run hnn_vi_ros simulator --ros-args '
+            '-p qos_overrides./hnn_simulator/q.publisher.reliability:=best_effort'],
+        _details(_SIMULATOR, parameters.PARAMETERS))
+
+
+def replay() -> Parser:
+    """Return the parser of ``replay``."""
+    parser = Parser('replay', (
+        'Publish the topics of a bag again, at their times, or simulate the bag again and '
+        'compare.'), [
+            'ros2 run hnn_vi_ros replay runs/pendulum-20260101T120000Z/bag --rate 2 --loop',
+            'ros2 run hnn_vi_ros replay BAG --verify',
+            'ros2 run hnn_vi_ros replay BAG --ros-args -p publish_clock:=true'],
+        _details(_REPLAY, replay_parameters.PARAMETERS))
+    parser.add_argument('bag', type=Path, metavar='BAG', help=(
+        'folder of a bag, or its .mcap file; one that was cut off will do'))
+    parser.add_argument('--verify', action='store_true', help=(
+        'simulate the bag again, from its own scene, and compare bit by bit'))
+    parser.add_argument('--trust-code', action='store_true', help=(
+        'with --verify: run Python code that the scene in the bag names'))
+    for item in replay_parameters.PARAMETERS:
+        kind = {'action': 'store_true', 'default': None} if isinstance(item.default, bool) \
+            else {'type': type(item.default)}
+        parser.add_argument(f'--{item.name.replace("_", "-")}', help=item.description, **kind)
+    return parser
+
+
+def rerun_bridge() -> Parser:
+    """Return the parser of ``rerun_bridge``."""
+    parser = Parser('rerun_bridge', (
+        "Show a running simulator, or a bag, in rerun without a hand in the simulation's "
+        'process.'), [
+            'ros2 run hnn_vi_ros rerun_bridge',
+            'ros2 run hnn_vi_ros rerun_bridge BAG --ros-args -p rerun_sink:=file '
+            '-p rerun_path:=bag.rrd'],
+        _details(_BRIDGE, bridge_parameters.PARAMETERS))
+    parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
+        'folder of a bag, or its .mcap file, to show in place of a running simulator'))
+    parser.add_argument('--trust-code', action='store_true', help=(
+        'run Python code that a scene names, which others may have written'))
+    return parser
+
+
+def listener() -> Parser:
+    """Return the parser of ``listener``."""
+    return Parser('listener', 'Print the energy of a running simulator once a second.', [
+        'ros2 run hnn_vi_ros listener'], _LISTENER)
+
+
+def _details(interface: str, table: Sequence[Specification]) -> str:
+    """Return what a node offers, and its parameters."""
+    entries = []
+    for item in table:
+        entries += [f'  {item.name}', fill(
+            help_of(item), 97, initial_indent='      ', subsequent_indent='      ',
+            break_long_words=False)]
+    return '\n'.join([interface, '', 'parameters (--ros-args -p NAME:=VALUE):', *entries])

@@ -1,0 +1,114 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The parameters that a node is given when it starts: those that it does not have are refused.
+
+A node that takes part is created with ``automatically_declare_parameters_from_overrides``, rclpy's
+public way to learn what it was given; ``declare_parameters`` then declares its own anew.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from hnn_vi_ros.command_line import did_you_mean
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.ros.parameters import Specification
+from hnn_vi_ros.ros.qos_overrides import Endpoint, expected, parameter_names, PREFIX
+from hnn_vi_ros.yaml_text import parse_mapping
+from rclpy.node import Node
+
+# What rclpy declares in every node.
+ROS_OWN = ('use_sim_time', 'start_type_description_service')
+_SECTION = 'ros__parameters'
+
+
+def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterable[Endpoint],
+                   arguments: Sequence[str]) -> None:
+    """
+    Refuse parameters that a node was given and does not have, before they run the default.
+
+    A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
+    What the node does not have there belongs to another one: it is told if it looks like a
+    misspelling, and left.
+
+    Parameters
+    ----------
+    node : Node
+        Whose own parameters are declared.
+    table : iterable of Specification
+        Its own parameters.
+    endpoints : iterable of Endpoint
+        Its topics, whose QoS can be set.
+    arguments : sequence of str
+        The command line, which names the parameter files.
+
+    Raises
+    ------
+    ParameterError
+        It was given one that it does not have, or a QoS policy that does not exist; one line.
+
+    """
+    own = [*(item.name for item in table), *ROS_OWN]
+    policies = parameter_names(node, endpoints)
+    shared = set(_shared_names(arguments))
+    for name, parameter in sorted(node.get_parameters_by_prefix('').items()):
+        if name in ROS_OWN and type(parameter.value) is not bool:
+            raise ParameterError(f'parameter {name} = {parameter.value!r}: expected true or false')
+        if name in own:
+            continue
+        # Those of QoS are declared by rclpy, with their topic.
+        node.undeclare_parameter(name)
+        if name in policies:
+            if wanted := expected(name, parameter.value):
+                raise ParameterError(f'parameter {name} = {parameter.value!r}: expected {wanted}')
+            continue
+        hint, valid = _remedy(name, own, policies)
+        if name not in shared:
+            raise ParameterError(f'parameter {name}: {node.get_name()} has none of this name'
+                                 f'{hint or valid}')
+        if hint:
+            node.get_logger().warning(
+                f'parameter {name}, which a file gives to several nodes, is none of this node'
+                f'{hint}')
+
+
+def _remedy(name: str, own: Sequence[str], policies: Sequence[str]) -> tuple[str, str]:
+    """Return the known name that an unknown one is near, if any, and what there is."""
+    if not name.startswith(PREFIX):
+        return did_you_mean(name, own), f'; it has: {", ".join(own)}'
+    # In the name of a topic there is no point.
+    topic, _, policy = name.removeprefix(PREFIX).partition('.')
+    known: dict[str, list[str]] = {}
+    for each in policies:
+        there, _, rest = each.removeprefix(PREFIX).partition('.')
+        known.setdefault(there, []).append(rest)
+    if topic in known:
+        return did_you_mean(policy, known[topic]), f'; {topic} has: {", ".join(known[topic])}'
+    return did_you_mean(topic, known), f'; QoS can be set of: {", ".join(known) or "none"}'
+
+
+def _shared_names(arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the names of the parameters that files give to several nodes."""
+    for option, path in zip(arguments, arguments[1:], strict=False):
+        if option == '--params-file':
+            # ROS has read it already, and refused what is no parameter file. Only names count.
+            content, _ = parse_mapping(Path(path).read_bytes(), path, ParameterError)
+            yield from _names_in(content, '')
+
+
+def _names_in(content: Mapping, node: str) -> Iterator[str]:
+    for key, value in content.items():
+        if key == _SECTION:
+            # The name of the node itself, not of where it is.
+            yield from _flat(value, '') if '*' in node.rpartition('/')[2] else ()
+        elif isinstance(value, Mapping):
+            yield from _names_in(value, f'{node}/{key}')
+
+
+def _flat(parameters: object, prefix: str) -> Iterator[str]:
+    """Yield the names of parameters, where ``a: {b: 1}`` stands for ``a.b``."""
+    for key, value in parameters.items() if isinstance(parameters, Mapping) else ():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}'

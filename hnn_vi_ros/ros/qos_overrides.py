@@ -1,0 +1,81 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""QoS policies that are set from outside, ``qos_overrides.<topic>.publisher.<policy>``."""
+
+from collections.abc import Callable, Iterable
+from copy import copy
+from typing import Any, Literal, NamedTuple
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import (
+    DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSPolicyKind, QoSProfile,
+    ReliabilityPolicy)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+PREFIX = 'qos_overrides.'
+_NAMED = {'durability': DurabilityPolicy, 'history': HistoryPolicy,
+          'reliability': ReliabilityPolicy, 'liveliness': LivelinessPolicy}
+_DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
+POLICIES = (*_NAMED, 'depth', *_DURATIONS)
+# The middleware counts messages with 32 bits, rclpy nanoseconds with 63.
+_MOST, _LONGEST = 2**31 - 1, 2**63 - 1
+
+
+class Endpoint(NamedTuple):
+    """
+    What a node publishes or subscribes to.
+
+    Parameters
+    ----------
+    topic : str
+        Its name, which may be relative or private.
+    kind : str
+        Which of the two.
+
+    """
+
+    topic: str
+    kind: Literal['publisher', 'subscription']
+
+    @property
+    def policies(self) -> list[str]:
+        """Return the policies that it has: nothing outlives its lifespan in a subscription."""
+        return [name for name in POLICIES if self.kind == 'publisher' or name != 'lifespan']
+
+
+def parameter_names(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
+    """Return the names of all parameters by which the QoS of a node can be set."""
+    return [f'{PREFIX}{node.resolve_topic_name(endpoint.topic)}.{endpoint.kind}.{policy}'
+            for endpoint in endpoints for policy in endpoint.policies]
+
+
+def expected(name: str, value: object) -> str:
+    """Return what a value of a QoS parameter has to be, or nothing if it is that."""
+    policy = name.rpartition('.')[2]
+    if policy in _NAMED:
+        choices = [key for key in _NAMED[policy].short_keys() if key != 'unknown']
+        good = isinstance(value, str) and value.lower() in choices
+        return '' if good else f'one of {", ".join(choices)}'
+    smallest, largest, unit = (1, _MOST, '') if policy == 'depth' else (0, _LONGEST, ' [ns]')
+    good = type(value) is int and smallest <= value <= largest
+    return '' if good else f'a whole number from {smallest} to {largest}{unit}'
+
+
+def create_publisher(node: Node, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
+    """Create a publisher whose QoS the user can set."""
+    # A copy: rclpy writes into the profile, which other topics may share.
+    return node.create_publisher(
+        message_type, topic, copy(qos), qos_overriding_options=_options())
+
+
+def create_subscription(node: Node, message_type: type, topic: str, callback: Callable[..., None],
+                        qos: QoSProfile, **more: Any) -> Subscription:
+    """Create a subscription whose QoS the user can set."""
+    return node.create_subscription(
+        message_type, topic, callback, copy(qos), qos_overriding_options=_options(), **more)
+
+
+def _options() -> QoSOverridingOptions:
+    return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLICIES])

@@ -1,0 +1,175 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The end of a process that is interrupted more than once, and what it says on the way."""
+
+from datetime import datetime
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.ros import run_folder
+from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer
+from processes import finish, read_bag, start, start_executable
+import pytest
+
+SCENE = 'exact_harmonic_oscillator'
+# Says when the files are open, and lets the process be stopped before the node has them.
+SLOW_TO_HAND_OVER = """
+import sys, time
+from hnn_vi_ros.ros import simulator_node
+prepare = simulator_node.prepare
+def slowly(*arguments):
+    prepared = prepare(*arguments)
+    print('opened', flush=True)
+    time.sleep(2.0)
+    return prepared
+simulator_node.prepare = slowly
+from hnn_vi_ros.cli import simulator
+simulator()
+"""
+# Says when the main module begins to be imported.
+BEGUN = """
+import sys
+from hnn_vi_ros.cli import {executable}
+class Teller:
+    def find_spec(self, name, path=None, target=None):
+        sys.meta_path.remove(self)
+        print('begun', file=sys.stderr, flush=True)
+sys.meta_path.insert(0, Teller())
+{executable}()
+"""
+
+
+def interrupt_until_it_ends(process: subprocess.Popen) -> int:
+    """Send SIGINT every millisecond; return how often."""
+    count, deadline = 0, time.monotonic() + 60.0
+    while process.poll() is None:
+        assert time.monotonic() < deadline
+        process.send_signal(signal.SIGINT)
+        count += 1
+        time.sleep(1e-3)
+    return count
+
+
+def test_simulator_that_is_interrupted_again_and_again_completes_its_bag(tmp_path):
+    process = start(tmp_path, scene=SCENE, record_path='bag', rerun_path='a.rrd')
+    with peer() as other:
+        other.spin_until(lambda: len(other.states) > 20)
+    assert interrupt_until_it_ends(process) > 10
+    status, out, _ = finish(process)
+    assert status == 0 and 'bag ' in out
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
+    assert len(read_bag(tmp_path / 'bag')['/hnn_simulator/q']) > 20
+
+
+@pytest.mark.parametrize('executable', ['simulator', 'replay', 'rerun_bridge', 'listener',
+                                        'train', 'scene'])
+@pytest.mark.parametrize('delay', [0.0, 0.5, 1.5])
+def test_executable_that_is_interrupted_at_its_start_ends_without_a_traceback(
+        tmp_path, executable, delay):
+    words = {'simulator': ['--ros-args', '-p', f'scene:={SCENE}'], 'replay': ['bag'],
+             'train': ['--config', 'pendulum'], 'scene': ['--list']}.get(executable, [])
+    code = BEGUN.format(executable=executable)
+    with subprocess.Popen([sys.executable, '-c', code, *words], cwd=tmp_path,
+                          stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+                          ) as process:
+        assert process.stderr.readline() == 'begun\n'
+        time.sleep(delay)
+        interrupt_until_it_ends(process)
+        error = process.stderr.read()
+    assert 'Traceback' not in error and 'KeyboardInterrupt' not in error, error
+    # 1: the bag that there is not was found missing first.
+    assert process.returncode in (0, 130) or executable == 'replay' and process.returncode == 1
+
+
+def test_files_that_are_opened_as_the_simulator_is_stopped_are_closed(tmp_path):
+    with subprocess.Popen(
+            [sys.executable, '-c', SLOW_TO_HAND_OVER, '--ros-args', '-p', f'scene:={SCENE}',
+             '-p', 'record_path:=bag', '-p', 'rerun_sink:=none'],
+            cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == 'opened\n'
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+    assert process.returncode == 0
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
+
+
+def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
+    process = start(tmp_path, scene=SCENE, autostart='false', record_path='bag',
+                    rerun_sink='none', start_paused='true')
+    with peer() as other:
+        assert other.change_state(CONFIGURE) and other.change_state(ACTIVATE)
+        assert other.pause(False).success and other.pause().success
+        assert other.trigger('reset').success
+        assert other.change_state(DEACTIVATE)
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0
+    lines = [line.split(']: ', 1)[1] for line in error.splitlines() if '[INFO]' in line]
+    told = ['recording to bag', 'unconfigured -> inactive', 'paused until ~/set_pause ends it',
+            'inactive -> active', 'pause ended', 'paused', 'recording to bag-2', 'reset',
+            'active -> inactive', 'stopped by SIGINT']
+    assert [line for line in lines if line in told] == told
+
+
+def test_run_folders_of_two_processes_in_one_second_differ(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code = ('import sys; from hnn_vi_ros.ros.run_folder import create_run_folder as create\n'
+            'print("ready", flush=True); sys.stdin.readline()\n'
+            'print(*[create("a") for _ in range(50)])')
+    processes = [subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE,
+                                  stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    for process in processes:
+        assert process.stdout.readline() == 'ready\n'
+    for process in processes:
+        process.stdin.write('\n')
+        process.stdin.flush()
+    folders = [folder for process in processes for folder in process.communicate()[0].split()]
+    assert len(set(folders)) == 100 and all(Path(folder).is_dir() for folder in folders)
+
+
+def test_run_folder_that_another_process_makes_in_between_is_left_to_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mkdir, made = Path.mkdir, []
+
+    def first_the_other(path: Path, **options: object) -> None:
+        if path.parent.name == 'runs' and not made:
+            made.append(path)
+            mkdir(path)
+        mkdir(path, **options)
+
+    monkeypatch.setattr(Path, 'mkdir', first_the_other)
+    folder = run_folder.create_run_folder('a')
+    assert folder != made[0] and folder.is_dir()
+
+
+def test_run_folder_beside_a_file_named_runs_is_refused_in_a_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'runs').write_text('')
+    with pytest.raises(RecordingError, match='runs cannot be created .*; set record_path'):
+        run_folder.create_run_folder('a')
+
+
+def test_run_folder_is_named_for_the_scene_and_the_second(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = run_folder.create_run_folder('a')
+    assert datetime.strptime(folder.name, 'a-%Y%m%dT%H%M%SZ')
+
+
+def test_security_without_its_libraries_is_one_line(tmp_path, monkeypatch):
+    enclaves = tmp_path / 'keys' / 'enclaves'
+    enclaves.mkdir(parents=True)
+    for name in ('identity_ca.cert.pem', 'cert.pem', 'key.pem', 'permissions_ca.cert.pem',
+                 'governance.p7s', 'permissions.p7s'):
+        (enclaves / name).write_text('')
+    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
+    monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
+    for keystore in (tmp_path / 'keys', tmp_path / 'none'):
+        monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(keystore))
+        for executable in ('simulator', 'listener'):
+            status, _, error = finish(start_executable(executable, folder=tmp_path))
+            assert status == 1 and error.count('\n') == 1
+            assert error.startswith(f'{executable}: ROS: ') and 'ROS_SECURITY_ENABLE' in error
