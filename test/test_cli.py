@@ -147,7 +147,7 @@ def test_help_of_the_simulator_names_every_topic_and_service():
     rights = ElementTree.parse(ROOT / 'config' / 'security' / 'simulator.policy.xml').getroot()
     text = parser('simulator').format_help()
     own = {name.text for name in rights.iter() if name.tag in ('topic', 'service')
-           and not re.search('parameter|rosout|transition|get_|change_st|simulation', name.text)}
+           and not re.search('parameter|rosout|transition|get_|change_st|simulation|world', name.text)}
     assert own >= {'~/q', '~/step', '~/commands', 'joint_states', '/clock'}
     assert {name for name in own if name not in text} == set()
 
