@@ -8,11 +8,16 @@ import os
 from pathlib import Path
 from typing import Any
 
+from mcap.records import Channel, Schema
 import yaml
 
 METADATA_VERSION = 9
 # rosbag2 gives a bag without messages the latest time there is as its start.
 NEVER = 2**63 - 1
+# No metadata.yaml is larger [bytes].
+_LARGEST = 2**20
+# Metadata of our recordings: the definitions of all types, by their names.
+DEFINITIONS = 'definitions'
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,58 @@ def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
     text = dump_yaml({'rosbag2_bagfile_information': dict(metadata)})
     temporary.write_text(text, encoding='utf-8')
     os.replace(temporary, folder / 'metadata.yaml')
+
+
+def read_bag_metadata(folder: Path) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` tells of the bag in a folder; empty if that is not there."""
+    try:
+        with (folder / 'metadata.yaml').open('rb') as stream:
+            content = read_description(stream.read(_LARGEST))
+    except OSError:
+        return {}
+    described = content.get('rosbag2_bagfile_information')
+    return described if isinstance(described, dict) else {}
+
+
+def read_description(text: str | bytes) -> dict[str, Any]:
+    """Return rosbag2's description of a bag from its YAML; empty if that is damaged."""
+    try:
+        described = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError):
+        return {}
+    return described if isinstance(described, dict) else {}
+
+
+def described_channels(rosbag2: Mapping[str, str], definitions: Mapping[str, str]
+                       ) -> list[Schema | Channel]:
+    """
+    Return the channels of a recording of ours whose first chunk, which defines them, is lost.
+
+    The recorder numbers them in the order of its description.
+
+    Parameters
+    ----------
+    rosbag2, definitions : mapping of str to str
+        Metadata of the file.
+
+    """
+    described = read_description(rosbag2.get('serialized_metadata', ''))
+    found: list[Schema | Channel] = []
+    try:
+        for number, entry in enumerate(described['topics_with_message_count'], 1):
+            topic = entry['topic_metadata']
+            kind, qos = str(topic['type']), dump_yaml(topic['offered_qos_profiles'])
+            # No number that a schema of the file may have.
+            found.append(Schema(id=-number, data=definitions.get(kind, '').encode(),
+                                encoding='ros2msg', name=kind))
+            found.append(Channel(id=number, topic=str(topic['name']), message_encoding='cdr',
+                                 schema_id=-number, metadata={
+                                     'offered_qos_profiles': qos,
+                                     'topic_type_hash': str(topic['type_description_hash'])}))
+    except (KeyError, TypeError):
+        # Not as we write it.
+        return []
+    return found
 
 
 def _topic_metadata(topic: Topic) -> dict[str, Any]:
