@@ -14,6 +14,8 @@ import yaml
 METADATA_VERSION = 9
 # rosbag2 gives a bag without messages the latest time there is as its start.
 NEVER = 2**63 - 1
+# The C parser, where there is one.
+_Loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # No metadata.yaml is larger [bytes].
 _LARGEST = 2**20
 # Metadata of our recordings: the definitions of all types, by their names.
@@ -103,11 +105,16 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
 
 def read_description(text: str | bytes) -> dict[str, Any]:
     """Return rosbag2's description of a bag from its YAML; empty if that is damaged."""
-    try:
-        described = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError):
-        return {}
+    described = _loaded(text)
     return described if isinstance(described, dict) else {}
+
+
+def _loaded(text: str | bytes) -> object:
+    """Return plain data of YAML; None of what is damaged."""
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError):
+        return None
 
 
 def described_channels(rosbag2: Mapping[str, str], definitions: Mapping[str, str]
@@ -144,7 +151,7 @@ def described_channels(rosbag2: Mapping[str, str], definitions: Mapping[str, str
 
 def _topic_metadata(topic: Topic) -> dict[str, Any]:
     return {'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
-            'offered_qos_profiles': yaml.safe_load(topic.offered_qos_profiles),
+            'offered_qos_profiles': _loaded(topic.offered_qos_profiles) or [],
             'type_description_hash': topic.type_hash}
 
 
