@@ -3,9 +3,9 @@
 """
 Make bags whole whose recording was interrupted, or that were damaged.
 
-What can be read is written anew; the file as it was is kept as FILE.orig. Exit status: 0 if nothing
-was lost (a recording that was killed ends where it broke off), 1 if something was, 2 if nothing
-could be recovered; then all is left as it was.
+What can be read is written anew; the file as it was is kept as FILE.orig. Exit status: 0 if
+nothing was lost (a recording that was killed ends where it broke off), 1 if something was, 2 if
+nothing could be recovered; then all is left as it was.
 """
 
 import argparse

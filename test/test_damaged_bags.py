@@ -26,7 +26,7 @@ Content = list[tuple[str, int, bytes]]
 
 
 def make(folder: Path, ticks: int, close: bool) -> bytes:
-    """Return a file with a chunk each EVERY ticks, and one more of the first; or its killed one."""
+    """Return a file with a chunk each EVERY ticks, as it was closed or killed."""
     sink = McapSink(folder, TOPICS, SCENE)
     for tick in range(ticks):
         sink._next_flush = 0.0 if tick % EVERY == 0 else float('inf')

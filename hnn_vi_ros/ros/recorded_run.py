@@ -64,7 +64,7 @@ class RecordedRun:
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file; one that was cut off will do.
+        A folder with the files of one bag, or one file; one that was cut off will do.
 
     Attributes
     ----------

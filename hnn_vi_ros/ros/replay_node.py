@@ -36,7 +36,7 @@ class ReplayNode(Node):
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file.
+        A folder with the files of one bag, or one file.
     values : dict
         Parameters that were given as options; the others are ROS's.
 
@@ -97,6 +97,11 @@ class ReplayNode(Node):
             late = '; late by ' + ', '.join(
                 f'{name} {value:.3f} ms' for name, value in errors.items())
         return f'{player.published} messages published{late}'
+
+    @property
+    def damage(self) -> str:
+        """Return what is to be told of parts of the bag that could not be read."""
+        return self._reader.damage
 
     def _open(self, values: dict[str, Value]) -> dict[int, Publisher]:
         """Create the publishers, one for each topic; return them by channel."""
@@ -209,6 +214,8 @@ def _play(node: ReplayNode, received: Sequence[int]) -> int:
         player.stop()
     node.wait_for_delivery()
     node.get_logger().info(node.report())
+    if node.damage:
+        node.get_logger().warning(node.damage)
     node.destroy_node()
     if player.problem is not None:
         if isinstance(player.problem, HnnViRosError | OSError):
@@ -220,7 +227,7 @@ def _play(node: ReplayNode, received: Sequence[int]) -> int:
 def _parse(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='replay', description=__doc__)
     parser.add_argument('bag', type=Path, metavar='BAG', help=(
-        'folder of a bag, or its .mcap file; one that was cut off will do'))
+        'folder of a bag, or its file; one that was cut off will do'))
     parser.add_argument('--verify', action='store_true', help=(
         'simulate the bag again, from its own scene, and compare bit by bit'))
     for item in PARAMETERS:

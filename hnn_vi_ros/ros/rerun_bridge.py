@@ -99,6 +99,8 @@ class RerunBridge(Node):
             else:
                 tick[name] = content
         self._show(tick)
+        if run.reader.damage:
+            self.get_logger().warning(run.reader.damage)
         return picture.samples
 
     def close(self) -> None:
@@ -163,7 +165,7 @@ def main(argv: list[str]) -> int:
     """Show a simulator until SIGINT or SIGTERM, or a bag until it is shown."""
     parser = argparse.ArgumentParser(prog='rerun_bridge', description=__doc__)
     parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
-        'folder of a bag, or its .mcap file, to show in place of a running simulator'))
+        'folder of a bag, or its file, to show in place of a running simulator'))
     bag = parser.parse_args(remove_ros_args(argv)).bag
     init_ros(argv)
     received: list[int] = []

@@ -71,7 +71,8 @@ def missing_in_all(topics: Sequence[Sequence[int]]) -> list[Missing]:
 
     """
     most = max(map(len, topics), default=0)
-    frequent = [np.asarray(stamps, dtype=np.uint64) for stamps in topics if 2 * len(stamps) >= most]
+    frequent = [np.asarray(stamps, dtype=np.uint64) for stamps in topics
+                if 2 * len(stamps) >= most]
     found = max(map(missing_stamps, frequent), default=[],
                 key=lambda gaps: sum(gap.count for gap in gaps))
     if not found:

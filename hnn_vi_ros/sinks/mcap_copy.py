@@ -7,7 +7,7 @@ from typing import BinaryIO
 from hnn_vi_ros.sinks.bag_metadata import (
     bag_metadata, dump_yaml, NEVER, read_description, Topic)
 from hnn_vi_ros.sinks.mcap_file import McapFile
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 _CHUNK_SIZE = 256 * 1024

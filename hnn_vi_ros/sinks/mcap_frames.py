@@ -4,7 +4,8 @@
 Find the records of an MCAP file, behind damage as well.
 
 A record is taken for one only if what it says of its own lengths agrees: the prefix, the fields
-inside, and what comes next. Where nothing does, the search goes on byte by byte. No opcode ends it.
+inside, and what comes next. Where nothing does, the search goes on byte by byte. No opcode ends
+it.
 """
 
 from collections.abc import Iterator

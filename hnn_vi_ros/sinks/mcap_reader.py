@@ -10,7 +10,7 @@ from typing import final, NamedTuple
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.sinks.bag_files import bag_files, open_source
 from hnn_vi_ros.sinks.bag_source import Piece, Source
-from hnn_vi_ros.sinks.mcap_records import LARGEST, unpack_zstd
+from hnn_vi_ros.sinks.mcap_records import LARGEST
 from mcap.records import Channel, Schema
 import zstandard
 
@@ -102,7 +102,7 @@ class BagReader:
 
     @property
     def damage(self) -> str:
-        """Return what is to be told of the parts that could not be read; empty if there is none."""
+        """Return what is to be told of parts that could not be read; empty if there are none."""
         places = [(source, start) for source in self._sources for start in sorted(source.unread)]
         if not places:
             return ''
@@ -201,14 +201,11 @@ class BagReader:
 
 
 def _unpacked(data: bytes) -> bytes | None:
-    """Return a message that was packed by itself; None if it is damaged, or larger than told."""
+    """Return a message that was packed by itself; None if it is damaged or too large."""
     try:
         size = zstandard.get_frame_parameters(data).content_size
-        most = LARGEST if size == zstandard.CONTENTSIZE_UNKNOWN else size
-        found = unpack_zstd(data, most + 1) if most <= LARGEST else None
+        if size > LARGEST and size != zstandard.CONTENTSIZE_UNKNOWN:
+            return None
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST)
     except zstandard.ZstdError:
         return None
-    if found is None or len(found) > most or size not in (
-            zstandard.CONTENTSIZE_UNKNOWN, len(found)):
-        return None
-    return found

@@ -15,9 +15,11 @@ from mcap.opcode import Opcode
 from mcap.records import (
     Attachment, AttachmentIndex, Channel, ChunkIndex, DataEnd, Footer, Header, McapRecord, Message,
     MessageIndex, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
-from mcap.writer import MCAP0_MAGIC as MAGIC
+from mcap.writer import MCAP0_MAGIC
 import zstandard
 
+# At both ends of a file.
+MAGIC = MCAP0_MAGIC
 # Opcode and length come before each record's content.
 PREFIX = struct.Struct('<BQ')
 # Of a chunk: times of its first and last message, unpacked size, its CRC, length of a name.

@@ -83,7 +83,7 @@ class Survey:
 
     @property
     def complete(self) -> bool:
-        """Tell whether all is there that the statistics count; messages, if there are no chunks."""
+        """Tell whether all is there that the statistics count, messages in chunks aside."""
         told = self.statistics
         if told is None or (told.chunk_count, told.attachment_count, told.metadata_count) != (
                 len(self.chunks), len(self.attachments), len(self.metadata)):

@@ -93,5 +93,5 @@ class SqliteFile(Source):
                 yield database
         except sqlite3.Error as problem:
             raise RecordingError(
-                f'{self.name}: cannot be read ({problem}); mend it with the sqlite3 program\'s '
-                '.recover, or give another bag') from problem
+                f'{self.name}: cannot be read ({problem}); mend it with `sqlite3 .recover`, or '
+                'give another bag') from problem
