@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.sinks.regular_file import open_file
 from mcap.records import Channel, Schema
 import yaml
 
@@ -94,8 +95,9 @@ def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
 
 def read_bag_metadata(folder: Path) -> dict[str, Any]:
     """Return what ``metadata.yaml`` tells of the bag in a folder; empty if that is not there."""
+    path = folder / 'metadata.yaml'
     try:
-        with (folder / 'metadata.yaml').open('rb') as stream:
+        with open_file(path, path) as stream:
             content = read_description(stream.read(_LARGEST))
     except OSError:
         return {}
