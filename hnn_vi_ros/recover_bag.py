@@ -1,24 +1,62 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Make bags whole whose recording was interrupted."""
+"""Make bags whole whose recording was interrupted, or that were damaged."""
 
+from pathlib import Path
 import sys
 
-from hnn_vi_ros.arguments import recover_bag
+from hnn_vi_ros import arguments
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks.bag_files import bag_files
 from hnn_vi_ros.sinks.mcap_recovery import recover, Recovery
 
 
 def main(argv: list[str]) -> int:
     """Make each bag whole, and say what is in it."""
-    for bag in recover_bag().parse_args(argv).bag:
-        print(_told(recover(bag)), file=sys.stdout, flush=True)
-    return 0
+    options = arguments.recover_bag().parse_args(argv)
+    return max(_recover(bag, options.replace) for bag in options.bag)
+
+
+def _recover(bag: Path, replace: bool) -> int:
+    """Make the files of a bag whole; return the exit status."""
+    status = 0
+    try:
+        files = bag_files(bag)
+        for path in [bag] if len(files) == 1 else files:
+            recovery = recover(path, replace)
+            print(_told(recovery), flush=True)
+            status = max(status, int(recovery.lost))
+    except RecordingError as problem:
+        print(f'recover_bag: {problem}', file=sys.stderr, flush=True)
+        return 2
+    return status
 
 
 def _told(recovery: Recovery) -> str:
     done = 'recovered' if recovery.changed else 'whole already'
     if recovery.described and not recovery.changed:
         done = 'whole already, metadata.yaml written'
-    lost = (f'; {recovery.damaged} chunks could not be read in full' if recovery.damaged else '')
-    return (f'{recovery.path}: {done}: {recovery.messages} messages, '
-            f'{recovery.seconds:.2f} s{lost}')
+    told = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
+    if recovery.incomplete:
+        told.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
+    if recovery.lost:
+        told.append(f'LOST: {", ".join(_losses(recovery))}')
+    if recovery.original:
+        told.append(f'as it was: {recovery.original.name}')
+    return '; '.join(told)
+
+
+def _losses(recovery: Recovery) -> list[str]:
+    """Return what is not kept, each in some words."""
+    losses = []
+    if recovery.damaged:
+        losses.append(f'{recovery.damaged} damaged parts, {recovery.unread} bytes not understood')
+    if recovery.fewer:
+        losses.append(f'{recovery.fewer} messages that had been counted')
+    if recovery.gaps:
+        first = recovery.gaps[0]
+        losses.append(f'{sum(gap.count for gap in recovery.gaps)} stamps in {len(recovery.gaps)} '
+                      f'gaps, the first after t = {first.after * 1e-9:.9g} s')
+    if recovery.altered:
+        losses.append('a checksum: the header or metadata are not as they were recorded')
+    return losses

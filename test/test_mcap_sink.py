@@ -221,11 +221,14 @@ def test_file_itself_carries_the_metadata(tmp_path):
     path = record(tmp_path / 'bag', 25)
     with path.open('rb') as stream:
         records = list(make_reader(stream).iter_metadata())
-    own, *others = records
-    assert (own.name, own.metadata) == ('hnn_vi_ros', identity())
+    own, = (record for record in records if record.name == 'hnn_vi_ros')
+    assert own.metadata == identity()
     assert {'hnn_vi_ros', 'sources', 'numba', 'numpy', 'processor'} <= own.metadata.keys()
-    first, last = (yaml.safe_load(r.metadata['serialized_metadata']) for r in others)
-    assert {r.name for r in others} == {'rosbag2'}
+    # Twice as well, around the first chunk, what that defines.
+    assert [record.metadata for record in records if record.name == 'definitions'] == 2 * [
+        {topic.type: topic.definition for topic in TOPICS}]
+    first, _, last = (yaml.safe_load(record.metadata['serialized_metadata'])
+                      for record in records if record.name == 'rosbag2')
     in_folder = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
     assert last == in_folder['rosbag2_bagfile_information']
     assert first['message_count'] == 0 and first['ros_distro'] == 'jazzy'

@@ -3,7 +3,7 @@
 """Data from ROS 2 bags: the states of a robot or of the simulator, as they were recorded."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from hashlib import file_digest
+import logging
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,6 +27,8 @@ _MARGIN = 10
 _LEAST = 2 * _MARGIN + 15
 # Unless data.derivatives says more.
 _WINDOW, _DEGREE = 9, 4
+
+_LOGGER = logging.getLogger(__name__)
 
 Topic = Annotated[str, Field(min_length=1, max_length=255)]
 
@@ -89,7 +91,8 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
     Parameters
     ----------
     paths : sequence of Path
-        Folders with one MCAP file, or the files; unfinished ones are read as far as they go.
+        Folders with the files of one bag, or files; unfinished and damaged ones are read as far
+        as they go, these with a warning.
     data : BagData
         What is where.
 
@@ -110,9 +113,10 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
             motions, blocks = motions + 1, part['block'].max() + 1
             count += n
             parts.append(part)
-        with reader.path.open('rb') as stream:
-            digest = file_digest(stream, 'sha256').hexdigest()
-        described.append(f'{path.name} ({count} rows, sha256 {digest[:16]})')
+        if reader.damage:
+            _LOGGER.warning('train: warning: %s', reader.damage)
+        told = f'{count} rows, sha256 {reader.digest[:16]}'
+        described.append(f'{path.name} ({told}{", damaged" if reader.damage else ""})')
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if len(arrays['t']) > MAX_ROWS:
         raise DataError(f'{len(arrays["t"])} rows are more than {MAX_ROWS}; give a larger '

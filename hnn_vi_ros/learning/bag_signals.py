@@ -43,7 +43,7 @@ class SignalReader:
     Parameters
     ----------
     path : Path
-        A folder with one MCAP file, or the file.
+        A folder with the files of one bag, or one file.
     joints : sequence of str
         Names of the joints, in the order of the coordinates.
     columns : sequence of int
@@ -54,7 +54,7 @@ class SignalReader:
     Raises
     ------
     DataError
-        It is no MCAP file, or holds no messages.
+        It is no bag, or holds no messages.
 
     """
 
@@ -68,6 +68,16 @@ class SignalReader:
         self._origin: int | None = None
         if not any(self._reader.messages()):
             raise DataError(f'{self.path}: holds no messages; record while something moves')
+
+    @property
+    def damage(self) -> str:
+        """Return what is to be told of parts that could not be read."""
+        return self._reader.damage
+
+    @property
+    def digest(self) -> str:
+        """Return the SHA-256 of the bag's files."""
+        return self._reader.digest()
 
     def type_of(self, topic: str) -> str:
         """Return the type of a topic; DataError if the bag does not hold it."""

@@ -66,7 +66,7 @@ class RecordedRun:
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file; one that was cut off will do.
+        A folder with the files of one bag, or one file; one that was cut off will do.
     trust_code : bool, optional
         Whether Python code that its scene names may be run.
 

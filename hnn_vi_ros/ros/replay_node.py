@@ -41,7 +41,7 @@ class ReplayNode(Node):
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file.
+        A folder with the files of one bag, or one file.
     values : dict
         Parameters that were given as options; the others are ROS's.
     arguments : sequence of str
@@ -109,6 +109,11 @@ class ReplayNode(Node):
             late = '; late by ' + ', '.join(
                 f'{name} {value:.3f} ms' for name, value in errors.items())
         return f'{player.published} messages published{late}'
+
+    @property
+    def damage(self) -> str:
+        """Return what is to be told of parts of the bag that could not be read."""
+        return self._reader.damage
 
     def _open(self, values: dict[str, Value]) -> dict[int, Publisher]:
         """Create the publishers, one for each topic; return them by channel."""
@@ -230,6 +235,8 @@ def _play(node: ReplayNode, received: Sequence[int]) -> int:
         player.stop()
     node.wait_for_delivery()
     node.get_logger().info(node.report())
+    if node.damage:
+        node.get_logger().warning(node.damage)
     node.destroy_node()
     if player.problem is not None:
         if isinstance(player.problem, HnnViRosError | OSError):

@@ -121,6 +121,8 @@ class RerunBridge(Node):
             else:
                 tick[name] = content
         self._show(tick)
+        if run.reader.damage:
+            self.get_logger().warning(run.reader.damage)
         return picture.samples
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.even_grid import missing_stamps
 import numpy as np
 
 # A relative change of the initial state that is far above round-off and far below the motion.
@@ -48,10 +49,13 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
     """
     Simulate what a bag tells of, from its scene and first state, and compare each sample.
 
+    Parts of the bag that cannot be read, and samples that are missing from the even grid on which
+    they come, are told, and then the log is not confirmed.
+
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file.
+        A folder with the files of one bag, or one file.
     trust_code : bool, optional
         Whether Python code that its scene names may be run.
 
@@ -73,9 +77,10 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
             f'{name} is {value}' for name, value in others.items()) if there \
             else 'of a log that names neither machine nor versions'
     samples, difference = _first_difference(run, simulation)
-    told = f'{run.reader.path}: '
+    told, missing = f'{run.reader.path}: ', _missing(run)
     if difference is None:
-        return Verdict(f'{told}{samples} samples agree bit by bit, {where}', True)
+        return Verdict(f'{told}{samples} samples agree bit by bit, {where}{missing}',
+                       bool(samples) and not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained
@@ -86,7 +91,20 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
         f't = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} in the log, '
         f'{difference.simulated!r} now; the largest difference, {margin.difference:.3g} at t = '
         f'{margin.stamp * 1e-9:.9g} s, is {"within" if within else "beyond"} what round-off '
-        f'explains, {margin.explained:.3g}{commands}', within and bool(others))
+        f'explains, {margin.explained:.3g}{commands}{missing}',
+        within and bool(others) and not missing)
+
+
+def _missing(run: RecordedRun) -> str:
+    """Return what is to be told of samples that are not there to be compared; else empty."""
+    told = ''
+    if gaps := missing_stamps([stamp for stamp, _, _ in run.samples()]):
+        first = gaps[0]
+        told = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
+                f'the first from t = {first.after * 1e-9:.9g} s to {first.before * 1e-9:.9g} s')
+    if run.reader.damage:
+        told += f'; BUT {run.reader.damage}'
+    return told
 
 
 def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:

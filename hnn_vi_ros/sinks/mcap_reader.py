@@ -1,26 +1,21 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read the messages of an MCAP bag in the order of their times, an unfinished one as well."""
+"""Read the messages of a bag in the order of their times, an unfinished or damaged one as well."""
 
 from collections.abc import Collection, Iterator
-import os
+from hashlib import sha256
 from pathlib import Path
-import struct
-from typing import BinaryIO, final, NamedTuple
+from typing import final, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks.mcap_records import (
-    check_magic, data_frames, decode, Frame, MAGIC, PREFIX, read_content, records_in, unpack)
-from hnn_vi_ros.sinks.mcap_recovery import bag_file
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from hnn_vi_ros.sinks.bag_files import bag_files, open_source
+from hnn_vi_ros.sinks.bag_source import Piece, Source
+from hnn_vi_ros.sinks.mcap_records import LARGEST
+from mcap.records import Channel, Schema
+import zstandard
 
-_TIMES = struct.Struct('<QQ')
-_CHANNEL = struct.Struct('<H')
-# Before the log time of a message.
-_MESSAGE_TIME = struct.Struct('<xxxxxxQ')
-# Messages outside of chunks are read together up to so many bytes.
-_PIECE = 2**18
+_ZSTD = b'\x28\xb5\x2f\xfd'
+_BLOCK = 2**20
 
 
 class Recorded(NamedTuple):
@@ -43,28 +38,31 @@ class Recorded(NamedTuple):
     data: bytes
 
 
-class _Piece(NamedTuple):
-    """A stretch of the file that holds messages: their times [ns], and where it is."""
+class _Part(NamedTuple):
+    """A piece of one of the files, with the numbers that their channels have here."""
 
-    first: int
-    last: int
-    frame: Frame
+    piece: Piece
+    source: Source
+    numbers: dict[int, int]
 
 
 @final
 class BagReader:
     """
-    An MCAP file of a bag, finished or cut off; nothing but its outline is held in memory.
+    A bag, finished, cut off or damaged; nothing but its outline is held in memory.
+
+    It is one MCAP file or several, as rosbag2 splits them, or SQLite files; packed with zstd as
+    wholes or message by message, or not. The channels of a topic in several files are one.
 
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file.
+        A folder with the files of one bag, or one file.
 
     Attributes
     ----------
     path : Path
-        The file.
+        The file; the folder, if there are several.
     channels : dict of int to Channel
         Topic, encoding and metadata of each channel.
     schemas : dict of int to Schema
@@ -75,41 +73,64 @@ class BagReader:
     Raises
     ------
     RecordingError
-        It is no MCAP file, or cannot be read.
+        It is no bag, or cannot be read.
 
     """
 
     def __init__(self, bag: Path):
-        self.path = bag_file(bag)
+        files = bag_files(bag)
+        self.path = files[0] if len(files) == 1 else bag
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self._pieces: list[_Piece] = []
-        self._attachments: list[Frame] = []
-        self._metadata: list[Metadata] = []
+        self._files, self._parts = files, list[_Part]()
         try:
-            with self.path.open('rb') as stream:
-                check_magic(stream, self.path)
-                self._scan(stream)
+            self._sources = [open_source(path) for path in files]
         except OSError as problem:
             raise RecordingError(f'{self.path}: cannot be read ({problem.strerror or problem}); '
-                                 'give the folder of a bag, or its .mcap file') from problem
-        self._pieces.sort(key=lambda piece: piece.first)
-        self.first = min((piece.first for piece in self._pieces), default=0)
-        self.last = max((piece.last for piece in self._pieces), default=0)
+                                 'give the folder of a bag, or its file') from problem
+        for source in self._sources:
+            numbers = self._join(source)
+            self._parts += [_Part(piece, source, numbers) for piece in source.pieces]
+        self._parts.sort(key=lambda part: part.piece.first)
+        self.first = min((part.piece.first for part in self._parts), default=0)
+        self.last = max((part.piece.last for part in self._parts), default=0)
+
+    @property
+    def unread(self) -> int:
+        """Return how many parts could not be read; those of messages once these were read."""
+        return sum(len(source.unread) for source in self._sources)
+
+    @property
+    def damage(self) -> str:
+        """Return what is to be told of parts that could not be read; empty if there are none."""
+        places = [(source, start) for source in self._sources for start in sorted(source.unread)]
+        if not places:
+            return ''
+        size = sum(source.unread[start] for source, start in places)
+        source, start = places[0]
+        return (f'{source.name}: {len(places)} damaged parts, {size} bytes, cannot be read, the '
+                f'first at {start}: what they held is missing')
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the files."""
+        found = sha256()
+        for path in self._files:
+            with path.open('rb') as stream:
+                while block := stream.read(_BLOCK):
+                    found.update(block)
+        return found.hexdigest()
 
     def attachment(self, name: str) -> bytes:
         """Return a file that is kept with the bag, or raise RecordingError."""
-        with self.path.open('rb') as stream:
-            for frame in self._attachments:
-                record = decode(frame.opcode, read_content(stream, frame))
-                if isinstance(record, Attachment) and record.name == name:
-                    return record.data
+        for source in self._sources:
+            if (found := source.attachment(name)) is not None:
+                return found
         raise RecordingError(f'{self.path}: holds no {name}; was it recorded by the simulator?')
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the newest metadata of a name; empty if there is none."""
-        found = [record.metadata for record in self._metadata if record.name == name]
-        return found[-1] if found else {}
+        found = [source.metadata(name) for source in self._sources]
+        return next(filter(None, reversed(found)), {})
 
     def messages(self, channels: Collection[int] | None = None, first: int = 0,
                  last: int = 2**64 - 1) -> Iterator[Recorded]:
@@ -125,90 +146,66 @@ class BagReader:
 
         """
         wanted = self.channels.keys() if channels is None else frozenset(channels)
-        pieces = [piece for piece in self._pieces if piece.last >= first and piece.first <= last]
+        parts = [part for part in self._parts
+                 if part.piece.last >= first and part.piece.first <= last]
         held: list[Recorded] = []
-        with self.path.open('rb') as stream:
-            for i, piece in enumerate(pieces):
-                held += [Recorded(record.log_time, record.channel_id, record.data)
-                         for record in self._open(stream, piece.frame)
-                         if isinstance(record, Message) and record.channel_id in wanted
-                         and first <= record.log_time <= last]
-                held.sort(key=lambda message: message.time)
-                # What a later piece may come before is kept.
-                until = pieces[i + 1].first if i + 1 < len(pieces) else 2**64
-                place = 0
-                while place < len(held) and held[place].time < until:
-                    yield held[place]
-                    place += 1
-                del held[:place]
+        for i, part in enumerate(parts):
+            held += [message for message in self._read(part, wanted)
+                     if first <= message.time <= last]
+            held.sort(key=lambda message: message.time)
+            # What a later piece may come before is kept.
+            until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
+            place = 0
+            while place < len(held) and held[place].time < until:
+                yield held[place]
+                place += 1
+            del held[:place]
 
-    def _open(self, stream: BinaryIO, frame: Frame) -> Iterator[McapRecord]:
-        content = read_content(stream, frame)
-        if frame.opcode == Opcode.CHUNK:
-            content, _ = unpack(content, frame.whole)
-        return records_in(content)
-
-    def _scan(self, stream: BinaryIO) -> None:
-        """Find what there is; a chunk is opened only for channels that are not known yet."""
-        chunk, indexed, unknown = None, False, False
-        end = os.fstat(stream.fileno()).st_size
-        for frame in data_frames(stream, len(MAGIC), end):
-            if frame.opcode == Opcode.MESSAGE_INDEX and frame.whole and chunk is not None:
-                number, = _CHANNEL.unpack(stream.read(_CHANNEL.size))
-                indexed, unknown = True, unknown or number not in self.channels
+    def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[Recorded]:
+        """Yield the messages of a piece, unpacked."""
+        for message in part.source.read(part.piece):
+            number = part.numbers[message.channel_id]
+            if number not in wanted:
                 continue
-            if chunk is not None:
-                self._add_chunk(stream, chunk, unknown or not indexed)
-            chunk, indexed, unknown = None, False, False
-            if frame.opcode == Opcode.CHUNK:
-                chunk = frame
-            elif frame.whole:
-                self._add(stream, frame)
-        if chunk is not None:
-            # Of the last one the indexes may be missing.
-            self._add_chunk(stream, chunk, True)
-
-    def _add_chunk(self, stream: BinaryIO, frame: Frame, look_inside: bool) -> None:
-        if not look_inside:
-            stream.seek(frame.start)
-            self._pieces.append(_Piece(*_TIMES.unpack(stream.read(_TIMES.size)), frame))
-            return
-        times = []
-        for record in self._open(stream, frame):
-            if isinstance(record, Message):
-                times.append(record.log_time)
+            data = message.data
+            # What is not packed begins with how it is encoded, 00 .. in CDR.
+            if data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
+                data = _unpacked(data)
+            if data is None:
+                part.source.unread[part.piece.start] = len(message.data)
             else:
-                self._take(record)
-        if times:
-            self._pieces.append(_Piece(min(times), max(times), frame))
+                yield Recorded(message.log_time, number, data)
 
-    def _add(self, stream: BinaryIO, frame: Frame) -> None:
-        if frame.opcode == Opcode.MESSAGE:
-            stream.seek(frame.start)
-            self._add_message(_MESSAGE_TIME.unpack(stream.read(_MESSAGE_TIME.size))[0], frame)
-        elif frame.opcode == Opcode.ATTACHMENT:
-            self._attachments.append(frame)
-        elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-            self._take(decode(frame.opcode, read_content(stream, frame)))
+    def _join(self, source: Source) -> dict[int, int]:
+        """Take the channels of a file; return the numbers that they have here."""
+        known = {self._key(channel, self.schemas): number
+                 for number, channel in self.channels.items()}
+        numbers = {}
+        for number, channel in source.channels.items():
+            key = self._key(channel, source.schemas)
+            if key not in known:
+                known[key] = len(self.channels) + 1
+                schema = source.schemas.get(channel.schema_id)
+                if schema is not None:
+                    self.schemas[known[key]] = schema
+                self.channels[known[key]] = Channel(
+                    id=known[key], topic=channel.topic, schema_id=known[key],
+                    message_encoding=channel.message_encoding, metadata=channel.metadata)
+            numbers[number] = known[key]
+        return numbers
 
-    def _add_message(self, time: int, frame: Frame) -> None:
-        """Note a message outside of chunks: together with the one before it, if there is one."""
-        start = frame.start - PREFIX.size
-        length = frame.length + PREFIX.size
-        if self._pieces:
-            before = self._pieces[-1]
-            if before.frame.opcode == Opcode.MESSAGE and before.frame.end == start \
-                    and before.frame.length < _PIECE:
-                start, length = before.frame.start, before.frame.length + length
-                self._pieces[-1] = _Piece(min(before.first, time), max(before.last, time),
-                                          Frame(Opcode.MESSAGE, start, length, True))
-                return
-        self._pieces.append(_Piece(time, time, Frame(Opcode.MESSAGE, start, length, True)))
+    @staticmethod
+    def _key(channel: Channel, schemas: dict[int, Schema]) -> tuple[str, str, str]:
+        schema = schemas.get(channel.schema_id)
+        return channel.topic, channel.message_encoding, schema.name if schema else ''
 
-    def _take(self, record: McapRecord | None) -> None:
-        if isinstance(record, Schema):
-            self.schemas.setdefault(record.id, record)
-        elif isinstance(record, Channel):
-            self.channels.setdefault(record.id, record)
-        elif isinstance(record, Metadata):
-            self._metadata.append(record)
+
+def _unpacked(data: bytes) -> bytes | None:
+    """Return a message that was packed by itself; None if it is damaged or too large."""
+    try:
+        size = zstandard.get_frame_parameters(data).content_size
+        if size > LARGEST and size != zstandard.CONTENTSIZE_UNKNOWN:
+            return None
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST)
+    except zstandard.ZstdError:
+        return None

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read the records of an MCAP file that may break off anywhere."""
+"""Read the records of an MCAP file, none of whose bytes is believed before it is checked."""
 
 from collections.abc import Iterator
 from io import BytesIO
@@ -8,28 +8,37 @@ import struct
 from typing import BinaryIO, NamedTuple
 import zlib
 
-from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.lfs_pointer import refuse_pointer
 import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment, Channel, Chunk, Header, McapRecord, Message, MessageIndex, Metadata, Schema)
-from mcap.writer import MCAP0_MAGIC as MAGIC
+    Attachment, AttachmentIndex, Channel, ChunkIndex, DataEnd, Footer, Header, McapRecord, Message,
+    MessageIndex, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+from mcap.writer import MCAP0_MAGIC
 import zstandard
 
+# At both ends of a file.
+MAGIC = MCAP0_MAGIC
 # Opcode and length come before each record's content.
 PREFIX = struct.Struct('<BQ')
+# Of a chunk: times of its first and last message, unpacked size, its CRC, length of a name.
+_CHUNK = struct.Struct('<QQQII')
+_SIZE = struct.Struct('<Q')
 _READERS = {
-    Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.CHUNK: Chunk,
-    Opcode.MESSAGE_INDEX: MessageIndex, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata}
-# What comes after the data.
-_ENDS = (Opcode.DATA_END, Opcode.FOOTER)
-# Any other frame is none: a tail of zeros, or of something else.
-_OPCODES = frozenset(range(0x01, 0x10)) | frozenset(range(0x80, 0x100))
-# No content that unpacks to more is opened [bytes].
-_LARGEST_CHUNK = 2**30
+    Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE_INDEX: MessageIndex, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
+    Opcode.CHUNK_INDEX: ChunkIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA_INDEX: MetadataIndex, Opcode.STATISTICS: Statistics,
+    Opcode.SUMMARY_OFFSET: SummaryOffset, Opcode.DATA_END: DataEnd, Opcode.FOOTER: Footer}
+# Of a message: its channel and its log time.
+MESSAGE = struct.Struct('<HxxxxQ')
+# Channel, sequence, log time and publish time come before its data.
+_MESSAGE_HEAD = struct.Struct('<HIQQ')
+MESSAGE_HEAD = _MESSAGE_HEAD.size
+# No record with more bytes, and nothing that unpacks to more, is opened.
+LARGEST = 2**28
+COMPRESSIONS = ('', 'zstd', 'lz4')
 
 
 class Frame(NamedTuple):
@@ -58,62 +67,95 @@ class Frame(NamedTuple):
         return self.start + self.length
 
 
-def check_magic(stream: BinaryIO, name: object) -> None:
-    """Read the magic bytes, or raise RecordingError: it is no MCAP file."""
-    found = stream.read(len(MAGIC))
-    if found != MAGIC:
-        refuse_pointer(found + stream.read(24), name, RecordingError)
-        reason = 'it does not begin like one' if found else 'it is empty'
-        raise RecordingError(f'{name}: no MCAP file: {reason}; give a bag or its .mcap file')
-
-
-def data_frames(stream: BinaryIO, first: int, end: int) -> Iterator[Frame]:
+class ChunkHead(NamedTuple):
     """
-    Yield the frames from a place on, up to the end of the data or of the stream.
+    What a chunk says of itself before its data.
 
     Parameters
     ----------
-    stream : BinaryIO
-        May be read elsewhere between two frames.
-    first, end : int
-        Where the first frame begins, and the size of the stream.
+    first, last : int
+        Times of its earliest and latest message [ns].
+    unpacked, crc : int
+        Size of its records [bytes], and their CRC; 0 for none.
+    compression : str
+        How they are packed.
+    start, length : int
+        Where the packed records begin in the content, and how long they are [bytes].
 
     """
-    place = first
-    while place + PREFIX.size <= end:
-        stream.seek(place)
-        opcode, length = PREFIX.unpack(stream.read(PREFIX.size))
-        start = place + PREFIX.size
-        if opcode in _ENDS or opcode not in _OPCODES:
-            return
-        if start + length > end:
-            yield Frame(opcode, start, end - start, False)
-            return
-        yield Frame(opcode, start, length, True)
-        place = start + length
+
+    first: int
+    last: int
+    unpacked: int
+    crc: int
+    compression: str
+    start: int
+    length: int
+
+
+class _ReadAll(ReadDataStream):
+    """Give all bytes that are asked for, or raise EndOfFile."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
 
 
 def decode(opcode: int, content: bytes) -> McapRecord | None:
-    """Return a whole record; None for one of no concern, or whose content is damaged."""
-    stream = ReadDataStream(BytesIO(content))
+    """Return a record; None for one of no concern, or whose content does not end as it should."""
+    if opcode == Opcode.MESSAGE:
+        return _message(content)
+    reader = _READERS.get(opcode)
+    if reader is None:
+        return None
+    stream = _ReadAll(BytesIO(content))
     try:
-        if opcode == Opcode.MESSAGE:
-            return Message.read(stream, len(content))
-        reader = _READERS.get(opcode)
-        return None if reader is None else reader.read(stream)
+        record = reader.read(stream)
     except (EndOfFile, struct.error, UnicodeDecodeError):
         return None
+    if opcode == Opcode.ATTACHMENT and int.from_bytes(content[-4:], 'little') not in (
+            0, zlib.crc32(content[:-4])):
+        return None
+    return record if stream.count == len(content) else None
+
+
+def _message(content: bytes) -> Message | None:
+    """Return a message, without the stream that would take the most of the time of a bag."""
+    if len(content) < MESSAGE_HEAD:
+        return None
+    channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
+    return Message(channel_id=channel, sequence=sequence, log_time=log_time,
+                   publish_time=publish_time, data=content[MESSAGE_HEAD:])
 
 
 def read_content(stream: BinaryIO, frame: Frame) -> bytes:
-    """Return the content of a frame, as far as it is there."""
+    """Return the content of a frame, as far as it is there; nothing of one that is too large."""
+    if frame.length > LARGEST:
+        return b''
     stream.seek(frame.start)
     return stream.read(frame.length)
+
+
+def chunk_head(content: bytes) -> ChunkHead | None:
+    """Return what the beginning of a chunk's content tells; None if it cannot be one."""
+    if len(content) < _CHUNK.size:
+        return None
+    first, last, unpacked, crc, letters = _CHUNK.unpack_from(content)
+    start = _CHUNK.size + letters + _SIZE.size
+    name = content[_CHUNK.size:_CHUNK.size + letters].decode('ascii', errors='replace')
+    if first > last or name not in COMPRESSIONS or len(content) < start:
+        return None
+    length, = _SIZE.unpack_from(content, start - _SIZE.size)
+    return ChunkHead(first, last, unpacked, crc, name, start, length)
 
 
 def unpack(content: bytes, whole: bool) -> tuple[bytes, bool]:
     """
     Return the records that a chunk holds, one after the other, and whether they are all there.
+
+    No more is unpacked than the chunk declares, and at most 256 MiB.
 
     Parameters
     ----------
@@ -123,24 +165,44 @@ def unpack(content: bytes, whole: bool) -> tuple[bytes, bool]:
         Whether it is all of it. Else what can be unpacked of it is returned.
 
     """
-    chunk = decode(Opcode.CHUNK, content)
-    if chunk is None or chunk.uncompressed_size > _LARGEST_CHUNK:
+    head = chunk_head(content)
+    if head is None or head.unpacked > LARGEST:
         return b'', False
     try:
-        if chunk.compression == 'zstd':
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
-        elif chunk.compression == 'lz4':
-            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data)
-        else:
-            data = chunk.data if not chunk.compression else b''
+        data = _unpacked(head.compression, content[head.start:], head.unpacked)
     except (zstandard.ZstdError, RuntimeError):
         return b'', False
     if not whole:
-        return data, False
-    intact = len(data) == chunk.uncompressed_size and chunk.uncompressed_crc in (
-        0, zlib.crc32(data))
+        return data[:head.unpacked], False
+    intact = len(data) == head.unpacked and head.crc in (0, zlib.crc32(data)) and _in_order(data)
     # Of a damaged chunk nothing is believed.
     return (data, True) if intact else (b'', False)
+
+
+def _unpacked(compression: str, data: bytes, size: int) -> bytes:
+    """Return what data unpack to, and at most one byte more than they should."""
+    if compression == 'zstd':
+        return unpack_zstd(data, size + 1)
+    if compression == 'lz4':
+        return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    return data
+
+
+def unpack_zstd(data: bytes, most: int) -> bytes:
+    """Return the first bytes of what zstd frames hold, as many as are there; or ZstdError."""
+    with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
+        return stream.read(most)
+
+
+def _in_order(data: bytes) -> bool:
+    """Tell whether unpacked records follow one another up to the end."""
+    place, size = 0, len(data)
+    while place + PREFIX.size <= size:
+        opcode, length = PREFIX.unpack_from(data, place)
+        if opcode == 0 or opcode == Opcode.MESSAGE and length < MESSAGE_HEAD:
+            return False
+        place += PREFIX.size + length
+    return place == size
 
 
 def records_in(data: bytes) -> Iterator[McapRecord]:
@@ -149,9 +211,9 @@ def records_in(data: bytes) -> Iterator[McapRecord]:
     while place + PREFIX.size <= size:
         opcode, length = PREFIX.unpack_from(data, place)
         place += PREFIX.size
-        if place + length > size:
+        if place + length > size or opcode == 0:
             return
         record = decode(opcode, data[place:place + length])
-        if record is not None:
+        if isinstance(record, Schema | Channel | Message):
             yield record
         place += length

@@ -11,7 +11,8 @@ from typing import Any, BinaryIO, final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.identity import identity
-from hnn_vi_ros.sinks.bag_metadata import bag_metadata, NEVER, Topic, write_bag_metadata
+from hnn_vi_ros.sinks.bag_metadata import (
+    bag_metadata, DEFINITIONS, NEVER, Topic, write_bag_metadata)
 from hnn_vi_ros.yaml_text import dump_yaml
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
@@ -51,7 +52,7 @@ class McapSink:
     def __init__(self, folder: Path, topics: Sequence[Topic], attachments: Mapping[str, bytes],
                  ros_distro: str = 'jazzy'):
         self._topics, self._ros_distro = tuple(topics), ros_distro
-        self._ticks = 0
+        self._ticks, self._described = 0, False
         # Of topics that have no message each tick: their channel, and how many they have.
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
@@ -60,12 +61,13 @@ class McapSink:
         self._stream: BinaryIO | None = _create(self._path)
         try:
             self._writer = Writer(
-                self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+                self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
+                enable_data_crcs=True)
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
+            self._describe()
             self._attach(attachments)
             # By which it is known whether the same run could be had again, bit by bit.
             self._writer.add_metadata('hnn_vi_ros', identity())
-            self._add_metadata()
             self._channels = [self._register(topic) for topic in self._topics]
             # With the first message, at once: a file that has grown is that of a run.
             self._next_flush = 0.0
@@ -205,8 +207,22 @@ class McapSink:
         # As rosbag2 does: once at the start for a file that is cut off, once at the end.
         self._writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(self._metadata())})
 
+    def _describe(self) -> None:
+        """
+        Write once more what the first chunk defines: without it, messages mean nothing.
+
+        Done some kilobytes before that chunk and again behind it, so that no damage of one page
+        takes it all from a file that was never finished.
+        """
+        self._writer.add_metadata(
+            DEFINITIONS, {topic.type: topic.definition for topic in self._topics})
+        self._add_metadata()
+
     def _flush(self) -> None:
         self._writer.flush()
+        if self._ticks and not self._described:
+            self._described = True
+            self._describe()
         # What goes into a file that was removed is lost.
         self._path.stat()
         self._next_flush = time.monotonic() + FLUSH_INTERVAL

@@ -1,0 +1,82 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is missing among stamps that come evenly."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+# Stamps are rounded to nanoseconds, and so are their differences.
+_ROUNDING = 2
+# Fewer differences, or fewer of them alike, are no grid.
+_LEAST, _SHARE = 3, 0.5
+
+
+class Missing(NamedTuple):
+    """
+    A gap in an even grid.
+
+    Parameters
+    ----------
+    after, before : int
+        The stamps around it [ns].
+    count : int
+        How many stamps are missing in between.
+
+    """
+
+    after: int
+    before: int
+    count: int
+
+
+def missing_stamps(stamps: Sequence[int]) -> list[Missing]:
+    """
+    Return the gaps in a grid, whose spacing is the most frequent difference.
+
+    Stamps in between, as of single steps in a pause, are not asked for and no harm. Stamps of
+    which less than half are evenly spaced have no gaps.
+
+    Parameters
+    ----------
+    stamps : sequence of int
+        In any order [ns].
+
+    """
+    t = np.unique(np.asarray(stamps, dtype=np.uint64))
+    differences = np.diff(t).astype(np.float64)
+    if len(differences) < _LEAST:
+        return []
+    values, counts = np.unique(differences, return_counts=True)
+    spacing = values[np.argmax(counts)]
+    even = np.abs(differences - spacing) <= _ROUNDING
+    if even.sum() < max(_LEAST, _SHARE * len(differences)):
+        return []
+    return [Missing(int(t[i]), int(t[i + 1]), round(differences[i] / spacing) - 1)
+            for i in np.flatnonzero(differences > 1.5 * spacing)]
+
+
+def missing_in_all(topics: Sequence[Sequence[int]]) -> list[Missing]:
+    """
+    Return the gaps in the grid of a recording.
+
+    Only topics that come about as often as the most frequent one count, and a gap is one only if
+    none of them tells anything in it: commands, alarms and diagnostics come when they like.
+
+    Parameters
+    ----------
+    topics : sequence of sequence of int
+        The stamps of each topic [ns].
+
+    """
+    most = max(map(len, topics), default=0)
+    frequent = [np.asarray(stamps, dtype=np.uint64) for stamps in topics
+                if 2 * len(stamps) >= most]
+    found = max(map(missing_stamps, frequent), default=[],
+                key=lambda gaps: sum(gap.count for gap in gaps))
+    if not found:
+        return []
+    every = np.unique(np.concatenate(frequent))
+    return [gap for gap in found
+            if np.searchsorted(every, gap.after, 'right') == np.searchsorted(every, gap.before)]

@@ -1,0 +1,36 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Open files, and nothing that only looks like one."""
+
+import os
+from pathlib import Path
+import stat
+from typing import BinaryIO
+
+from hnn_vi_ros.errors import RecordingError
+
+
+def open_file(path: Path, name: Path) -> BinaryIO:
+    """
+    Return a stream of a regular file; a FIFO without a writer does not hold it up.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : Path
+        How the user calls it.
+
+    Raises
+    ------
+    RecordingError
+        It is a folder, a device, a FIFO or a socket.
+    OSError
+        It cannot be opened.
+
+    """
+    # First: to open a device may be to do something.
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise RecordingError(f'{name}: is no regular file; give the folder of a bag, or its file')
+    stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), 'rb')
+    return stream

@@ -1,0 +1,97 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The messages of an SQLite file, as rosbag2 records them without MCAP."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+import sqlite3
+from typing import final
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks.bag_source import Piece, Source
+from hnn_vi_ros.sinks.mcap_records import LARGEST
+from hnn_vi_ros.sinks.regular_file import open_file
+from mcap.records import Channel, Message, Schema
+
+# Rows that are read together.
+_ROWS = 100
+
+
+@final
+class SqliteFile(Source):
+    """
+    An SQLite file of a bag; it holds neither attachments nor metadata.
+
+    Raises
+    ------
+    RecordingError
+        It is no such file, or damaged in its structure.
+    OSError
+        It cannot be read.
+
+    """
+
+    def __init__(self, path: Path, name: Path):
+        super().__init__(path, name)
+        open_file(path, name).close()
+        with self._open() as database:
+            tables = {row[0] for row in database.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not {'topics', 'messages'} <= tables:
+                raise RecordingError(f'{name}: no bag: it has no tables topics and messages')
+            columns = {row[1] for row in database.execute('PRAGMA table_info(topics)')}
+            self._add_topics(database, columns)
+            self.pieces = [
+                Piece(first, last, rows * _ROWS, _ROWS) for rows, first, last in database.execute(
+                    f'SELECT id / {_ROWS}, min(timestamp), max(timestamp) FROM messages '
+                    f"WHERE typeof(timestamp) = 'integer' GROUP BY id / {_ROWS} ORDER BY id")]
+
+    def read(self, piece: Piece) -> list[Message]:
+        """See Source."""
+        with self._open() as database:
+            rows = database.execute(
+                'SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages '
+                "WHERE id >= ? AND id < ? AND typeof(timestamp) = 'integer' ORDER BY id",
+                (piece.start, piece.start + piece.length)).fetchall()
+        messages = [Message(topic, time, data or b'', time, 0) for topic, time, data in rows
+                    if topic in self.channels]
+        if len(messages) < len(rows):
+            self.unread[piece.start] = sum(
+                len(data or b'') for topic, _, data in rows if topic not in self.channels)
+        return messages
+
+    def attachment(self, name: str) -> bytes | None:
+        """See Source."""
+        return None
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """See Source."""
+        return {}
+
+    def _add_topics(self, database: sqlite3.Connection, columns: set[str]) -> None:
+        # What older versions of rosbag2 do not write.
+        qos = 'CAST(offered_qos_profiles AS TEXT)' if 'offered_qos_profiles' in columns else "''"
+        digest = 'CAST(type_description_hash AS TEXT)' if 'type_description_hash' in columns \
+            else "''"
+        for number, topic, kind, encoding, profiles, hashed in database.execute(
+                f'SELECT id, CAST(name AS TEXT), CAST(type AS TEXT), '
+                f'CAST(serialization_format AS TEXT), {qos}, {digest} FROM topics'):
+            self.schemas[number] = Schema(id=number, data=b'', encoding='ros2msg', name=kind)
+            self.channels[number] = Channel(
+                id=number, topic=topic, message_encoding=encoding, schema_id=number, metadata={
+                    'offered_qos_profiles': profiles or '', 'topic_type_hash': hashed or ''})
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        """Open the file for reading; what is in it may neither grow nor call anything."""
+        address = f'{self.path.absolute().as_uri()}?mode=ro'
+        try:
+            with closing(sqlite3.connect(address, uri=True)) as database:
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST)
+                database.execute('PRAGMA trusted_schema = OFF')
+                yield database
+        except sqlite3.Error as problem:
+            raise RecordingError(
+                f'{self.name}: cannot be read ({problem}); mend it with `sqlite3 .recover`, or '
+                'give another bag') from problem

@@ -1,0 +1,248 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as `ros2 bag record` leaves them: split, packed, in SQLite; and bags with damage."""
+
+from pathlib import Path
+import re
+import shutil
+import sqlite3
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.errors import DataError, RecordingError
+from hnn_vi_ros.learning.bag_data import BagData, read_bags
+from hnn_vi_ros.ros.recorded_run import resume
+from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from mcap.writer import Writer as McapWriter
+import numpy as np
+from processes import finish, start_executable
+import pytest
+from recorded import record_run
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+import yaml
+import zstandard
+
+TICKS = 200
+DATA = BagData.model_validate({'kind': 'bag', 'joints': ['angle'], 'p': 'p'})
+
+
+@pytest.fixture(scope='module')
+def run(tmp_path_factory) -> Path:
+    """Return a bag of ours, of two seconds."""
+    return record_run(tmp_path_factory.mktemp('run') / 'bag', load_scene('exact_pendulum'), TICKS)
+
+
+def rewritten(bag: Path, target: Path, plugin: StoragePlugin, mode: CompressionMode,
+              first: int = 0, last: int = TICKS) -> Path:
+    """Write the messages of some ticks as another recorder does; of attachments there are none."""
+    writer = Writer(target, version=9, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with AnyReader([bag]) as reader, writer:
+        # From the second file on in another order, and so with other numbers.
+        topics = sorted(reader.connections, key=lambda c: c.topic, reverse=bool(first))
+        connections = {c.topic: writer.add_connection(
+            c.topic, c.msgtype, msgdef=c.msgdef.data, rihs01=c.digest) for c in topics}
+        for connection, stamp, data in reader.messages():
+            if first < stamp // 10**7 <= last:
+                writer.write(connections[connection.topic], stamp, data)
+    return target
+
+
+def split(bag: Path, target: Path, plugin: StoragePlugin) -> Path:
+    """Write a bag of two files, as it is when the recorder has reached its largest size."""
+    parts = [rewritten(bag, target.with_name(f'{target.name}{i}'), plugin, CompressionMode.NONE,
+                       i * TICKS // 2, (i + 1) * TICKS // 2) for i in range(2)]
+    target.mkdir()
+    names = [f'{target.name}_{i}.{plugin.name.lower()}' for i in (9, 10)]
+    names = [name.replace('sqlite3', 'db3') for name in names]
+    for part, name in zip(parts, names, strict=True):
+        found, = (path for path in part.iterdir() if path.suffix in ('.mcap', '.db3'))
+        shutil.move(found, target / name)
+    (target / 'metadata.yaml').write_text(yaml.safe_dump(
+        {'rosbag2_bagfile_information': {'version': 9, 'relative_file_paths': names}}))
+    return target
+
+
+FORMS = {
+    'split': lambda bag, target: split(bag, target, StoragePlugin.MCAP),
+    'split sqlite3': lambda bag, target: split(bag, target, StoragePlugin.SQLITE3),
+    'sqlite3': lambda bag, target: rewritten(
+        bag, target, StoragePlugin.SQLITE3, CompressionMode.NONE)}
+FORMS |= {f'{plugin.name} with zstd around each {mode.name}':
+          lambda bag, target, plugin=plugin, mode=mode: rewritten(bag, target, plugin, mode)
+          for plugin in StoragePlugin for mode in (CompressionMode.MESSAGE, CompressionMode.FILE)}
+
+
+def messages_of(bag: Path) -> list[tuple[str, int, bytes]]:
+    reader = BagReader(bag)
+    found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
+    assert not reader.damage
+    return found
+
+
+@pytest.fixture(scope='module', params=FORMS)
+def foreign(request, run, tmp_path_factory) -> Path:
+    return FORMS[request.param](run, tmp_path_factory.mktemp('foreign') / 'bag')
+
+
+def test_foreign_bag_holds_the_same_messages(run, foreign):
+    assert sorted(messages_of(foreign)) == sorted(messages_of(run))
+    reader = BagReader(foreign)
+    assert (reader.first, reader.last) == (10**7, TICKS * 10**7)
+    assert len(reader.channels) == len(BagReader(run).channels)
+    half = [m.time for m in reader.messages(first=10**9, last=10**9 + 10**7)]
+    assert half == sorted(half) and set(half) == {10**9, 10**9 + 10**7}
+
+
+def test_foreign_bag_is_trained_on_like_ours(run, foreign):
+    theirs, ours = read_bags([foreign], DATA), read_bags([run], DATA)
+    for name in ('q', 'p', 'dq_dt', 'dp_dt', 't'):
+        assert np.array_equal(getattr(theirs, name), getattr(ours, name))
+
+
+def test_foreign_bag_is_replayed(run, foreign):
+    status, _, log = finish(start_executable(
+        'replay', foreign, '--rate', 100, '--discovery-time', 0))
+    assert status == 0 and f'{len(messages_of(run))} messages published' in log
+    assert 'WARN' not in log
+
+
+def with_attachments(bag: Path, target: Path, change=bytes) -> Path:
+    """Split one of our bags into two files of each kind of record; `change` packs a message."""
+    target.mkdir()
+    reader = BagReader(bag)
+    for i in range(2):
+        with (target / f'{target.name}_{i}.mcap').open('wb') as stream:
+            writer = McapWriter(stream)
+            writer.start('ros2')
+            for name in ('scene.yaml', 'parameters.yaml'):
+                writer.add_attachment(0, 0, name, '', reader.attachment(name))
+            channels = {number: writer.register_channel(
+                channel.topic, 'cdr', writer.register_schema(
+                    reader.schemas[channel.schema_id].name, 'ros2msg', b''))
+                for number, channel in reader.channels.items()}
+            for message in reader.messages(first=i * 10**9 + 1, last=(i + 1) * 10**9):
+                writer.add_message(channels[message.channel], message.time, change(message.data),
+                                   message.time)
+            writer.finish()
+    return target
+
+
+@pytest.mark.parametrize('change', [bytes, zstandard.compress], ids=['split', 'packed'])
+def test_split_and_packed_bag_is_shown_verified_and_resumed(run, tmp_path, change):
+    bag = with_attachments(run, tmp_path / 'bag', change)
+    assert 'differs' not in verify(bag).text and verify(bag).good is verify(run).good
+    assert resume(bag).step == TICKS
+    recording = tmp_path / 'a.rrd'
+    status, _, log = finish(start_executable(
+        'rerun_bridge', bag, '--ros-args', '-p', 'rerun_sink:=file', '-p',
+        f'rerun_path:={recording}'))
+    assert status == 0 and f'{TICKS} samples shown' in log
+    assert recording.stat().st_size > 0
+
+
+def damaged(bag: Path, target: Path, part: float) -> Path:
+    """Return a bag of which one chunk is damaged, at this part of the file."""
+    shutil.copytree(bag, target)
+    path = target / 'bag_0.mcap'
+    content = bytearray(path.read_bytes())
+    content[round(part * len(content))] ^= 1
+    path.write_bytes(content)
+    return target
+
+
+@pytest.fixture(scope='module')
+def many_chunks(tmp_path_factory) -> Path:
+    """Return a bag of ours that ends without a summary, each second in a chunk of its own."""
+    import hnn_vi_ros.sinks.mcap_sink as module
+    folder = tmp_path_factory.mktemp('chunks') / 'bag'
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, 'CHUNK_SIZE', 2**14)
+        return record_run(folder, load_scene('exact_pendulum'), 400)
+
+
+def test_bag_with_an_unreadable_chunk_is_not_verified(many_chunks, tmp_path):
+    bag = damaged(many_chunks, tmp_path / 'damaged', 0.5)
+    whole, verdict = verify(many_chunks), verify(bag)
+    assert whole.good and not verdict.good
+    assert 'samples agree bit by bit' in verdict.text and '\n' not in verdict.text
+    gap = re.search(r'BUT (\d+) samples are missing in 1 gaps, the first from t = ([\d.]+) s',
+                    verdict.text)
+    reader = BagReader(bag)
+    # A sample is there if its q and its p are.
+    there = set.intersection(*(
+        {message.time for message in reader.messages([number])}
+        for number, channel in reader.channels.items() if channel.topic[-2:] in ('/q', '/p')))
+    missing = [tick for tick in range(1, 401) if tick * 10**7 not in there]
+    assert int(gap[1]) == len(missing) > 10
+    assert float(gap[2]) == pytest.approx((missing[0] - 1) * 0.01)
+    assert '1 damaged parts' in verdict.text and str(bag / 'bag_0.mcap') in verdict.text
+
+
+def test_bag_that_lacks_samples_is_not_verified(tmp_path):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100)
+    thinned = tmp_path / 'thinned.mcap'
+    reader = BagReader(bag)
+    with thinned.open('wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2')
+        writer.add_attachment(0, 0, 'scene.yaml', '', reader.attachment('scene.yaml'))
+        channels = {n: writer.register_channel(c.topic, 'cdr', 0)
+                    for n, c in reader.channels.items()}
+        for message in reader.messages():
+            if not 3 * 10**8 <= message.time < 5 * 10**8:
+                writer.add_message(channels[message.channel], message.time, message.data, 0)
+        writer.finish()
+    verdict = verify(thinned)
+    assert not verdict.good
+    assert '80 samples agree' in verdict.text and 'BUT 20 samples are missing' in verdict.text
+
+
+def test_verify_of_a_damaged_bag_ends_non_zero_and_others_warn(many_chunks, tmp_path, caplog):
+    bag = damaged(many_chunks, tmp_path / 'damaged', 0.5)
+    status, out, _ = finish(start_executable('replay', bag, '--verify'), 120.0)
+    assert status == 1 and 'samples are missing' in out and out.count('\n') == 1
+    for words in (('replay', bag, '--rate', 100, '--discovery-time', 0),
+                  ('rerun_bridge', bag, '--ros-args', '-p', 'rerun_sink:=file', '-p',
+                   f'rerun_path:={tmp_path / "a.rrd"}')):
+        status, _, log = finish(start_executable(*words))
+        assert status == 0 and log.count('damaged parts') == 1, log
+    read_bags([bag], DATA)
+    assert caplog.text.count('damaged parts') == 1
+
+
+@pytest.mark.parametrize('name', ['bag_0.db3', 'bag_0.mcap.zstd', 'bag_0.db3.zstd'])
+def test_noise_in_the_place_of_a_bag_is_one_line(tmp_path, name):
+    (tmp_path / name).write_bytes(b'no bag at all' * 100)
+    for use in (BagReader, resume, verify):
+        with pytest.raises(RecordingError) as caught:
+            use(tmp_path)
+        assert '\n' not in str(caught.value)
+    with pytest.raises(DataError):
+        read_bags([tmp_path], DATA)
+
+
+def test_view_in_the_place_of_a_table_is_refused(tmp_path):
+    path = tmp_path / 'a.db3'
+    with sqlite3.connect(path) as database:
+        database.execute('CREATE TABLE topics (id, name, type, serialization_format)')
+        database.execute('CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL '
+                         'SELECT id + 1 FROM c) SELECT id, 1 AS topic_id, id AS timestamp, '
+                         'zeroblob(1000000) AS data FROM c')
+    with pytest.raises(RecordingError, match='no tables topics and messages'):
+        BagReader(path)
+
+
+def test_folder_of_several_bags_or_of_a_part_of_one_is_refused(run, tmp_path):
+    (tmp_path / 'two').mkdir()
+    for name in ('monday_0.mcap', 'tuesday_0.mcap'):
+        shutil.copy(run / 'bag_0.mcap', tmp_path / 'two' / name)
+    with pytest.raises(RecordingError, match='found 2 files; give one'):
+        BagReader(tmp_path / 'two')
+    part = split(run, tmp_path / 'part', StoragePlugin.MCAP)
+    (part / 'part_10.mcap').unlink()
+    with pytest.raises(RecordingError, match='names part_10.mcap, which is not there'):
+        BagReader(part)
+    (part / 'metadata.yaml').unlink()
+    assert len(messages_of(part)) == 2 * TICKS

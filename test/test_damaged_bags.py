@@ -1,0 +1,324 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged recordings: nothing that can be read is lost, and nothing is lost in silence."""
+
+from collections import Counter
+import os
+from pathlib import Path
+import random
+import re
+import shutil
+import socket
+import subprocess
+import sys
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recover_bag import main
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.sinks.mcap_recovery import recover, Recovery
+from hnn_vi_ros.sinks.mcap_sink import McapSink
+import pytest
+from test_mcap_sink import payloads, PERIOD, TOPICS
+
+TICKS, EVERY = 100, 10
+SCENE = {'scene.yaml': b'step_size: 0.01\n' * 200}
+Content = list[tuple[str, int, bytes]]
+
+
+def make(folder: Path, ticks: int, close: bool) -> bytes:
+    """Return a file with a chunk each EVERY ticks, as it was closed or killed."""
+    sink = McapSink(folder, TOPICS, SCENE)
+    for tick in range(ticks):
+        sink._next_flush = 0.0 if tick % EVERY == 0 else float('inf')
+        sink.write(tick * PERIOD, payloads(tick))
+    sink.flush()
+    killed = sink._path.read_bytes()
+    sink.close()
+    return sink._path.read_bytes() if close else killed
+
+
+@pytest.fixture(scope='module')
+def killed(tmp_path_factory) -> bytes:
+    return make(tmp_path_factory.mktemp('killed') / 'bag', TICKS, close=False)
+
+
+@pytest.fixture(scope='module')
+def finished(tmp_path_factory) -> bytes:
+    return make(tmp_path_factory.mktemp('finished') / 'bag', TICKS, close=True)
+
+
+def content_of(bag: Path) -> Content:
+    reader = BagReader(bag)
+    found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
+    assert not reader.damage
+    return found
+
+
+def expected(ticks: int = TICKS) -> Content:
+    return [(topic.name, tick * PERIOD, data) for tick in range(ticks)
+            for topic, data in zip(TOPICS, payloads(tick), strict=True)]
+
+
+def attempt(folder: Path, content: bytes) -> tuple[Recovery, Content] | None:
+    """Recover a file; None if nothing can be. The original stays, the result is whole."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    path = folder / f'{folder.name}_0.mcap'
+    path.write_bytes(content)
+    try:
+        recovery = recover(folder)
+    except RecordingError as problem:
+        assert '\n' not in str(problem)
+        assert path.read_bytes() == content and list(folder.iterdir()) == [path]
+        return None
+    assert (recovery.original if recovery.changed else path).read_bytes() == content
+    found = content_of(folder)
+    assert len(found) == recovery.messages
+    if recovery.changed:
+        assert not recover(path).changed
+    return recovery, found
+
+
+def flip(content: bytes, byte: int, bit: int) -> bytes:
+    changed = bytearray(content)
+    changed[byte] ^= 1 << bit
+    return bytes(changed)
+
+
+def chunks_of(content: bytes) -> list[int]:
+    """Return where the chunks begin."""
+    return [match.start() for match in re.finditer(
+        rb'\x06.{4}\x00{4}.{28}\x04\x00\x00\x00zstd', content, re.DOTALL)]
+
+
+@pytest.mark.parametrize('change, least, lost', [
+    (lambda content: content[:28672] + bytes(4096) + content[32768:], 2100, True),
+    (lambda content: flip(content, 9, 3), 2400, True),
+    (lambda content: flip(content, 8, 7), 2400, True),
+    (lambda content: flip(content, 3, 7), 2400, False),
+    (lambda content: content[:-100], 2200, False),
+], ids=['a page of zeros', 'length of the header', 'opcode of the header', 'the magic',
+        'cut off'])
+def test_killed_bag_keeps_all_but_what_is_damaged(tmp_path, change, least, lost):
+    killed = make(tmp_path / 'whole', 800, close=False)
+    recovery, found = attempt(tmp_path / 'bag', change(killed))
+    assert recovery.lost == lost
+    assert len(found) >= least
+    assert set(found) <= set(expected(800))
+
+
+def mutated(content: bytes, kind: str, rng: random.Random) -> bytes:
+    place = rng.randrange(len(content))
+    if kind == 'flip':
+        return flip(content, place, rng.randrange(8))
+    if kind == 'zeros':
+        size = rng.choice((1, 16, 512, 4096))
+        return content[:place] + bytes(len(content[place:place + size])) + content[place + size:]
+    if kind == 'truncation':
+        return content[:place]
+    if kind == 'insertion':
+        return content[:place] + rng.randbytes(rng.choice((1, 9, 300))) + content[place:]
+    if kind == 'deletion':
+        return content[:place] + content[place + rng.choice((1, 9, 300, 4096)):]
+    begins = chunks_of(content)
+    first, second = sorted(rng.sample(range(len(begins) - 1), 2))
+    a, b, c, d = begins[first], begins[first + 1], begins[second], begins[second + 1]
+    return content[:a] + content[c:d] + content[b:c] + content[a:b] + content[d:]
+
+
+KINDS = ('flip', 'flip', 'zeros', 'truncation', 'insertion', 'deletion', 'swap')
+
+
+def campaign(folder: Path, killed: bytes, finished: bytes, count: int) -> Counter:
+    """Recover so many mutations; return how many of each kind came out how."""
+    rng, whole, outcomes = random.Random(13), expected(), Counter()
+    for number in range(count):
+        name, content = (('killed', killed), ('finished', finished))[number % 2]
+        kind = KINDS[number % len(KINDS)]
+        mutant = mutated(content, kind, rng)
+        result, cut_off = attempt(folder, mutant), content.startswith(mutant)
+        if result is None:
+            outcomes[name, kind, 'nothing'] += 1
+            assert cut_off, (number, kind)
+            continue
+        recovery, found = result
+        # Nothing is made up, and nothing is missing in silence.
+        assert set(found) <= set(whole), (number, kind)
+        assert recovery.lost or found == whole or cut_off, (number, kind, recovery)
+        assert not cut_off or found == whole[:len(found)]
+        outcomes[name, kind, 'all kept' if len(found) == len(whole) else
+                 'lost' if recovery.lost else 'broke off'] += 1
+    return outcomes
+
+
+def test_300_mutations_end_without_a_traceback_or_a_silent_loss(tmp_path, killed, finished):
+    outcomes = campaign(tmp_path / 'bag', killed, finished, 300)
+    assert sum(outcomes.values()) == 300
+    assert sum(count for (_, _, outcome), count in outcomes.items() if outcome != 'lost') > 100
+
+
+def test_every_flip_of_a_finished_bag_is_found_and_loses_nothing_in_silence(tmp_path, finished):
+    rng, whole = random.Random(2), expected()
+    for byte in range(3, len(finished), len(finished) // 60):
+        recovery, found = attempt(tmp_path / 'bag', flip(finished, byte, rng.randrange(8)))
+        assert recovery.changed, byte
+        assert recovery.lost or found == whole, (byte, recovery)
+
+
+def test_flip_behind_the_data_loses_no_message(tmp_path, finished):
+    data_end = finished.rindex(b'\x0f\x04\0\0\0\0\0\0\0')
+    for byte in [data_end, data_end + 3, *range(data_end + 13, len(finished), 97)]:
+        recovery, found = attempt(tmp_path / 'bag', flip(finished, byte, byte % 8))
+        assert found == expected(), byte
+        assert recovery.changed and not recovery.lost, recovery
+
+
+def test_swapped_chunks_lose_nothing(tmp_path, killed):
+    recovery, found = attempt(tmp_path / 'bag', mutated(killed, 'swap', random.Random(1)))
+    assert not recovery.lost and found == expected()
+
+
+def test_chunk_whose_prefix_is_damaged_is_found_by_its_checksum(tmp_path, killed):
+    begin = chunks_of(killed)[3]
+    # The opcode reads as that of the end, of the footer, of others; the length as larger, smaller.
+    for byte, value in ((0, 0x0f), (0, 0x02), (0, 0x86), (0, 0x05), (1, 0xff), (5, 1), (2, 0)):
+        damaged = bytearray(killed)
+        damaged[begin + byte] = value
+        recovery, found = attempt(tmp_path / 'bag', bytes(damaged))
+        assert found == expected() and not recovery.lost, (byte, value)
+
+
+def test_recording_without_its_first_chunk_is_read_by_its_description(tmp_path, killed):
+    begin, end = chunks_of(killed)[:2]
+    recovery, found = attempt(tmp_path / 'bag', killed[:begin] + bytes(end - begin)
+                              + killed[end:])
+    assert recovery.lost and found == expected()[3:]
+
+
+def test_messages_that_metadata_counts_are_missed(tmp_path, finished, killed):
+    bag = tmp_path / 'bag'
+    make(bag, TICKS, close=True)
+    # The end of it, chunks and all, is gone without a trace in the file.
+    (bag / 'bag_0.mcap').write_bytes(killed[:chunks_of(killed)[-1]])
+    recovery = recover(bag)
+    assert recovery.fewer == 3 * TICKS - recovery.messages > 0 and recovery.lost
+
+
+def test_gap_in_the_stamps_is_told(tmp_path, killed):
+    begins = chunks_of(killed)
+    recovery, found = attempt(tmp_path / 'bag', killed[:begins[4]] + killed[begins[6]:])
+    gap, = recovery.gaps
+    assert not recovery.damaged and recovery.lost
+    assert 3 * gap.count == 3 * TICKS - len(found) == 3 * 2 * EVERY
+    assert (gap.before - gap.after) == (gap.count + 1) * PERIOD
+
+
+def test_original_is_kept_under_a_name_that_none_has_or_replaced(tmp_path, killed):
+    bag = tmp_path / 'bag'
+    bag.mkdir()
+    path = bag / 'bag_0.mcap'
+    (bag / 'bag_0.mcap.orig').write_bytes(b'mine')
+    path.write_bytes(killed)
+    assert main([str(bag)]) == 0
+    assert (bag / 'bag_0.mcap.orig').read_bytes() == b'mine'
+    assert (bag / 'bag_0.mcap.orig-2').read_bytes() == killed
+    path.write_bytes(killed)
+    assert main(['--replace', str(bag)]) == 0
+    assert sorted(p.name for p in bag.iterdir()) == [
+        'bag_0.mcap', 'bag_0.mcap.orig', 'bag_0.mcap.orig-2', 'metadata.yaml']
+
+
+def test_status_says_whether_something_was_lost(tmp_path, killed, capsys):
+    def status(name: str, content: bytes) -> int:
+        (tmp_path / name).write_bytes(content)
+        return main([str(tmp_path / name)])
+
+    begins = chunks_of(killed)
+    assert status('killed.mcap', killed[:-9]) == 0
+    assert '9 bytes' not in capsys.readouterr().out
+    assert status('damaged.mcap', flip(killed, begins[4] + 200, 0)) == 1
+    out = capsys.readouterr().out
+    assert 'LOST: 1 damaged parts' in out and 'damaged.mcap.orig' in out
+    assert status('noise.mcap', killed[:8] + random.Random(3).randbytes(4000)) == 2
+    error = capsys.readouterr().err
+    assert 'nothing can be recovered' in error and error.count('\n') == 1
+    # The worst of several counts, and none keeps another from being recovered.
+    (tmp_path / 'again.mcap').write_bytes(killed)
+    assert main([str(tmp_path / 'noise.mcap'), str(tmp_path / 'again.mcap')]) == 2
+    assert 'again.mcap: recovered: 300 messages' in capsys.readouterr().out
+    assert not (tmp_path / 'noise.mcap.orig').exists()
+
+
+def test_result_that_does_not_read_back_leaves_the_bag_as_it_is(tmp_path, killed, monkeypatch):
+    monkeypatch.setattr('hnn_vi_ros.sinks.mcap_recovery.copy_messages',
+                        lambda file, target: target.write(killed))
+    bag = tmp_path / 'bag'
+    bag.mkdir()
+    (bag / 'bag_0.mcap').write_bytes(killed)
+    with pytest.raises(RecordingError, match='reads back with'):
+        recover(bag)
+    assert [(p.name, p.read_bytes()) for p in bag.iterdir()] == [('bag_0.mcap', killed)]
+
+
+def fifo(path: Path) -> Path:
+    os.mkfifo(path)
+    return path
+
+
+def bound_socket(path: Path) -> Path:
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+    return path
+
+
+@pytest.mark.parametrize('make_path', [
+    fifo, bound_socket, lambda path: Path('/dev/zero'), lambda path: Path('/dev/null'),
+], ids=['fifo', 'socket', 'endless device', 'device'])
+@pytest.mark.parametrize('use', [recover, BagReader])
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path, make_path, use):
+    with pytest.raises(RecordingError, match='no regular file') as caught:
+        use(make_path(tmp_path / 'x.mcap'))
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('suffix', ['.db3', '.mcap.zstd'])
+def test_what_recover_bag_cannot_write_is_refused(tmp_path, suffix):
+    (tmp_path / f'a{suffix}').write_bytes(b'x')
+    assert main([str(tmp_path / f'a{suffix}')]) == 2
+
+
+def test_page_of_zeros_in_another_s_file_without_chunks_is_stepped_over(tmp_path):
+    from test_mcap_reader import write_foreign
+    path = tmp_path / 'a.mcap'
+    write_foreign(path, list(range(1000)), use_chunking=False)
+    content = path.read_bytes()
+    path.write_bytes(content[:8192] + bytes(4096) + content[12288:])
+    reader = BagReader(path)
+    found = [int(message.data) for message in reader.messages()]
+    assert 700 < len(found) < 1000 and found == sorted(set(found))
+    assert '1 damaged parts' in reader.damage
+    recovery = recover(path)
+    assert recovery.lost and recovery.messages == len(found)
+    assert recovery.fewer == 1000 - len(found)
+
+
+def test_stopped_disk_or_interruption_leaves_no_second_file(tmp_path, killed):
+    bag = tmp_path / 'bag'
+    bag.mkdir()
+    (bag / 'bag_0.mcap').write_bytes(killed)
+    code = ('import sys, hnn_vi_ros.sinks.mcap_recovery as r\n'
+            'def stop(*arguments): raise KeyboardInterrupt\n'
+            'r._read_back = stop\n'
+            'from hnn_vi_ros.cli import recover_bag\nrecover_bag()')
+    result = subprocess.run([sys.executable, '-c', code, str(bag)], capture_output=True,
+                            text=True, timeout=60, check=False)
+    assert result.returncode == 130
+    assert [p.name for p in bag.iterdir()] == ['bag_0.mcap']
+
+
+def test_changes_of_a_file_are_not_taken_for_whole(tmp_path, finished):
+    """A chunk replaced by another of the file: every checksum holds, the counts do not."""
+    begins = chunks_of(finished)
+    changed = finished[:begins[2]] + finished[begins[3]:begins[4]] + finished[begins[3]:]
+    recovery, _ = attempt(tmp_path / 'bag', changed)
+    assert recovery.changed

@@ -1,0 +1,148 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Packed content that lies about its size: no more is unpacked than is declared, or allowed."""
+
+from pathlib import Path
+import struct
+import subprocess
+import sys
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks import mcap_reader
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.sinks.mcap_records import LARGEST, unpack
+from hnn_vi_ros.sinks.mcap_recovery import recover
+import lz4.frame
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Chunk, Header, Message, Schema
+from mcap.writer import MCAP0_MAGIC
+import pytest
+import zstandard
+
+PACKERS = {'zstd': zstandard.compress, 'lz4': lz4.frame.compress, '': bytes}
+
+
+def records(count: int = 50) -> bytes:
+    builder = RecordBuilder()
+    Schema(id=1, name='std_msgs/msg/String', encoding='ros2msg', data=b'').write(builder)
+    Channel(id=1, topic='/a', message_encoding='cdr', schema_id=1, metadata={}).write(builder)
+    for i in range(count):
+        data = b'%d' % i
+        Message(channel_id=1, log_time=i, publish_time=i, sequence=i, data=data).write(builder)
+    return builder.end()
+
+
+def write_chunk(path: Path, compression: str, data: bytes, size: int) -> Path:
+    """Write a file with a chunk that declares this size, and with a good one behind it."""
+    builder = RecordBuilder()
+    builder.write(MCAP0_MAGIC)
+    Header('ros2', '').write(builder)
+    Chunk(compression=compression, data=data, message_start_time=0, message_end_time=49,
+          uncompressed_crc=0, uncompressed_size=size).write(builder)
+    good = records()
+    Chunk(compression='', data=good, message_start_time=0, message_end_time=49,
+          uncompressed_crc=0, uncompressed_size=len(good)).write(builder)
+    path.write_bytes(builder.end())
+    return path
+
+
+def zeros(size: int) -> bytes:
+    """Return a zstd frame, some kilobytes, of so many zeros; its header tells no size."""
+    packer = zstandard.ZstdCompressor(level=19).compressobj()
+    block, packed = bytes(2**20), b''
+    for _ in range(size // len(block)):
+        packed += packer.compress(block)
+    return packed + packer.flush()
+
+
+@pytest.mark.parametrize('compression', PACKERS)
+@pytest.mark.parametrize('difference', [-1, 1, -1000, 10**6])
+def test_chunk_that_lies_about_its_size_is_damaged_and_the_next_is_read(
+        tmp_path, compression, difference):
+    data = records()
+    path = write_chunk(tmp_path / 'a.mcap', compression, PACKERS[compression](data),
+                       len(data) + difference)
+    reader = BagReader(path)
+    assert [int(message.data) for message in reader.messages()] == list(range(50))
+    assert reader.unread == 1 and '1 damaged parts' in reader.damage
+    assert recover(path).damaged == 1
+
+
+@pytest.mark.parametrize('compression', PACKERS)
+def test_no_more_is_unpacked_than_a_chunk_declares(monkeypatch, compression):
+    unpacked = []
+    monkeypatch.setattr('hnn_vi_ros.sinks.mcap_records.unpack_zstd',
+                        lambda data, most: unpacked.append(most) or b'')
+    data = records()
+    for size in (10, LARGEST, LARGEST + 1, 2**60):
+        content = struct.pack('<QQQII', 0, 9, size, 0, len(compression)) + compression.encode() \
+            + struct.pack('<Q', len(data)) + PACKERS[compression](data)
+        assert unpack(content, True) == (b'', False)
+    assert unpacked == ([11, LARGEST + 1] if compression == 'zstd' else [])
+
+
+BOMB = """
+import resource, sys
+from pathlib import Path
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.sinks.mcap_recovery import recover
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for use in (lambda path: list(BagReader(path).messages()), recover):
+    try:
+        use(Path(sys.argv[1]))
+    except RecordingError as problem:
+        print(problem)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+def memory_of(path: Path) -> float:
+    """Return by how much a process grows that reads a bag, and recovers it [MiB]."""
+    result = subprocess.run([sys.executable, '-c', BOMB, str(path)], capture_output=True,
+                            text=True, timeout=60, check=True)
+    return int(result.stdout.splitlines()[-1]) / 2**10
+
+
+@pytest.mark.parametrize('declared', [100, 2**62])
+def test_chunk_of_two_gibibytes_of_zeros_costs_no_memory(tmp_path, declared):
+    path = write_chunk(tmp_path / 'a.mcap', 'zstd', zeros(2**31), declared)
+    assert path.stat().st_size < 2**20
+    assert memory_of(path) < 50
+
+
+def test_packed_file_that_grows_too_large_is_refused_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setattr('hnn_vi_ros.sinks.bag_files.LARGEST', 2**22)
+    scratch = tmp_path / 'scratch'
+    scratch.mkdir()
+    monkeypatch.setattr('tempfile.tempdir', str(scratch))
+    path = tmp_path / 'a.mcap.zstd'
+    path.write_bytes(zeros(2**28))
+    with pytest.raises(RecordingError, match='more than 4 MiB; unpack it with `zstd -d'):
+        BagReader(path)
+    assert not list(scratch.iterdir())
+
+
+@pytest.mark.parametrize('packed', [
+    zeros(2**24), zstandard.compress(bytes(2**24)), zstandard.compress(b'some data')[:-3],
+    b'\x28\xb5\x2f\xfd' + bytes(20),
+    # A frame that claims 2^60 bytes.
+    b'\x28\xb5\x2f\xfd\xe0' + struct.pack('<Q', 2**60) + zstandard.compress(b'x' * 99)[6:],
+], ids=['too large, untold', 'too large, told', 'cut off', 'noise', 'claims an exbibyte'])
+def test_packed_message_that_cannot_be_unpacked_is_told(tmp_path, monkeypatch, packed):
+    monkeypatch.setattr(mcap_reader, 'LARGEST', 2**20)
+    builder = RecordBuilder()
+    builder.write(MCAP0_MAGIC)
+    Header('ros2', '').write(builder)
+    builder.write(records(0))
+    for i, data in enumerate((zstandard.compress(b'one'), packed, zstandard.compress(b'two'))):
+        Message(channel_id=1, log_time=i, publish_time=i, sequence=i, data=data).write(builder)
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(builder.end())
+    reader = BagReader(path)
+    assert [message.data for message in reader.messages()] == [b'one', b'two']
+    assert reader.unread == 1
+
+
+def test_limit_of_the_unpacked_size_is_256_mebibytes():
+    assert LARGEST == 256 * 2**20
