@@ -19,28 +19,36 @@ from hnn_vi_ros.ros.graph import init_ros
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.parameters import declare_parameters
 from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.topics import LATCHED
 from hnn_vi_ros.sinks.rerun_sink import Target
+from hnn_vi_ros.sinks.state_message import decode_state, State
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 import yaml
 
 _QUEUE = QoSProfile(depth=1000)
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Ticks of which not all messages are there yet.
 _MOST_OPEN = 1000
+# By the last part of their names: the topics that tell of a sample in parts, and all their types.
+_TICK = {name.rpartition('/')[2]: name for name, _ in (*TICK_TOPICS[1:], ACCURACY_TOPIC)}
+_KINDS = {name.rpartition('/')[2]: kind
+          for name, kind in (*TICK_TOPICS[1:], ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
 
 
 class RerunBridge(Node):
     """
     Show the topics of a simulator.
 
-    The messages of one tick are put together by the number that the middleware gives each message
-    of a topic: the simulator publishes every tick topic once a tick.
+    A sample is a message of ~/state. Of a simulator without that topic, the messages of one tick
+    are put together by the number that the middleware gives each message of a topic: it publishes
+    every tick topic once a tick.
 
     Attributes
     ----------
@@ -58,15 +66,18 @@ class RerunBridge(Node):
         self._picture: BridgePicture | None = None
         self._open: dict[int, dict[str, Any]] = {}
         self._names = NEEDED
+        self._tick_subscriptions: list[Subscription] = []
 
     def listen(self) -> None:
         """Subscribe to the scene and the topics of a tick."""
         simulator = self._values['simulator']
-        self.create_subscription(String, f'{simulator}/scene', self._on_scene, _LATCHED)
-        for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC):
-            last = name.rpartition('/')[2]
+        self.create_subscription(String, f'{simulator}/scene', self._on_scene, LATCHED)
+        self.create_subscription(
+            JointState, f'{simulator}/state', self._on_state, _QUEUE, raw=True)
+        self._tick_subscriptions = [
             self.create_subscription(
-                kind, name.replace('~', simulator), self._keeper(last), _QUEUE)
+                _KINDS[name], topic.replace('~', simulator), self._keeper(name), _QUEUE)
+            for name, topic in _TICK.items()]
         name, kind = DIAGNOSTICS_TOPIC
         self.create_subscription(
             kind, name, lambda message: self._tell(message, simulator), _QUEUE)
@@ -74,32 +85,44 @@ class RerunBridge(Node):
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
         run = RecordedRun(bag)
-        picture = BridgePicture(run.described, f'{run.reader.path}: its scene.yaml', self.target,
+        picture = BridgePicture(run.described, f'{run.reader.path}: its scene', self.target,
                                 bag.resolve().name)
         self._picture = picture
-        kinds = {name.rpartition('/')[2]: kind
-                 for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
         names = {number: channel.topic.rpartition('/')[2]
                  for number, channel in run.reader.channels.items()}
-        simulator = next((channel.topic.rpartition('/')[0] for channel in
-                          run.reader.channels.values() if channel.topic.endswith('/q')), '')
+        if run.states:
+            self._show_states(run, [*run.states, *(
+                number for number, name in names.items() if name == 'diagnostics')])
+        else:
+            self._show_ticks(run, {
+                number: name for number, name in names.items() if name in _KINDS})
+        return picture.samples
+
+    def _show_states(self, run: RecordedRun, channels: list[int]) -> None:
+        states = frozenset(run.states)
+        for message in run.reader.messages(channels):
+            if message.channel in states:
+                self._show(run.state(message))
+            else:
+                self._tell(deserialize_message(message.data, DiagnosticArray), run.node)
+
+    def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
+        """Show the samples of a bag of before ~/state."""
         tick, stamp = {}, -1
-        for message in run.reader.messages(
-                [number for number, name in names.items() if name in kinds]):
+        for message in run.reader.messages(names):
             if message.time != stamp:
-                self._show(tick)
+                self._show_tick(tick)
                 tick, stamp = {}, message.time
             name = names[message.channel]
-            content = deserialize_message(message.data, kinds[name])
+            content = deserialize_message(message.data, _KINDS[name])
             if name == 'diagnostics':
                 # An alarm belongs to the sample of its time, which is there by now.
-                self._show(tick)
+                self._show_tick(tick)
                 tick = {}
-                self._tell(content, simulator)
+                self._tell(content, run.node)
             else:
                 tick[name] = content
-        self._show(tick)
-        return picture.samples
+        self._show_tick(tick)
 
     def close(self) -> None:
         """Send what is left."""
@@ -130,9 +153,25 @@ class RerunBridge(Node):
             return target.with_name(f'{target.stem}-{self._scenes}{target.suffix}')
         return target
 
+    def _on_state(self, payload: bytes) -> None:
+        """Show a sample; the topics that would tell of it in parts are not needed any more."""
+        for subscription in self._tick_subscriptions:
+            self.destroy_subscription(subscription)
+        self._tick_subscriptions.clear()
+        try:
+            self._show(decode_state(payload))
+        except ValueError as problem:
+            self.get_logger().error(
+                f'~/state is no state: {problem}', throttle_duration_sec=1.0)
+
     def _keeper(self, name: str) -> Callable:
-        """Return what takes the messages of a topic."""
+        """Return what takes the messages of a topic, where there is no ~/state."""
+        state = f'{self._values["simulator"]}/state'
+
         def keep(message: Any, info: dict) -> None:
+            # The simulator announces ~/state before the topics that are heard here.
+            if self.count_publishers(state):
+                return
             if name not in self._names:
                 # It is published after all.
                 self._names = self._names | {name}
@@ -141,16 +180,23 @@ class RerunBridge(Node):
             tick[name] = message
             if self._names <= tick.keys():
                 del self._open[number]
-                self._show(tick)
+                self._show_tick(tick)
             elif len(self._open) > _MOST_OPEN:
                 # Some message of an old tick will not come any more.
                 del self._open[min(self._open)]
         return keep
 
-    def _show(self, tick: dict[str, Any]) -> None:
+    def _show(self, state: State) -> None:
+        if self._picture is not None:
+            try:
+                self._picture.show(state)
+            except HnnViRosError as problem:
+                self.problem = problem
+
+    def _show_tick(self, tick: dict[str, Any]) -> None:
         if self._picture is not None and NEEDED <= tick.keys():
             try:
-                self._picture.show(tick)
+                self._picture.show_tick(tick)
             except HnnViRosError as problem:
                 self.problem = problem
 
