@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import ValidationError
 import pytest
 from rclpy.serialization import serialize_message
-from ros.recorded import record_run
+from ros.recorded import as_received, record_run
 from rosbags.rosbag2 import StoragePlugin, Writer as BagWriter
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
@@ -213,6 +213,44 @@ def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, 
     assert len(data.q) == 280
 
 
+def assert_exact(data, scene, tolerance: float) -> None:
+    dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
+    assert np.abs(data.dq_dt - dH_dp).max() < tolerance
+    assert np.abs(data.dp_dt + dH_dq).max() < tolerance
+
+
+def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_recorders(tmp_path):
+    scene = load_scene('exact_double_pendulum')
+    own = record_run(tmp_path / 'bag', scene, 300)
+    config = bag(joints=['angle1', 'angle2'], derivatives=None)
+    # Each of these jitters would spoil a pairing by the times of reception.
+    for path in (own, *(as_received(own, tmp_path / f'{jitter}.mcap', jitter=jitter)
+                        for jitter in (0.0004, 0.004, 0.04))):
+        data = read_bags([path], config)
+        assert len(data.q) == 280
+        assert_exact(data, scene, 1e-12)
+    for without, config in ((['joint_states'], config), (['p', 'energy'], bag(
+            joints=['angle1', 'angle2'], p='state', dp_dt='state', derivatives=None))):
+        data = read_bags([as_received(own, tmp_path / 'a.mcap', without=without)], config)
+        # Estimated velocities: of some rad/s, whose rates change within a tenth of a second.
+        assert_exact(data, scene, 0.1 if without == ['joint_states'] else 1e-12)
+
+
+@pytest.mark.parametrize('changes', [{'p': 'p'}, {'p': 'p', 'dp_dt': 'joint_states'},
+                                     {'q': 'q', 'p': 'state'}])
+def test_stamped_and_unstamped_topics_that_disagree_in_time_are_an_error(tmp_path, changes):
+    own = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300)
+    config = bag(joints=['angle'], derivatives=None, **changes)
+    assert len(read_bags([own], config).q) == 280
+    for jitter in (0.0005, 0.01):
+        path = as_received(own, tmp_path / f'{jitter}.mcap', jitter=jitter)
+        with pytest.raises(DataError, match='is stamped, .* is not.*~/state') as caught:
+            read_bags([path], config)
+        assert '\n' not in str(caught.value)
+    # Who says so takes them as they are.
+    assert len(read_bags([path], config.model_copy(update={'stamps': 'log'})).q) > 100
+
+
 EMPTY = Float64MultiArray()
 
 
@@ -222,7 +260,7 @@ EMPTY = Float64MultiArray()
     ([*joints(T, topic='/a/joint_states'), *joints(T, topic='/b/joint_states')], {},
      ['2 topics /joint_states', '/a/joint_states', '/b/joint_states']),
     (joints(T), {'joints': ['knee']}, ['0 messages with the joints knee', 'data.joints']),
-    (joints(T), {'p': 'joint_states'}, [f'has the type {JOINTS}, expected {ARRAY}']),
+    (joints(T), {'p': 'joint_states'}, [f'has the type {JOINTS}, expected {ARRAY}', '~/state']),
     ([('/q', 'std_msgs/msg/Float64', t, serialize_message(Float64())) for t in T], {'q': 'q'},
      ['has the type std_msgs/msg/Float64', f'expected {ARRAY} or {JOINTS}']),
     (joints(np.concatenate([T, T])), {'stamps': 'header'}, ['is not after the one before',

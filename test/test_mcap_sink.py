@@ -14,6 +14,8 @@ import time
 import hnn_vi_ros
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.identity import identity
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.sinks.mcap_recovery import recover
 from hnn_vi_ros.sinks.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
@@ -289,10 +291,25 @@ def test_flush_hands_what_was_written_to_other_readers(tmp_path):
     sink.close()
 
 
-def test_file_begins_with_its_first_message_which_is_flushed_at_once(tmp_path):
+def test_file_killed_before_its_first_message_is_recovered_with_its_attachments(tmp_path):
+    # Left as a kill leaves it: nothing that is still held in memory will ever be written.
     sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS | {'large': bytes(100_000)})
+    killed = tmp_path / 'killed' / 'killed_0.mcap'
+    killed.parent.mkdir()
+    shutil.copy(tmp_path / 'bag' / 'bag_0.mcap', killed)
+    sink.close()
+    assert BagReader(killed.parent).metadata('hnn_vi_ros') == identity()
+    assert recover(killed.parent).changed
+    reader = BagReader(killed.parent)
+    for name, data in ATTACHMENTS.items():
+        assert reader.attachment(name) == data
+    with AnyReader([killed.parent]) as found:
+        assert found.message_count == 0
+
+
+def test_first_message_is_flushed_at_once(tmp_path):
+    sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
     path = tmp_path / 'bag' / 'bag_0.mcap'
-    assert path.stat().st_size == 0
     sink.write(0, payloads(0))
     assert [r.data for r in readable_records(path) if isinstance(r, Message)] == payloads(0)
     sink.close()

@@ -12,6 +12,7 @@ from hnn_vi_ros.learning.bag_signals import JOINT_STATE, Signal, SignalReader
 from hnn_vi_ros.learning.dataset import (
     Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
 from hnn_vi_ros.learning.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
+from hnn_vi_ros.sinks.state_message import MOMENTUM, RATE
 from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field, model_validator
@@ -45,16 +46,19 @@ class BagData(StrictModel):
     joints: Names = Field(min_length=1, description='names of the joints, one a coordinate')
     columns: list[Annotated[int, Field(ge=0)]] = Field([], description=(
         'which numbers of arrays belong to the joints, counted from 0; default: all'))
-    q: Topic = Field('joint_states', description='topic of the positions')
+    q: Topic | None = Field(None, description=(
+        'topic of the positions; default: joint_states. Without q, p, mass and dp_dt, q, p and '
+        'dp_dt are those of ~/state of the simulator, if the bag holds one'))
     velocity: Topic | None = Field(None, description=(
         'topic of dq/dt; default: that of q if it has them, else they are estimated'))
     estimate_velocity: bool = Field(False, description='estimate dq/dt from q in any case')
     p: Topic | None = Field(None, description=(
-        'topic of the momenta, an array; default: mass times dq/dt'))
+        'topic of the momenta, an array or ~/state; default: mass times dq/dt'))
     mass: Mass | None = Field(None, description=(
         'p = M dq/dt: one mass for each coordinate, or M by rows; default 1'))
     dp_dt: Topic | None = Field(None, description=(
-        'topic of all forces, as the efforts of the simulator are; default: estimated from p'))
+        'topic of all forces, as the efforts of the simulator are, or ~/state; default: '
+        'estimated from p'))
     commands: Topic | None = Field(None, description=(
         'topic of commands, an array; each holds until the next, before the first all are 0'))
     stamps: Literal['header', 'log'] | None = Field(None, description=(
@@ -104,9 +108,9 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
     """
     parts, described, motions, blocks = [], [], 0, 0
     for path in paths:
-        reader = _reader(path, data)
+        reader, found = _reader(path, data)
         count = 0
-        for part in _motions(reader, data):
+        for part in _motions(reader, found):
             n = len(part['t'])
             part['trajectory'] = np.full(n, motions)
             part['block'] += blocks
@@ -124,24 +128,47 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
     return Dataset(**arrays, description=', '.join(described)).checked()
 
 
-def _reader(path: Path, data: BagData) -> SignalReader:
+def _reader(path: Path, data: BagData) -> tuple[SignalReader, BagData]:
+    """Return what reads a bag, and the data with the topics that are taken from it."""
+    reader = SignalReader(path, data.joints, data.columns, data.stamps or 'log')
+    data = data.model_copy(update=_topics(reader, data))
     topics = [topic for topic in (data.q, data.velocity, data.p, data.dp_dt, data.commands)
               if topic is not None]
-    reader = SignalReader(path, data.joints, data.columns, data.stamps or 'log')
-    if data.stamps is None and all(reader.type_of(topic) == JOINT_STATE for topic in topics):
-        return SignalReader(path, data.joints, data.columns, 'header')
-    return reader
+    stamped = [topic for topic in topics if reader.type_of(topic) == JOINT_STATE]
+    if data.stamps is None and stamped == topics:
+        reader = SignalReader(path, data.joints, data.columns, 'header')
+    elif data.stamps is None and stamped:
+        reader.check_clocks(
+            stamped[0], next(topic for topic in topics if topic not in stamped))
+    return reader, data
+
+
+def _topics(reader: SignalReader, data: BagData) -> dict[str, Topic | None]:
+    """Return where q, p, dp/dt and the velocities are that data does not say it of."""
+    state = None
+    if data.q is data.p is data.mass is data.dp_dt is None:
+        state = reader.state_topic()
+    found = {'q': state, 'p': state, 'dp_dt': state} if state else {
+        'q': data.q or 'joint_states'}
+    velocity, q = data.velocity, found['q']
+    if velocity is None and not data.estimate_velocity:
+        # Those of ~/state are beside it, by the same stamps.
+        beside = f'{q.rpartition("/")[0].rpartition("/")[0]}/joint_states' if state else q
+        if (not state or reader.has_topic(beside)) and \
+                reader.type_of(beside) == JOINT_STATE and reader.has(beside, 'velocity'):
+            velocity = beside
+    return found | {'velocity': velocity}
 
 
 def _signals(reader: SignalReader, data: BagData) -> dict[str, Signal]:
     """Return what is recorded of q, dq_dt, p and dp_dt."""
-    topics = {'q': (data.q, 'position'), 'dq_dt': (data.velocity, 'velocity'),
-              'p': (data.p, ''), 'dp_dt': (data.dp_dt, 'effort')}
-    if data.velocity is None and not data.estimate_velocity \
-            and reader.type_of(data.q) == JOINT_STATE and reader.has(data.q, 'velocity'):
-        topics['dq_dt'] = data.q, 'velocity'
-    return {name: reader.read(topic, field) for name, (topic, field) in topics.items()
-            if topic is not None}
+    topics = {'q': (data.q, 'position', ''), 'dq_dt': (data.velocity, 'velocity', ''),
+              'p': (data.p, '', ''), 'dp_dt': (data.dp_dt, 'effort', '')}
+    for name, prefix in (('p', MOMENTUM), ('dp_dt', RATE)):
+        topic = topics[name][0]
+        if topic is not None and reader.is_state(topic):
+            topics[name] = topic, 'position', prefix
+    return {name: reader.read(*where) for name, where in topics.items() if where[0] is not None}
 
 
 def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarray]]:

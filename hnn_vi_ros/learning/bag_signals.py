@@ -9,6 +9,7 @@ from typing import final, NamedTuple, TYPE_CHECKING
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.sinks.cdr import decode_float64_multi_array, decode_joint_state, JointStates
 from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.sinks.state_message import MOMENTUM
 import numpy as np
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
+# Of times that are to be those of stamps, in mean intervals.
+_DISAGREEMENT = 0.01
 
 
 class Signal(NamedTuple):
@@ -83,13 +86,51 @@ class SignalReader:
         """Return the type of a topic; DataError if the bag does not hold it."""
         return self._schema(self._channels(topic)[0])
 
+    def has_topic(self, topic: str) -> bool:
+        """Tell whether the bag holds exactly this topic."""
+        return any(channel.topic == topic for channel in self._reader.channels.values())
+
+    def state_topic(self) -> str | None:
+        """Return the simulator's ~/state, if the bag holds one with the joints, and no more."""
+        found = [topic for topic in {channel.topic for channel in self._reader.channels.values()
+                                     if channel.topic.endswith('/state')}
+                 if self.is_state(topic)]
+        return found[0] if len(found) == 1 else None
+
+    def is_state(self, topic: str) -> bool:
+        """Tell whether a topic is a ~/state of the simulator, with the joints."""
+        channels = self._channels(topic)
+        first = next(self._reader.messages([channel.id for channel in channels]), None)
+        if first is None or self._schema(channels[0]) != JOINT_STATE:
+            return False
+        names = self._joint_state(topic, first).names
+        return {MOMENTUM + joint for joint in self._joints} <= set(names)
+
+    def check_clocks(self, topic: str, unstamped: str) -> None:
+        """
+        Raise DataError if the log times of joint states are not those of their stamps.
+
+        Then those of a topic without stamps tell when its messages came, not of which state.
+        """
+        times = np.array([
+            (message.time, self._joint_state(topic, message).stamp) for message
+            in self._reader.messages([channel.id for channel in self._channels(topic)])])
+        log, stamps = (times - times[:1]).T * 1e-9
+        largest = np.abs(log - stamps).max(initial=0.0)
+        if largest > _DISAGREEMENT * stamps.max(initial=0.0) / max(len(stamps) - 1, 1):
+            raise DataError(
+                f'{self.path}: {topic} is stamped, {unstamped} is not, and the times at which the '
+                f'messages were recorded are up to {largest:.3g} s away from the stamps: they '
+                'cannot be paired. Use ~/state of the simulator, whose q and p have one stamp '
+                '(data.p: state); data.stamps: log takes those times as they are')
+
     def has(self, topic: str, field: str) -> bool:
         """Tell whether the first message of a topic of joint states fills a field."""
         numbers = [channel.id for channel in self._channels(topic)]
         first = next(self._reader.messages(numbers), None)
         return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0
 
-    def read(self, topic: str, field: str) -> Signal:
+    def read(self, topic: str, field: str, prefix: str = '') -> Signal:
         """
         Return a signal.
 
@@ -100,6 +141,8 @@ class SignalReader:
         field : str
             Of joint states: ``'position'``, ``'velocity'`` or ``'effort'``; empty for a topic
             that must be an array, ``'*'`` for an array of any length.
+        prefix : str
+            What stands before the joints in the names of joint states.
 
         Raises
         ------
@@ -110,7 +153,7 @@ class SignalReader:
         channels = self._channels(topic)
         kind = self._schema(channels[0])
         name = channels[0].topic
-        convert = self._converter(name, kind, field)
+        convert = self._converter(name, kind, field, prefix)
         stamps, rows = [], []
         for message in self._reader.messages([channel.id for channel in channels]):
             found = convert(message)
@@ -162,13 +205,15 @@ class SignalReader:
         schema = self._reader.schemas.get(channel.schema_id)
         return 'unknown type' if schema is None else schema.name
 
-    def _converter(self, topic: str, kind: str, field: str
+    def _converter(self, topic: str, kind: str, field: str, prefix: str
                    ) -> Callable[[Recorded], tuple[int, np.ndarray] | None]:
         if kind == ARRAY:
             return lambda message: self._from_array(topic, message, field == '*')
         if kind == JOINT_STATE and field not in ('', '*'):
-            return lambda message: self._from_joint_state(topic, message, field)
-        expected = ARRAY if field in ('', '*') else f'{ARRAY} or {JOINT_STATE}'
+            names = [prefix + joint for joint in self._joints]
+            return lambda message: self._from_joint_state(topic, message, field, names)
+        expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}.get(
+            field, f'{ARRAY} or {JOINT_STATE}')
         raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the bag '
                         f'holds: {self._contents()}')
 
@@ -185,18 +230,18 @@ class SignalReader:
                             'in data.columns, counted from 0')
         return message.time, values[self._columns]
 
-    def _from_joint_state(self, topic: str, message: Recorded, field: str
+    def _from_joint_state(self, topic: str, message: Recorded, field: str, names: list[str]
                           ) -> tuple[int, np.ndarray] | None:
-        """Return time and values; None from a message without one of the joints."""
+        """Return time and values; None from a message without one of the names."""
         state = self._joint_state(topic, message)
-        if not set(self._joints) <= set(state.names):
+        if not set(names) <= set(state.names):
             return None
         values = getattr(state, field)
         if len(values) != len(state.names):
             raise DataError(f'{self.path}: {topic}: a message has {len(values)} {field} values '
                             f'for {len(state.names)} joints; leave {field} out of data')
         time = state.stamp if self._stamps == 'header' else message.time
-        return time, values[[state.names.index(joint) for joint in self._joints]]
+        return time, values[[state.names.index(name) for name in names]]
 
     def _joint_state(self, topic: str, message: Recorded) -> JointStates:
         return self._decoded(topic, message, decode_joint_state)

@@ -4,10 +4,9 @@
 
 from hnn_vi_ros.ros.messages import array_message
 from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.ros.serialization import Template
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.sample import Sample
-import numpy as np
-from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray
 
 ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)
@@ -39,8 +38,7 @@ class AccuracyEncoder:
         self._simulation, self._monitor = simulation, monitor
         self._energy0 = simulation.energy
         self._last = (simulation.steps, simulation.gradients)
-        self._message = array_message(ENTRIES)
-        self._data = np.frombuffer(self._message.data)
+        self._message = Template(array_message(ENTRIES))
 
     def encode(self, sample: Sample) -> bytes:
         """Return the serialised message that belongs to a sample, the newest one."""
@@ -48,10 +46,10 @@ class AccuracyEncoder:
         taken, spent = steps - self._last[0], gradients - self._last[1]
         self._last = (steps, gradients)
         record, figures = self._monitor.energy, self._monitor.timing.figures
-        self._data[:] = (
+        self._message.numbers[0][:] = (
             sample.energy, sample.modified_energy, sample.energy_error, sample.work,
             sample.energy - self._energy0 - sample.work, self._simulation.residual,
             spent / taken if taken else 0.0, record.band, record.drift_per_hour,
             figures.microseconds_per_step_median, figures.microseconds_per_step_p99,
             figures.gradients_per_step, figures.largest_real_time_factor)
-        return serialize_message(self._message)
+        return self._message.serialized()

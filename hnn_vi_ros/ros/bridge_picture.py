@@ -19,17 +19,18 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.rerun_sink import RerunSink, Target
 from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.sinks.state_message import State
 import numpy as np
 
 # Simulated time of which the picture leaves room [s].
 _SEEN = 30.0
-# Without these there is no sample.
+# Where there is no ~/state, a sample is made of these: their topics by the last part of the name.
 NEEDED = frozenset(('q', 'p', 'energy', 'joint_states'))
 
 
 class BridgePicture:
     """
-    Show samples that are put together from the messages of their tick.
+    Show samples as ~/state tells them, or put together from the messages of their tick.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class BridgePicture:
         hamiltonian = simulation.hamiltonian
         box = hamiltonian.box or look_ahead(simulation, _SEEN).box
         self._step_size, self._energy0 = simulation.step_size, simulation.energy
-        self._conservative = simulation.conservative
+        self._conservative, self._hamiltonian = simulation.conservative, hamiltonian
         self._integrator = None if simulation.modified_energy is None else simulation.integrator
         self.samples = 0
         self._sink = RerunSink(
@@ -60,11 +61,26 @@ class BridgePicture:
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             conservative=simulation.conservative, modified=self._integrator is not None)
 
-    def show(self, messages: Mapping[str, Any]) -> None:
+    def show(self, state: State) -> None:
+        """Show a sample."""
+        _, dH_dp = self._hamiltonian.gradient(state.q, state.p)
+        self._write(state, np.asarray(dH_dp), self._error(state.energy, state.work))
+
+    def show_tick(self, messages: Mapping[str, Any]) -> None:
         """Show the messages of a tick, by the last part of their topics' names."""
-        stamp = messages['joint_states'].header.stamp
-        self._sink.write(self._sample(stamp.sec * 10**9 + stamp.nanosec, messages))
-        self.samples += 1
+        joints, energy = messages['joint_states'], messages['energy'].data
+        stamp = joints.header.stamp
+        # Only ~/accuracy tells of the work.
+        error = work = math.nan
+        if 'accuracy' in messages:
+            told = dict(zip(ENTRIES, messages['accuracy'].data))
+            error, work = told['energy_error'], told['work']
+        elif self._conservative:
+            error, work = self._error(energy, 0.0), 0.0
+        self._write(
+            State(stamp.sec * 10**9 + stamp.nanosec, np.array(messages['q'].data),
+                  np.array(messages['p'].data), np.array(joints.effort), energy, work),
+            np.array(joints.velocity), error)
 
     def tell(self, message: DiagnosticArray, simulator: str) -> None:
         """
@@ -93,25 +109,20 @@ class BridgePicture:
         """Send what is left; RecordingError if it is not taken."""
         self._sink.close()
 
-    def _sample(self, stamp: int, messages: Mapping[str, Any]) -> Sample:
-        joints, energy = messages['joint_states'], messages['energy'].data
-        dH_dq, dH_dp = -np.array(joints.effort), np.array(joints.velocity)
+    def _error(self, energy: float, work: float) -> float:
+        balance = energy - self._energy0 - work
+        return balance / abs(self._energy0) if self._energy0 else balance
+
+    def _write(self, state: State, dH_dp: np.ndarray, error: float) -> None:
         modified = math.nan
         if self._integrator is not None:
-            modified = self._integrator.modified_energy(self._step_size, energy, dH_dq, dH_dp)
-        error, work = energy - self._energy0, 0.0
-        if self._energy0:
-            error /= abs(self._energy0)
-        if 'accuracy' in messages:
-            told = dict(zip(ENTRIES, messages['accuracy'].data))
-            error, work = told['energy_error'], told['work']
-        elif not self._conservative:
-            # Only ~/accuracy tells of the work.
-            error = work = math.nan
-        return Sample(
-            step=round(stamp * 1e-9 / self._step_size), stamp=stamp,
-            q=np.array(messages['q'].data), p=np.array(messages['p'].data), dH_dq=dH_dq,
-            dH_dp=dH_dp, energy=energy, modified_energy=modified, energy_error=error, work=work)
+            modified = self._integrator.modified_energy(
+                self._step_size, state.energy, -state.dp_dt, dH_dp)
+        self._sink.write(Sample(
+            step=round(state.stamp * 1e-9 / self._step_size), stamp=state.stamp, q=state.q,
+            p=state.p, dH_dq=-state.dp_dt, dH_dp=dH_dp, energy=state.energy,
+            modified_energy=modified, energy_error=error, work=state.work))
+        self.samples += 1
 
 
 def target_of(values: dict[str, Value]) -> Target:

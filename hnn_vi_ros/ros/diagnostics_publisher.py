@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros.ros.messages import describe_topic
+from hnn_vi_ros.ros.serialization import serialize
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
 
 DIAGNOSTICS_TOPIC: tuple[str, type] = ('/diagnostics', DiagnosticArray)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -75,7 +75,7 @@ class DiagnosticsPublisher:
             values=[KeyValue(key=key, value=_shown(value))
                     for key, value in status.values.items()])
             for status in statuses]
-        payload = serialize_message(message)
+        payload = serialize(message)
         self._publisher.publish(payload)
         return payload
 

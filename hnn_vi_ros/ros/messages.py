@@ -12,18 +12,20 @@ import sys
 from typing import Any, final
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.ros.serialization import Template
 from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.sinks.state_message import state_names
 from hnn_vi_ros.yaml_text import dump_yaml
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 # The topics of a tick, in the order in which `MessageEncoder.encode` returns their messages.
 TICK_TOPICS: tuple[tuple[str, type], ...] = (
+    ('~/state', JointState),
     ('~/q', Float64MultiArray),
     ('~/p', Float64MultiArray),
     ('~/energy', Float64),
@@ -40,9 +42,7 @@ _PRIMITIVE_TYPES = frozenset((
 @final
 class MessageEncoder:
     """
-    Serialise the four messages of a tick, once for publishers and log alike.
-
-    The messages are made once and filled anew at each tick.
+    Serialise the messages of a tick, once for publishers and log alike.
 
     Parameters
     ----------
@@ -52,34 +52,37 @@ class MessageEncoder:
     """
 
     def __init__(self, names: Sequence[str]):
-        zeros = [0.0] * len(names)
-        self._q, self._p = array_message(names), array_message(names)
-        self._energy = Float64()
-        self._joints = JointState(
-            name=list(names), position=array('d', zeros), velocity=array('d', zeros),
-            effort=array('d', zeros))
-        self._stamp = self._joints.header.stamp
-        # A setter may copy what it is given: the arrays to fill are those that the fields hold.
-        self._fields = tuple(np.frombuffer(field) for field in (
-            self._q.data, self._p.data, self._joints.position, self._joints.velocity,
-            self._joints.effort))
+        d = len(names)
+        zeros = array('d', [0.0] * d)
+        self._state = Template(JointState(
+            name=state_names(names), position=array('d', [0.0] * (3 * d + 2))))
+        self._q, self._p = Template(array_message(names)), Template(array_message(names))
+        self._energy = Template(Float64())
+        self._joints = Template(JointState(
+            name=list(names), position=zeros, velocity=zeros, effort=zeros))
+        state, = self._state.numbers
+        # Where q, p and dp/dt go, each a slice; behind them are H and the work.
+        self._parts, self._scalars = state[:3 * d].reshape(3, d), state[3 * d:]
 
-    def encode(self, sample: Sample) -> tuple[bytes, bytes, bytes, bytes]:
+    def encode(self, sample: Sample) -> tuple[bytes, ...]:
         """
         Return the serialised messages of a sample, in the order of `TICK_TOPICS`.
 
         The joint states' position is q, their velocity q', their effort the generalised force
         p', never p.
         """
-        q, p, position, velocity, effort = self._fields
-        q[:] = position[:] = sample.q
-        p[:] = sample.p
+        position, velocity, effort = self._joints.numbers
+        q, p, dp_dt = self._parts
+        q[:] = position[:] = self._q.numbers[0][:] = sample.q
+        p[:] = self._p.numbers[0][:] = sample.p
         velocity[:] = sample.dH_dp
-        np.negative(sample.dH_dq, out=effort)
-        self._energy.data = float(sample.energy)
-        self._stamp.sec, self._stamp.nanosec = divmod(sample.stamp, 10**9)
-        return (serialize_message(self._q), serialize_message(self._p),
-                serialize_message(self._energy), serialize_message(self._joints))
+        dp_dt[:] = np.negative(sample.dH_dq, out=effort)
+        self._scalars[0] = self._energy.numbers[0][0] = sample.energy
+        self._scalars[1] = sample.work
+        self._state.set_stamp(sample.stamp)
+        self._joints.set_stamp(sample.stamp)
+        return (self._state.serialized(), self._q.serialized(), self._p.serialized(),
+                self._energy.serialized(), self._joints.serialized())
 
 
 def array_message(names: Sequence[str]) -> Float64MultiArray:

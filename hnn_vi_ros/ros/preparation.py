@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What takes long before a run can begin, for a thread beside the one that serves."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
@@ -14,7 +14,7 @@ from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.bag_metadata import Topic
+from hnn_vi_ros.sinks.bag_metadata import BagTopics
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -38,7 +38,7 @@ class Prepared(NamedTuple):
         Made of it, compiled, in its initial state.
     box : tuple of np.ndarray, shape (d, 2) each
         Lowest and highest q and p that pictures leave room for.
-    report : str
+    report : dict
         What ``~/scene`` tells.
     recording : Recording
         The open files.
@@ -52,13 +52,13 @@ class Prepared(NamedTuple):
     scene: Scene
     simulation: Simulation
     box: tuple[np.ndarray, np.ndarray]
-    report: str
+    report: dict[str, Any]
     recording: Recording
     events: list[Event]
     origin: int
 
 
-def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
+def prepare(values: dict, topics: BagTopics, logger: RcutilsLogger,
             begin: Callable[[str], None]) -> Prepared:
     """
     Load the scene, compile it, look at how it moves, and open the files.
@@ -67,7 +67,7 @@ def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
     ----------
     values : dict
         The node's parameters.
-    topics : sequence of Topic
+    topics : BagTopics
         What the bag holds.
     logger : RcutilsLogger
         Told of what is done.
@@ -101,9 +101,10 @@ def prepare(values: dict, topics: Sequence[Topic], logger: RcutilsLogger,
     if values['explain'] and scene.effects:
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
-    report = scene_report(scene, simulation, cost, values['explain'])
+    report = scene_report(scene, simulation, origin, cost, values['explain'])
     begin(OPENING)
-    recording = Recording(logger, scene, simulation, values, topics, box, origin)
+    recording = Recording(
+        logger, scene, simulation, values, topics, box, report, sampler)
     return Prepared(scene, simulation, box, report, recording, events, origin)
 
 

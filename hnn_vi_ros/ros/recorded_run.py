@@ -10,15 +10,17 @@ from typing import Any
 
 from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.ros.held_state import STATE_FILE
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene_origin import Origin
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.sinks.state_message import decode_state, State
 from hnn_vi_ros.yaml_file import validate
 from hnn_vi_ros.yaml_text import parse_mapping
 import numpy as np
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 
 # How far back from its end a bag is searched for its last state, each time farther [ns].
 _BACK = (10**9, 10**11, 2**64)
@@ -41,15 +43,12 @@ class Resumption:
         Steps that the run had taken.
     origin : int
         Stamp of its step 0 [ns].
-    parameters : dict
-        The node's parameters, as they were recorded.
 
     """
 
     scene: Scene
     step: int
     origin: int
-    parameters: dict[str, Any]
 
     def simulation(self) -> Simulation:
         """Return a simulation that stands where the log ends; HnnViRosError if none can be."""
@@ -61,7 +60,10 @@ class Resumption:
 
 class RecordedRun:
     """
-    A run of the simulator, read from its bag.
+    A run of the simulator, read from its own bag or from that of another recorder.
+
+    Others stamp messages with the time at which they came; what is told of time is then in the
+    headers, and at which step a command acted is not told.
 
     Parameters
     ----------
@@ -74,6 +76,8 @@ class RecordedRun:
     ----------
     reader : BagReader
         Of the bag.
+    node : str
+        Full name of the simulator.
     scene : Scene
         What was simulated, without the integrator auto.
     described : dict
@@ -90,22 +94,68 @@ class RecordedRun:
 
     def __init__(self, bag: Path, trust_code: bool = False):
         self.reader = BagReader(bag)
+        self._topics = {channel.topic: number for number, channel in self.reader.channels.items()}
+        self.node, self._names = self._find_node()
+        self._where = f'{self.reader.path}: its scene'
         self.scene, self.described = described_scene(
-            self.reader.attachment('scene.yaml'), self._where('scene.yaml'), trust_code)
+            self._described(), self._where, trust_code)
         self.origin = self._count('origin')
         self.first_step = self._count('first_step')
         self._nanoseconds = Fraction(repr(self.scene.step_size)) * 10**9
-        self._channels = self._find_channels()
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield stamp [ns], q and p of each sample from a stamp on."""
+        """Yield stamp [ns], q and p of each sample from a log time on."""
+        if self.states:
+            for state in map(self.state, self.reader.messages(self.states, first)):
+                yield state.stamp, state.q, state.p
+            return
+        # A bag of before ~/state: those of one log time belong together.
+        names = {self._topics[f'{self.node}/{name}']: name for name in self._names}
         stamp, found = -1, {}
-        for message in self.reader.messages(self._channels, first):
+        for message in self.reader.messages(names, first):
             if message.time != stamp:
                 stamp, found = message.time, {}
-            found[self._channels[message.channel]] = message.data
+            found[names[message.channel]] = message.data
             if len(found) == 2:
                 yield stamp, _array(found['q']), _array(found['p'])
+
+    @property
+    def states(self) -> list[int]:
+        """Return the channel of ~/state; empty in a bag of before there was one."""
+        return [self._topics[f'{self.node}/state']] if 'state' in self._names else []
+
+    def state(self, message: Recorded) -> State:
+        """Return the sample of a message of ~/state; RecordingError if it holds none."""
+        try:
+            return decode_state(message.data)
+        except ValueError as problem:
+            raise RecordingError(f'{self.reader.path}: the message of {self.node}/state at '
+                                 f'{message.time} ns cannot be read: {problem}') from problem
+
+    @property
+    def stamped(self) -> bool:
+        """Tell whether log times are stamps of the simulator, as they are in its own bags."""
+        return all(self.state(message).stamp == message.time
+                   for message in self.reader.messages(self.states))
+
+    def commands(self) -> Iterator[tuple[int, list[float]]]:
+        """
+        Yield the step from which on each command acted, and its numbers.
+
+        There are none where the bag does not tell at which step they did.
+        """
+        name = f'{self.node}/commands'
+        if name in self._topics and self.stamped:
+            for message in self.reader.messages([self._topics[name]]):
+                yield self.step_of(message.time), _array(message.data).tolist()
+
+    @property
+    def held_state(self) -> bytes | None:
+        """Return the state of a simulation at the start of a bag begun in the middle of a run."""
+        try:
+            return self.reader.attachment(STATE_FILE)
+        except RecordingError:
+            return None
 
     def step_of(self, stamp: int) -> int:
         """Return the step of a stamp; RecordingError if it is not that of a whole one."""
@@ -129,27 +179,55 @@ class RecordedRun:
             raise RecordingError(f'{self.reader.path}: holds no state to go on from')
         stamp, q, p = last
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
-        parameters, _ = parse_mapping(self.reader.attachment('parameters.yaml'),
-                                      self._where('parameters.yaml'), RecordingError)
-        return Resumption(scene, self.step_of(stamp), self.origin, parameters)
-
-    def _where(self, attachment: str) -> str:
-        return f'{self.reader.path}: its {attachment}'
+        return Resumption(scene, self.step_of(stamp), self.origin)
 
     def _count(self, name: str) -> int:
         value = self.described.get(name, 0)
         if type(value) is not int or not 0 <= value < 2**63:
-            raise RecordingError(f'{self._where("scene.yaml")}: {name} is no count')
+            raise RecordingError(f'{self._where}: {name} is no count')
         return value
 
-    def _find_channels(self) -> dict[int, str]:
-        topics = {channel.topic: number for number, channel in self.reader.channels.items()}
-        for name, number in topics.items():
-            node, _, last = name.rpartition('/')
-            if last == 'q' and f'{node}/p' in topics:
-                return {number: 'q', topics[f'{node}/p']: 'p'}
-        raise RecordingError(f'{self.reader.path}: holds no topics q and p of one simulator; '
-                             f'topics: {", ".join(sorted(topics)) or "none"}')
+    def _described(self) -> bytes | str:
+        """Return the text of the scene that is kept with the bag, else that of ~/scene."""
+        try:
+            return self.reader.attachment('scene.yaml')
+        except RecordingError:
+            return self._published_scene()
+
+    def _published_scene(self) -> str:
+        name = f'{self.node}/scene'
+        channels = [self._topics[name]] if name in self._topics else []
+        texts = {deserialize_message(message.data, String).data
+                 for message in self.reader.messages(channels)}
+        if len(texts) != 1:
+            told = f'{len(texts)} scenes on {name}: the run was reset while it was recorded; ' \
+                'give a bag of one run, as the simulator records them' if texts else \
+                f'neither a scene.yaml nor a message of {name}; record that topic too'
+            raise RecordingError(f'{self.reader.path}: holds {told}')
+        if not self.states:
+            raise RecordingError(
+                f'{self.reader.path}: holds no {self.node}/state, and q and p have no stamps: '
+                'they cannot be paired by the times at which they came; record that topic too')
+        return texts.pop()
+
+    def _find_node(self) -> tuple[str, tuple[str, ...]]:
+        """Return the simulator, and which of its topics tell of the state."""
+        kinds = {name: self._type_of(number) for name, number in self._topics.items()}
+        for names, kind in ((('state',), 'sensor_msgs/msg/JointState'),
+                            (('q', 'p'), 'std_msgs/msg/Float64MultiArray')):
+            nodes = [node for node, _, last in (topic.rpartition('/') for topic in kinds)
+                     if last == names[0] and all(
+                         kinds.get(f'{node}/{name}') == kind for name in names)]
+            if nodes:
+                # Other nodes may have a topic of that name, but no scene.
+                return next((node for node in nodes if f'{node}/scene' in kinds), nodes[0]), names
+        raise RecordingError(
+            f'{self.reader.path}: holds no topic state of a simulator, nor q and p; topics: '
+            f'{", ".join(sorted(kinds)) or "none"}')
+
+    def _type_of(self, channel: int) -> str:
+        schema = self.reader.schemas.get(self.reader.channels[channel].schema_id)
+        return '' if schema is None else schema.name
 
 
 def described_scene(text: bytes | str, where: str, trust_code: bool = False

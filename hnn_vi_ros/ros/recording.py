@@ -8,20 +8,24 @@ from pathlib import Path
 import shlex
 import shutil
 import sys
+from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.ros.held_state import STATE_FILE, state_file
 from hnn_vi_ros.ros.run_folder import create_run_folder
-from hnn_vi_ros.ros.scene_report import resolved_scene
+from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.ros.serialization import serialize
 from hnn_vi_ros.ros.timing import Figures
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.bag_metadata import Topic
+from hnn_vi_ros.sinks.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.yaml_text import dump_yaml
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from std_msgs.msg import String
 
 VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
 SERVER_PORT = 9876
@@ -46,12 +50,14 @@ class Recording:
         In its initial state.
     values : dict
         The node's parameters.
-    topics : sequence of Topic
+    topics : BagTopics
         What the bag holds.
     box : tuple of np.ndarray, shape (d, 2) each
         Lowest and highest q and p that the picture leaves room for.
-    origin : int
-        Stamp of step 0 [ns].
+    report : dict
+        What ~/scene tells, and the bag.
+    sampler : Sampler
+        Whose stamps count.
 
     Attributes
     ----------
@@ -68,15 +74,15 @@ class Recording:
     """
 
     def __init__(self, logger: RcutilsLogger, scene: Scene, simulation: Simulation,
-                 values: dict, topics: Sequence[Topic],
-                 box: tuple[np.ndarray, np.ndarray], origin: int = 0):
+                 values: dict, topics: BagTopics, box: tuple[np.ndarray, np.ndarray],
+                 report: dict[str, Any], sampler: Sampler):
         self._logger, self._simulation = logger, simulation
         self._values, self._topics, self._box = values, topics, box
         self.problem = ''
         self._bag_wanted = values['record']
         self._folder: Path | None = None
         self._used: set[Path] = set()
-        self._choose_files(scene, origin)
+        self._choose_files(scene, report, sampler)
         try:
             self._open_bag()
             self._open_picture()
@@ -85,7 +91,7 @@ class Recording:
             self.close()
             raise
 
-    def renew(self, scene: Scene, origin: int) -> None:
+    def renew(self, scene: Scene, report: dict[str, Any], sampler: Sampler) -> None:
         """
         Close the files and go on in new ones, beside them; nothing is ever overwritten.
 
@@ -93,13 +99,15 @@ class Recording:
         ----------
         scene : Scene
             With the initial state from which the simulation goes on.
-        origin : int
-            Stamp of step 0 [ns].
+        report : dict
+            What ~/scene tells from now on.
+        sampler : Sampler
+            Whose stamps count from now on.
 
         """
         self.close()
         self.report()
-        self._choose_files(scene, origin)
+        self._choose_files(scene, report, sampler)
         for sink in (self._open_bag, self._open_picture):
             try:
                 sink()
@@ -215,11 +223,10 @@ class Recording:
             sys.stdout.write('\n'.join(lines) + '\n')
             sys.stdout.flush()
 
-    def _choose_files(self, scene: Scene, origin: int) -> None:
+    def _choose_files(self, scene: Scene, report: dict[str, Any], sampler: Sampler) -> None:
         """Choose names; the first ones as they were asked for, later ones with a number."""
-        self._scene, self.samples = scene, 0
-        # From where the scene's initial state is: a bag may be begun later.
-        self._begin = origin, self._simulation.steps
+        self._scene, self._report, self._sampler = scene, report, sampler
+        self.samples = 0
         self._bag_sink = self._picture_sink = None
         picture, sink = self._values['rerun_path'], self._values['rerun_sink']
         self._bags = [self._free_bag()] if self._bag_wanted else []
@@ -245,11 +252,18 @@ class Recording:
     def _open_bag(self) -> None:
         if not self._bag_wanted:
             return
+        scene = dump_yaml(self._report)
         attachments = {
-            'scene.yaml': resolved_scene(self._scene, self._simulation, *self._begin),
-            'parameters.yaml': self._values}
-        self._bag_sink = McapSink(self._bags[-1], self._topics, {
-            name: dump_yaml(data).encode() for name, data in attachments.items()})
+            'scene.yaml': scene.encode(),
+            'parameters.yaml': dump_yaml(self._values).encode()}
+        if self._simulation.steps != self._report['first_step']:
+            attachments[STATE_FILE] = state_file(self._simulation)
+        sink = McapSink(self._bags[-1], self._topics.tick, attachments)
+        # Stamped with the state that the bag begins at, from which on it acts.
+        sink.write_other(
+            self._topics.scene, self._sampler.stamp, serialize(String(data=scene)))
+        sink.flush()
+        self._bag_sink = sink
 
     def _open_picture(self) -> None:
         scene, simulation, values = self._scene, self._simulation, self._values

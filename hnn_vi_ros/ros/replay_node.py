@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 import sys
 
@@ -30,6 +31,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_srvs.srv import SetBool, Trigger
 
@@ -82,7 +84,8 @@ class ReplayNode(Node):
             self._clock_publisher = ClockPublisher(
                 create_publisher(self, *reversed(CLOCK_TOPIC), CLOCK_QOS))
         self.player = Player(
-            lambda: read_ahead(self._reader.messages(self._publishers_of, first, last)),
+            lambda: read_ahead(chain(
+                self._latched(first), self._reader.messages(self._publishers_of, first, last))),
             self._publish, self._clock_publisher.tell if values['publish_clock'] else None,
             first, last,
             values['rate'], values['loop'], values['start_paused'])
@@ -122,12 +125,14 @@ class ReplayNode(Node):
         if unknown := [name for name in wanted if name not in known]:
             raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
                                  f'{", ".join(known) or "none"}')
+        left_out = {CLOCK_TOPIC[0]} if values['publish_clock'] else set()
+        if not wanted:
+            left_out |= self._heard(known)
         topics: dict[str, Publisher] = {}
         publishers: dict[int, Publisher] = {}
         for number, channel in self._reader.channels.items():
             name = channel.topic
-            own_clock = values['publish_clock'] and name == CLOCK_TOPIC[0]
-            if own_clock or (wanted and name not in wanted):
+            if name in left_out or (wanted and name not in wanted):
                 continue
             try:
                 if name not in topics:
@@ -138,6 +143,24 @@ class ReplayNode(Node):
         if not publishers:
             raise RecordingError(f'{self._reader.path}: holds no topic that can be published')
         return publishers
+
+    def _heard(self, topics: Sequence[str]) -> set[str]:
+        """Return the commands that a recorded simulator heard: they would drive one that runs."""
+        heard = {name for name in topics if name.endswith('/commands')
+                 and f'{name.removesuffix("commands")}scene' in topics}
+        for name in sorted(heard):
+            self.get_logger().info(f'{name} is left out, since it would drive a simulator that '
+                                   'runs; name it in topics to publish it')
+        return heard
+
+    def _latched(self, first: int) -> Iterator[Recorded]:
+        """Yield what is latched when playing begins: those who subscribe then must have it."""
+        latched = [number for number, publisher in self._publishers_of.items()
+                   if publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL]
+        if first > self._reader.first:
+            newest = {message.channel: message for message
+                      in self._reader.messages(latched, last=first - 1)}
+            yield from (message._replace(time=first) for message in newest.values())
 
     def _publisher(self, channel) -> Publisher:
         schema = self._reader.schemas.get(channel.schema_id)

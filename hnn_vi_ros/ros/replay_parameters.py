@@ -14,7 +14,7 @@ PARAMETERS = tuple(replace(item, changes=START) for item in (
     Specification('duration', 0.0, 'time of the bag that is played; 0 plays to its end', 's',
                   0.0, 1e9),
     Specification('topics', '', 'names of the topics to publish, separated by commas; empty '
-                  'publishes all'),
+                  'publishes all but the commands that a simulator heard'),
     Specification('publish_clock', False, "publish the bag's time on `/clock`, each 10 ms of it"),
     Specification('start_paused', False, 'begin paused'),
     Specification('discovery_time', 2.0,

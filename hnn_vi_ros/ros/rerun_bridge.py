@@ -20,29 +20,37 @@ from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
+from hnn_vi_ros.ros.topics import LATCHED
 from hnn_vi_ros.sinks.rerun_sink import Target
+from hnn_vi_ros.sinks.state_message import decode_state, State
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 _QUEUE = QoSProfile(depth=1000)
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Ticks of which not all messages are there yet.
 _MOST_OPEN = 1000
+# By the last part of their names: the topics that tell of a sample in parts, and all their types.
+_TICK = {name.rpartition('/')[2]: name for name, _ in (*TICK_TOPICS[1:], ACCURACY_TOPIC)}
+_KINDS = {name.rpartition('/')[2]: kind
+          for name, kind in (*TICK_TOPICS[1:], ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
 
 
 class RerunBridge(Node):
     """
     Show the topics of a simulator.
 
-    The messages of one tick are put together by the number that the middleware gives each message
-    of a topic: the simulator publishes every tick topic once a tick.
+    A sample is a message of ~/state. Of a simulator without that topic, the messages of one tick
+    are put together by the number that the middleware gives each message of a topic: it publishes
+    every tick topic once a tick.
 
     Parameters
     ----------
@@ -73,14 +81,18 @@ class RerunBridge(Node):
         self._picture: BridgePicture | None = None
         self._open: dict[int, dict[str, Any]] = {}
         self._names = NEEDED
+        self._tick_subscriptions: list[Subscription] = []
 
     def listen(self) -> None:
-        """Subscribe to the scene and the topics of a tick."""
-        for topic, (kind, callback, qos) in self._topics.items():
-            create_subscription(self, kind, topic, callback, qos)
+        """Subscribe to the scene, the state, and what tells of samples where there is none."""
+        ticks = {topic.replace('~', self._values['simulator']) for topic in _TICK.values()}
+        for topic, (kind, callback, qos, raw) in self._topics.items():
+            subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)
+            if topic in ticks:
+                self._tick_subscriptions.append(subscription)
 
-    def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile]]:
-        """Return message type, callback and QoS by topic."""
+    def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile, bool]]:
+        """Return message type, callback, QoS and whether bytes are wanted, by topic."""
         simulator = self._values['simulator']
         try:
             validate_topic_name(simulator)
@@ -89,41 +101,54 @@ class RerunBridge(Node):
                                  'of a node, such as /hnn_simulator') from problem
         name, kind = DIAGNOSTICS_TOPIC
         return {
-            f'{simulator}/scene': (String, self._on_scene, _LATCHED),
-            **{tick.replace('~', simulator): (kind, self._keeper(tick.rpartition('/')[2]), _QUEUE)
-               for tick, kind in (*TICK_TOPICS, ACCURACY_TOPIC)},
-            name: (kind, lambda message: self._tell(message, simulator), _QUEUE)}
+            f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
+            f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
+            **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
+               for last, topic in _TICK.items()},
+            name: (kind, lambda message: self._tell(message, simulator), _QUEUE, False)}
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
         run = RecordedRun(bag, self._values['trust_code'])
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
-        kinds = {name.rpartition('/')[2]: kind
-                 for name, kind in (*TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
         names = {number: channel.topic.rpartition('/')[2]
                  for number, channel in run.reader.channels.items()}
-        simulator = next((channel.topic.rpartition('/')[0] for channel in
-                          run.reader.channels.values() if channel.topic.endswith('/q')), '')
-        tick, stamp = {}, -1
-        for message in run.reader.messages(
-                [number for number, name in names.items() if name in kinds]):
-            if message.time != stamp:
-                self._show(tick)
-                tick, stamp = {}, message.time
-            name = names[message.channel]
-            content = deserialize_message(message.data, kinds[name])
-            if name == 'diagnostics':
-                # An alarm belongs to the sample of its time, which is there by now.
-                self._show(tick)
-                tick = {}
-                self._tell(content, simulator)
-            else:
-                tick[name] = content
-        self._show(tick)
+        if run.states:
+            self._show_states(run, [*run.states, *(
+                number for number, name in names.items() if name == 'diagnostics')])
+        else:
+            self._show_ticks(run, {
+                number: name for number, name in names.items() if name in _KINDS})
         if run.reader.damage:
             self.get_logger().warning(run.reader.damage)
         return picture.samples
+
+    def _show_states(self, run: RecordedRun, channels: list[int]) -> None:
+        states = frozenset(run.states)
+        for message in run.reader.messages(channels):
+            if message.channel in states:
+                self._show(run.state(message))
+            else:
+                self._tell(deserialize_message(message.data, DiagnosticArray), run.node)
+
+    def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
+        """Show the samples of a bag of before ~/state."""
+        tick, stamp = {}, -1
+        for message in run.reader.messages(names):
+            if message.time != stamp:
+                self._show_tick(tick)
+                tick, stamp = {}, message.time
+            name = names[message.channel]
+            content = deserialize_message(message.data, _KINDS[name])
+            if name == 'diagnostics':
+                # An alarm belongs to the sample of its time, which is there by now.
+                self._show_tick(tick)
+                tick = {}
+                self._tell(content, run.node)
+            else:
+                tick[name] = content
+        self._show_tick(tick)
 
     def close(self) -> None:
         """Send what is left."""
@@ -157,9 +182,25 @@ class RerunBridge(Node):
             return target.with_name(f'{target.stem}-{self._scenes}{target.suffix}')
         return target
 
+    def _on_state(self, payload: bytes) -> None:
+        """Show a sample; the topics that would tell of it in parts are not needed any more."""
+        for subscription in self._tick_subscriptions:
+            self.destroy_subscription(subscription)
+        self._tick_subscriptions.clear()
+        try:
+            self._show(decode_state(payload))
+        except ValueError as problem:
+            self.get_logger().error(
+                f'~/state is no state: {problem}', throttle_duration_sec=1.0)
+
     def _keeper(self, name: str) -> Callable:
-        """Return what takes the messages of a topic."""
+        """Return what takes the messages of a topic, where there is no ~/state."""
+        state = f'{self._values["simulator"]}/state'
+
         def keep(message: Any, info: dict) -> None:
+            # The simulator announces ~/state before the topics that are heard here.
+            if self.count_publishers(state):
+                return
             if name not in self._names:
                 # It is published after all.
                 self._names = self._names | {name}
@@ -168,16 +209,23 @@ class RerunBridge(Node):
             tick[name] = message
             if self._names <= tick.keys():
                 del self._open[number]
-                self._show(tick)
+                self._show_tick(tick)
             elif len(self._open) > _MOST_OPEN:
                 # Some message of an old tick will not come any more.
                 del self._open[min(self._open)]
         return keep
 
-    def _show(self, tick: dict[str, Any]) -> None:
+    def _show(self, state: State) -> None:
+        if self._picture is not None:
+            try:
+                self._picture.show(state)
+            except HnnViRosError as problem:
+                self.problem = problem
+
+    def _show_tick(self, tick: dict[str, Any]) -> None:
         if self._picture is not None and NEEDED <= tick.keys():
             try:
-                self._picture.show(tick)
+                self._picture.show_tick(tick)
             except HnnViRosError as problem:
                 self.problem = problem
 

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Sequence
 import math
 import time
+from typing import Any
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards import make_guards
@@ -21,7 +22,9 @@ from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.status_line import StatusLine
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.yaml_text import dump_yaml
 from rclpy.node import Node
 
 
@@ -64,9 +67,9 @@ class Run:
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
         topics.open(self.simulation, monitor, self._scene.mechanism, self._box,
-                    values['frame_id'])
+                    values['frame_id'], self._record_heard)
         self._begin(monitor)
-        topics.publish_scene(prepared.report)
+        self._tell_scene(prepared.report)
         for event in prepared.events:
             self.tell(*event)
         if self.sampler.deviation:
@@ -97,6 +100,14 @@ class Run:
             lambda text, level: self.tell(text, level, show=False), self._errors())
         self.status = RunStatus(scene, self.simulation, monitor, self.recording, self._health,
                                 values['real_time_factor'])
+
+    def _tell_scene(self, report: dict[str, Any]) -> None:
+        self._report = report
+        self._topics.publish_scene(dump_yaml(report))
+
+    def _record_heard(self, topic: Topic, payload: bytes) -> None:
+        """Record what acts from the next step on, stamped with the state it finds."""
+        self.recording.write_other(topic, self.sampler.stamp, payload)
 
     def _errors(self) -> list[str]:
         return [STEP_FAILED, EnergyGuard.kind,
@@ -228,7 +239,11 @@ class Run:
         self.sampler = Sampler(self.simulation, self._values['publish_rate'], origin)
         monitor = self._make_monitor()
         self._topics.follow(monitor)
-        self.recording.renew(self._scene, origin)
+        report = self._report | {
+            'initial_state': self._scene.initial_state.model_dump(), 'origin': origin,
+            'first_step': 0}
+        self.recording.renew(self._scene, report, self.sampler)
+        self._tell_scene(report)
         paused = self.status.paused
         self._begin(monitor)
         self.status.paused = paused

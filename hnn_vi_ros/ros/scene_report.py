@@ -8,7 +8,6 @@ from typing import Any
 
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.yaml_text import dump_yaml
 
 
 def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_step: int = 0
@@ -35,35 +34,39 @@ def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_
             | {'model_files': scene.model_digests} | begin)
 
 
-def scene_report(scene: Scene, simulation: Simulation, microseconds_per_step: float | None,
-                 explain: bool) -> str:
+def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
+                 microseconds_per_step: float | None = None, explain: bool = False
+                 ) -> dict[str, Any]:
     """
-    Return the resolved scene as YAML, with what is live in it and what that costs.
+    Return the resolved scene, with what is live in it: what ~/scene and the log tell.
 
     Parameters
     ----------
     scene : Scene
         What is simulated.
     simulation : Simulation
-        Made of it.
+        Made of it, in its initial state.
+    origin : int
+        Stamp of step 0 [ns].
     microseconds_per_step : float or None
         Measured wall time of a step [us].
     explain : bool
-        Whether to measure what each effect adds; compiles a kernel for each.
+        Whether to tell that, and to measure what each effect adds; compiles a kernel for each.
+        Without it equal runs tell the same.
 
     """
-    report = resolved_scene(scene, simulation) | {
+    report = resolved_scene(scene, simulation, origin, simulation.steps) | {
         'live_effects': [effect.model_dump() for effect in scene.effects],
         'conservative': simulation.conservative,
-        'microseconds_per_step': _rounded(microseconds_per_step),
     }
     if explain:
         # Imported here: only those who ask for it wait for it.
         from hnn_vi_ros.studies.effect_cost import measure_effects
+        report['microseconds_per_step'] = _rounded(microseconds_per_step)
         report['added_microseconds'] = {
             label: _rounded(1e6 * seconds)
             for label, seconds in measure_effects(scene).added.items()}
-    return dump_yaml(report)
+    return report
 
 
 def _rounded(microseconds: float | None) -> float | None:

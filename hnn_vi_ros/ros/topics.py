@@ -14,8 +14,9 @@ from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
+from hnn_vi_ros.ros.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.bag_metadata import Topic
+from hnn_vi_ros.sinks.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.sinks.phase_portrait import frames_of, reach_of
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
@@ -23,12 +24,15 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, String
 
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
+SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
+COMMANDS_TOPIC: tuple[str, type] = ('~/commands', Float64MultiArray)
 _TICKS = QoSProfile(depth=10)
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An alarm is not to be replaced by the next report before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -45,8 +49,8 @@ class Topics:
     """
     What the simulator publishes and hears.
 
-    The topics of every tick are there at once, so that other nodes discover them while the kernel
-    is being compiled; ``open`` adds those that depend on the scene.
+    The topics of every tick and the scene's are there at once, so that other nodes discover them
+    while the kernel is being compiled; ``open`` adds those that depend on the scene.
 
     Parameters
     ----------
@@ -67,15 +71,17 @@ class Topics:
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
         self._publishers = [self._publisher(*topic, _TICKS) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
+        self._scene = self._publisher(*SCENE_TOPIC, LATCHED)
         self._clock = ClockPublisher(
             self._publisher(*CLOCK_TOPIC, CLOCK_QOS)) if clock else None
         self._accuracy: AccuracyEncoder | None = None
         self._markers: MarkerPublisher | None = None
 
     def open(self, simulation: Simulation, monitor: Monitor,  # noqa: A003
-             mechanism: str | None, box: tuple[np.ndarray, np.ndarray], frame_id: str) -> None:
+             mechanism: str | None, box: tuple[np.ndarray, np.ndarray], frame_id: str,
+             record: Callable[[Topic, bytes], None]) -> None:
         """
-        Make what depends on the scene: its own topic, messages, markers, and hearing commands.
+        Make what depends on the scene: messages, markers, and hearing commands.
 
         Parameters
         ----------
@@ -89,11 +95,12 @@ class Topics:
             Lowest and highest q and p that the drawing leaves room for.
         frame_id : str
             Frame of the markers.
+        record : callable
+            Takes a command that acts from now on: its topic, and the message.
 
         """
         hamiltonian = simulation.hamiltonian
-        self._simulation = simulation
-        self._scene = self._publisher('~/scene', String, _LATCHED)
+        self._simulation, self._record = simulation, record
         self._encoder = MessageEncoder([c.name for c in hamiltonian.coordinates])
         self.follow(monitor)
         if mechanism is not None:
@@ -103,14 +110,17 @@ class Topics:
                 self._publisher(*MARKERS_TOPIC, _NEWEST), MECHANISMS[mechanism],
                 reach_of(frames), frame_id)
         if simulation.takes_commands:
-            self.hear('~/commands', Float64MultiArray, self._on_command)
+            heard = self.hear(*COMMANDS_TOPIC, self._on_command)
+            self._commands = describe_topic(
+                heard.topic_name, Float64MultiArray, heard.qos_profile)
 
     def follow(self, monitor: Monitor) -> None:
         """Take the accuracy from what is measured of a run, in its initial state."""
         if len(self._publishers) > len(TICK_TOPICS):
             self._accuracy = AccuracyEncoder(self._simulation, monitor)
 
-    def hear(self, topic: str, message_type: type, take: Callable[[Any], None]) -> None:
+    def hear(self, topic: str, message_type: type, take: Callable[[Any], None]
+             ) -> Subscription:
         """
         Hear a topic: the newest message counts, and what cannot be used is told and ignored.
 
@@ -135,8 +145,10 @@ class Topics:
                     f'{topic}: message ignored: {" ".join(str(problem).split())[:200]}',
                     throttle_duration_sec=1.0)
 
-        self._opened.append(create_subscription(
-            self._node, message_type, topic, on_message, _NEWEST, raw=True))
+        subscription = create_subscription(
+            self._node, message_type, topic, on_message, _NEWEST, raw=True)
+        self._opened.append(subscription)
+        return subscription
 
     def close(self) -> None:
         """Take all topics away."""
@@ -149,7 +161,7 @@ class Topics:
 
     def publish_scene(self, text: str) -> None:
         """Publish the scene, for those as well who subscribe later."""
-        self._scene.publish(String(data=text))
+        self._scene.publish(serialize(String(data=text)))
 
     def publish(self, sample: Sample) -> Sequence[bytes]:
         """Publish a sample; return the messages as they were sent, as the log takes them."""
@@ -165,11 +177,13 @@ class Topics:
         return payloads
 
     @property
-    def descriptions(self) -> list[Topic]:
-        """Return what the log says of the topics of every tick."""
-        return [describe_topic(publisher.topic_name, message_type, publisher.qos_profile)
-                for publisher, (_, message_type)
-                in zip(self._publishers, self._tick_topics, strict=True)]
+    def descriptions(self) -> BagTopics:
+        """Return what the log says of the topics of every tick, and of the scene's."""
+        return BagTopics(
+            [describe_topic(publisher.topic_name, message_type, publisher.qos_profile)
+             for publisher, (_, message_type)
+             in zip(self._publishers, self._tick_topics, strict=True)],
+            describe_topic(self._scene.topic_name, String, self._scene.qos_profile))
 
     @property
     def subscribers(self) -> int:
@@ -187,3 +201,5 @@ class Topics:
 
     def _on_command(self, message: Float64MultiArray) -> None:
         self._simulation.set_command(list(message.data))
+        # Anew, not as it came: the padding is the sender's, which no two runs have in common.
+        self._record(self._commands, serialize(message))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.identity import identity
+from hnn_vi_ros.ros.held_state import restore_state
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.even_grid import missing_stamps
@@ -84,8 +85,8 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained
-    commands = '; the scene takes commands, which the log does not hold' \
-        if simulation.takes_commands else ''
+    commands = '; the scene takes commands, and the log does not tell at which step any acted' \
+        if simulation.takes_commands and not any(run.commands()) else ''
     return Verdict(
         f'{told}{samples} samples agree bit by bit, {where}; then {difference.name} differs at '
         f't = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} in the log, '
@@ -108,7 +109,7 @@ def _missing(run: RecordedRun) -> str:
 
 
 def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
-    """Return a simulation of the run's beginning, its initial state changed by a small part."""
+    """Return a simulation of the bag's beginning, its first state changed by a small part."""
     simulation = Simulation.from_scene(run.scene)
     for name, value in simulation.hamiltonian.provenance.items():
         if run.described.get(name, value) != value:
@@ -118,24 +119,45 @@ def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
     q, p = simulation.q.copy(), simulation.p.copy()
     change = shake * max(np.abs(q).max(), np.abs(p).max())
     simulation.restart(q + change, p + change, step=run.first_step)
+    if (state := run.held_state) is not None:
+        restore_state(simulation, state, str(run.reader.path), change)
     return simulation
 
 
 def _simulated(run: RecordedRun, *simulations: Simulation
                ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Yield stamp, q and p of each sample, with the simulations advanced to it."""
+    """Yield stamp, q and p of each sample, with the simulations advanced to it, as driven."""
+    commands = run.commands()
+    command = next(commands, None)
     for stamp, q, p in run.samples():
         step = run.step_of(stamp)
+        # The state of a step is told before what it then hears, which acts on the steps after it.
+        while command is not None and command[0] < step:
+            for simulation in simulations:
+                _advance(run, simulation, command[0])
+                _command(run, simulation, command[1])
+            command = next(commands, None)
         for simulation in simulations:
-            try:
-                simulation.advance(step - simulation.steps)
-            except StepFailure as failure:
-                raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
-                                     ) from failure
+            _advance(run, simulation, step)
             if simulation.q.shape != q.shape or simulation.p.shape != p.shape:
                 raise RecordingError(f'{run.reader.path}: holds samples of another dimension '
                                      'than its scene')
         yield stamp, q, p
+
+
+def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
+    try:
+        simulation.advance(step - simulation.steps)
+    except StepFailure as failure:
+        raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
+                             ) from failure
+
+
+def _command(run: RecordedRun, simulation: Simulation, values: list[float]) -> None:
+    try:
+        simulation.set_command(values)
+    except ValueError as problem:
+        raise RecordingError(f'{run.reader.path}: {run.node}/commands: {problem}') from problem
 
 
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.sinks.regular_file import open_file
@@ -47,6 +47,23 @@ class Topic:
     definition: str
     type_hash: str
     offered_qos_profiles: str
+
+
+class BagTopics(NamedTuple):
+    """
+    What a bag holds from its start on.
+
+    Parameters
+    ----------
+    tick : sequence of Topic
+        Those of every tick, in the order of its payloads.
+    scene : Topic
+        That of the scene.
+
+    """
+
+    tick: Sequence[Topic]
+    scene: Topic
 
 
 def bag_metadata(file_name: str, topics: Sequence[Topic], counts: Sequence[int], first: int,

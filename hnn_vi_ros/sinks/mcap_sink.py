@@ -28,7 +28,8 @@ class McapSink:
     """
     Write the messages of each tick, and others, to ``<folder>/<folder name>_0.mcap``.
 
-    Whatever is older than a second is with the operating system and outlives a killed process.
+    What explains the recording is with the operating system once it is open, and whatever is
+    older than a second: it outlives a killed process.
     Nothing here calls ROS, so a recording can be closed after ROS was shut down.
 
     Parameters
@@ -69,7 +70,8 @@ class McapSink:
             # By which it is known whether the same run could be had again, bit by bit.
             self._writer.add_metadata('hnn_vi_ros', identity())
             self._channels = [self._register(topic) for topic in self._topics]
-            # With the first message, at once: a file that has grown is that of a run.
+            self._flush()
+            # With the first tick, at once: of a run that began there is a sample.
             self._next_flush = 0.0
         except OSError as problem:
             raise self._abandon(problem) from problem

@@ -47,7 +47,7 @@ Written by `ros2 run hnn_vi_ros bag_to_model --docs docs`, on {machine}.
 ```
 
 The training configuration, [{config}.yaml](../config/training/{config}.yaml), takes positions and
-velocities from the bag's joint states and momenta from `~/p`; dp/dt is estimated by a
+velocities from the bag's joint states and momenta from `~/state`; dp/dt is estimated by a
 Savitzky-Golay filter. It learned from {dataset}: one chaotic motion, which comes near every state
 of its energy. The loss on held-out blocks of time is {loss:.2g} of the mean
 squared rates, with seed {seed}.

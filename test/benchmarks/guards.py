@@ -13,6 +13,7 @@ from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
@@ -58,7 +59,7 @@ def _row(node: Node, folder: Path, settings: Settings) -> Row:
         f'{_SCENE}, guards: time of a tick of one step', times, times - watched, target=1.02,
         scale=1e6 / _TICKS, peer_name='without',
         note='what the node does for each sample, at one sample a step: the step, the sample, '
-             'its figures, four messages published and recorded in the bag; no picture, no '
+             'its figures, five messages published and recorded in the bag; no picture, no '
              'subscriber, and without the executor; the guards are timed inside of the tick',
         miss='guards in Python take a microsecond or two a sample, whatever a step costs.')
 
@@ -79,11 +80,11 @@ def _make_tick(node: Node, folder: Path
     sampler, topics = Sampler(simulation, 1.0 / simulation.step_size), Topics(node, False)
     monitor = Monitor(simulation, sampler.every, sampler.tick, None, lambda text, first: None,
                       make_guards(simulation, *_LIMITS, simulation.hamiltonian.barrier, box))
-    topics.open(simulation, monitor, None, box, 'world')
+    topics.open(simulation, monitor, None, box, 'world', lambda topic, payload: None)
     recording = Recording(
         node.get_logger(), scene, simulation,
         {'record': True, 'record_path': str(folder / 'bag'), 'rerun_sink': 'none',
-         'rerun_path': ''}, topics.descriptions, box)
+         'rerun_path': ''}, topics.descriptions, box, scene_report(scene, simulation), sampler)
     monitor.watch(sampler.sample())
     watching: list[float] = []
 

@@ -9,6 +9,7 @@ import tempfile
 import time
 from typing import TextIO
 
+from hnn_vi_ros.sinks.mcap_reader import BagReader
 from rosbags.highlevel import AnyReader
 
 # By the present test, with their standard output and error; see conftest.py.
@@ -52,6 +53,11 @@ def wait_until(condition, timeout: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, 'timed out'
         time.sleep(0.02)
+
+
+def recorded_until(bag: Path) -> int:
+    """Return the newest log time in a bag that is being recorded [ns]; 0 before its samples."""
+    return BagReader(bag).last if bag.exists() and bag.stat().st_size else 0
 
 
 def read_bag(bag: Path) -> dict[str, list[tuple[int, object]]]:

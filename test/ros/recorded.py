@@ -1,43 +1,103 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as the simulator records them, made without one."""
+"""Bags as the simulator records them, and as other recorders do, made without one."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
+from hnn_vi_ros.ros.held_state import STATE_FILE, state_file
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.ros.scene_report import resolved_scene
+from hnn_vi_ros.ros.scene_report import scene_report
+from hnn_vi_ros.ros.serialization import serialize
+from hnn_vi_ros.ros.topics import COMMANDS_TOPIC, LATCHED, SCENE_TOPIC
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.bag_metadata import Topic
+from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.yaml_text import dump_yaml
+from mcap.writer import Writer
+import numpy as np
 from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray, String
+
+# Wall time at which another recorder began [ns].
+EPOCH = 1_700_000_000 * 10**9
 
 
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                change: Callable[[Sample], None] = lambda sample: None, close: bool = True,
-               **described: object) -> Path:
-    """Record a run; `change` may alter a sample before it is recorded."""
+               commands: Mapping[int, Sequence[list[float]]] | None = None, begin: int = 0,
+               state: bool = True, **described: object) -> Path:
+    """
+    Record a run; `change` may alter a sample before it is recorded.
+
+    Of each step, `commands` are what is heard before it; the bag may begin at a later one. It is
+    one of before ~/state without `state`.
+    """
     simulation = Simulation.from_scene(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
                        step=described.get('first_step', 0))
     sampler = Sampler(simulation, rate)
     encoder = MessageEncoder([c.name for c in simulation.hamiltonian.coordinates])
-    topics = [describe_topic(name.replace('~', '/hnn_simulator') if name[0] == '~' else f'/{name}',
-                             kind, QoSProfile(depth=10)) for name, kind in TICK_TOPICS]
-    attachments = {'scene.yaml': resolved_scene(scene, simulation) | described,
-                   'parameters.yaml': {'publish_rate': rate}}
-    sink = McapSink(bag, topics, {name: dump_yaml(data).encode()
-                                  for name, data in attachments.items()})
-    for _ in range(ticks):
-        simulation.advance(sampler.every)
-        sample = sampler.sample()
-        change(sample)
-        sink.write(sample.stamp, encoder.encode(sample))
-    if close:
-        sink.close()
-    else:
-        sink.flush()
+    report = dump_yaml(scene_report(scene, simulation) | described)
+    first, sink = simulation.steps, None
+    for step in range(first, first + ticks * sampler.every):
+        if step == first + begin:
+            sink = _open(bag, report, sampler, TICK_TOPICS if state else TICK_TOPICS[1:],
+                         state_file(simulation) if begin else None)
+        for values in (commands or {}).get(step, ()):
+            simulation.set_command(values)
+            if sink is not None:
+                sink.write_other(_topic(*COMMANDS_TOPIC), sampler.stamp,
+                                 serialize(Float64MultiArray(data=values)))
+        simulation.advance(1)
+        if simulation.steps % sampler.every == 0 and sink is not None:
+            sample = sampler.sample()
+            change(sample)
+            sink.write(sample.stamp, encoder.encode(sample)[0 if state else 1:])
+    sink.close() if close else sink.flush()
     return bag
+
+
+def _open(bag: Path, report: str, sampler: Sampler, topics: Sequence[tuple[str, type]],
+          state: bytes | None) -> McapSink:
+    attachments = {'scene.yaml': report.encode()} | ({STATE_FILE: state} if state else {})
+    sink = McapSink(bag, [_topic(*topic) for topic in topics], attachments)
+    sink.write_other(_topic(*SCENE_TOPIC), sampler.stamp, serialize(String(data=report)))
+    return sink
+
+
+def _topic(name: str, kind: type) -> Topic:
+    full = name.replace('~', '/hnn_simulator') if name[0] == '~' else f'/{name}'
+    return describe_topic(full, kind, LATCHED if kind is String else QoSProfile(depth=10))
+
+
+def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: float = 0.004
+                ) -> Path:
+    """Write a bag as `ros2 bag record -a` would: at the times [s] of reception, no attachments."""
+    reader, rng = BagReader(bag), np.random.default_rng(1)
+    messages, newest = [], {}
+    for message in reader.messages():
+        time = EPOCH + message.time + round(rng.uniform(0.0, jitter) * 1e9)
+        # Those of one topic come in their order.
+        time = newest[message.channel] = max(time, newest.get(message.channel, 0) + 1)
+        messages.append((time, message))
+    messages.sort(key=lambda item: item[0])
+    with path.open('wb') as stream:
+        writer = Writer(stream, chunk_size=8192)
+        writer.start('ros2')
+        channels = {}
+        for number, channel in reader.channels.items():
+            if channel.topic.rpartition('/')[2] not in without:
+                schema = reader.schemas[channel.schema_id]
+                channels[number] = writer.register_channel(
+                    channel.topic, 'cdr', writer.register_schema(
+                        schema.name, 'ros2msg', schema.data), channel.metadata)
+        for time, message in messages:
+            if message.channel in channels:
+                writer.add_message(channels[message.channel], time, message.data, time)
+        writer.finish()
+    return path

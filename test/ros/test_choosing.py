@@ -13,7 +13,6 @@ from hnn_vi_ros.trials import Budget
 from processes import finish, start
 import pytest
 from rerun.chunk import RrdReader
-import yaml
 
 AUTO = """\
 hamiltonian: {kind: harmonic_oscillator}
@@ -65,7 +64,7 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
 def test_scene_report_carries_budget_and_choice(tmp_path, choose):
     choose(Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3))
     scene = load_scene(tmp_path / 'auto.yaml').resolved(1.0 / 100.0)
-    report = yaml.safe_load(scene_report(scene, Simulation.from_scene(scene), None, False))
+    report = scene_report(scene, Simulation.from_scene(scene))
     assert report['budget'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0}
     assert report['choice'] == {'method': 'gauss4', 'step_size': 0.005, 'error': 1e-4,
                                 'checked': 10.0, 'seconds_per_simulated_second': 1e-3}

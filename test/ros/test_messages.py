@@ -38,7 +38,8 @@ def sample_of(dimension: int, step: int) -> Sample:
     """Return a sample whose arrays all differ."""
     rng = np.random.default_rng(step)
     q, p, dH_dq, dH_dp = rng.normal(size=(4, dimension))
-    return Sample(step, step * 10_000_000, q, p, dH_dq, dH_dp, rng.normal(), 0.0, 0.0)
+    return Sample(step, step * 10_000_000, q, p, dH_dq, dH_dp, rng.normal(), 0.0, 0.0,
+                  rng.normal())
 
 
 def decode(encoded: tuple[bytes, ...]) -> list:
@@ -66,8 +67,11 @@ def test_messages_equal_the_sample_bit_for_bit(dimension):
     # All are encoded before the first is looked at: a message must not change with the next.
     encoded = [encoder.encode(sample) for sample in samples]
     for sample, data in zip(samples, encoded):
-        q, p, energy, joints = decode(data)
-        for field, values in ((q.data, sample.q), (p.data, sample.p),
+        state, q, p, energy, joints = decode(data)
+        everything = np.concatenate([
+            sample.q, sample.p, -sample.dH_dq, [sample.energy, sample.work]])
+        assert state.header == joints.header
+        for field, values in ((state.position, everything), (q.data, sample.q), (p.data, sample.p),
                               (joints.position, sample.q), (joints.velocity, sample.dH_dp),
                               (joints.effort, -sample.dH_dq)):
             assert field.tobytes() == values.tobytes()
@@ -79,7 +83,8 @@ def test_messages_keep_hard_values_bit_for_bit():
     values = np.array(HARD_VALUES)
     names = [f'x{i}' for i in range(len(values))]
     sample = Sample(0, 0, values, -values, values, -values, -0.0, 0.0, 0.0)
-    q, p, energy, joints = decode(messages.MessageEncoder(names).encode(sample))
+    state, q, p, energy, joints = decode(messages.MessageEncoder(names).encode(sample))
+    assert state.position[:15].tobytes() == np.concatenate([values, -values, -values]).tobytes()
     assert q.data.tobytes() == joints.position.tobytes() == values.tobytes()
     assert p.data.tobytes() == joints.effort.tobytes() == (-values).tobytes()
     assert np.signbit(energy.data)
@@ -88,7 +93,7 @@ def test_messages_keep_hard_values_bit_for_bit():
 def test_effort_is_the_generalised_force_and_not_p():
     sample = Sample(0, 0, np.array([1.0]), np.array([2.0]), np.array([3.0]), np.array([4.0]),
                     5.0, 6.0, 7.0)
-    joints = decode(messages.MessageEncoder(['x']).encode(sample))[3]
+    joints = decode(messages.MessageEncoder(['x']).encode(sample))[-1]
     assert list(joints.position) == [1.0]
     assert list(joints.velocity) == [4.0]
     assert list(joints.effort) == [-3.0]
@@ -98,14 +103,15 @@ def test_effort_is_the_generalised_force_and_not_p():
 def test_stamp_is_the_samples_time_in_nanoseconds(stamp):
     one = np.ones(1)
     sample = Sample(0, stamp, one, one, one, one, 0.0, 0.0, 0.0)
-    header = decode(messages.MessageEncoder(['x']).encode(sample))[3].header
-    assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp
-    assert 0 <= header.stamp.nanosec < 10**9
+    decoded = decode(messages.MessageEncoder(['x']).encode(sample))
+    for header in (decoded[0].header, decoded[-1].header):
+        assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp
+        assert 0 <= header.stamp.nanosec < 10**9
 
 
 @pytest.mark.parametrize(('names', 'label'), [(['x'], 'x'), (['a', 'b', 'c'], 'a,b,c')])
 def test_layout_names_the_coordinates(names, label):
-    for message in decode(messages.MessageEncoder(names).encode(sample_of(len(names), 1)))[:2]:
+    for message in decode(messages.MessageEncoder(names).encode(sample_of(len(names), 1)))[1:3]:
         dimension, = message.layout.dim
         assert (dimension.label, dimension.size, dimension.stride) == (
             label, len(names), len(names))
@@ -206,9 +212,10 @@ def test_log_of_encoded_samples_reads_back_in_rosbags(tmp_path):
             found[connection.topic].append(
                 (stamp, reader.deserialize(raw, connection.msgtype)))
     for i, sample in enumerate(samples):
-        (q_stamp, q), (p_stamp, p), (e_stamp, energy), (j_stamp, joints) = (
-            found[topic.name][i] for topic in topics)
-        assert q_stamp == p_stamp == e_stamp == j_stamp == sample.stamp
+        stamps, (state, q, p, energy, joints) = zip(*(found[topic.name][i] for topic in topics))
+        assert set(stamps) == {sample.stamp}
+        assert state.name == ['x', 'y', 'p_x', 'p_y', 'dp_dt_x', 'dp_dt_y', 'H', 'work']
+        assert state.position[-2:].tolist() == [sample.energy, sample.work]
         assert joints.header.stamp.sec * 10**9 + joints.header.stamp.nanosec == sample.stamp
         assert q.data.tolist() == joints.position.tolist() == sample.q.tolist()
         assert p.data.tolist() == sample.p.tolist()

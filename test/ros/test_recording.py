@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording that cannot go on ends with an ERROR diagnostic; the simulation goes on."""
+"""What a recording holds from its start on, and what becomes of one that cannot go on."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +10,16 @@ import signal
 import subprocess
 
 from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.topics import LATCHED
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.sinks.mcap_recovery import recover
 from peer import peer
-from processes import finish, start
+from processes import finish, read_bag, start
 import pytest
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
 
 SCENE = """\
 hamiltonian: {kind: harmonic_oscillator}
@@ -20,6 +27,11 @@ integrator: {kind: variational_euler}
 step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
+# Of the topics of every run: those that are heard here, and the rest.
+QUEUE = QoSProfile(depth=1000)
+TOPICS = {'/hnn_simulator/scene': (String, LATCHED), '/hnn_simulator/state': (JointState, QUEUE),
+          '/hnn_simulator/q': (Float64MultiArray, QUEUE), '/joint_states': (JointState, QUEUE)}
+REST = ('/hnn_simulator/p', '/hnn_simulator/energy')
 
 
 def fill_disk(process: subprocess.Popen, bag: Path) -> None:
@@ -30,6 +42,49 @@ def fill_disk(process: subprocess.Popen, bag: Path) -> None:
 
 def remove_folder(process: subprocess.Popen, bag: Path) -> None:
     shutil.rmtree(bag)
+
+
+def test_two_equal_runs_leave_equal_messages_which_are_those_that_were_published(tmp_path: Path):
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    found = []
+    for name in ('first', 'second'):
+        with peer() as other:
+            heard = {topic: [] for topic in TOPICS}
+            for topic, (kind, qos) in TOPICS.items():
+                other.node.create_subscription(
+                    kind, topic, lambda data, to=heard[topic]: to.append(bytes(data)), qos,
+                    raw=True)
+            process = start(tmp_path, duration=1, discovery_time=20, record_path=name,
+                            rerun_sink='none', real_time_factor=2)
+            other.spin_until(lambda: process.poll() is not None and min(map(len, heard.values())))
+            assert finish(process)[0] == 0
+        reader = BagReader(tmp_path / name)
+        recorded = [(message.time, reader.channels[message.channel].topic, message.data)
+                    for message in reader.messages()]
+        for topic, messages in heard.items():
+            assert messages == [data for _, name, data in recorded if name == topic], topic
+        # What /diagnostics tells is of the wall clock; of this run there is no alarm.
+        assert {topic for _, topic, _ in recorded} == {*heard, *REST}
+        found.append(recorded)
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize('reset', [False, True])
+def test_simulator_killed_before_its_first_step_leaves_a_bag_with_its_scene(
+        tmp_path: Path, reset: bool):
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    process = start(tmp_path, start_paused='true', record_path='bag', rerun_sink='none')
+    bag = tmp_path / ('bag-2' if reset else 'bag')
+    with peer() as other:
+        other.wait_for_state('active')
+        if reset:
+            assert other.trigger('reset').success
+        process.kill()
+        process.wait()
+    assert recover(bag).changed
+    assert RecordedRun(bag).scene.step_size == 0.01
+    ((stamp, message),) = read_bag(bag)['/hnn_simulator/scene']
+    assert stamp == 0 and message.data.encode() == BagReader(bag).attachment('scene.yaml')
 
 
 @pytest.mark.parametrize('spoil, reason', [

@@ -16,6 +16,7 @@ from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_node import find_type, main
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
+from hnn_vi_ros.ros.topics import LATCHED
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from mcap.writer import Writer
 import numpy as np
@@ -30,11 +31,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from recorded import record_run
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray
+from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-TYPES = {'/hnn_simulator/q': Float64MultiArray, '/hnn_simulator/p': Float64MultiArray,
-         '/hnn_simulator/energy': Float64, '/joint_states': JointState}
+TYPES = {'/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArray,
+         '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
+         '/joint_states': JointState}
+SCENE = '/hnn_simulator/scene'
 README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
 
 
@@ -89,15 +92,16 @@ def listener() -> Iterator[Listener]:
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory) -> Path:
-    """Return a bag of two seconds, four messages each 10 ms."""
+    """Return a bag of two seconds, five messages each 10 ms, and a scene."""
     return record_run(tmp_path_factory.mktemp('run') / 'bag', load_scene('exact_pendulum'), 200)
 
 
 def recorded_messages(bag: Path) -> dict[str, list[bytes]]:
     reader = BagReader(bag)
-    messages = {channel.topic: [] for channel in reader.channels.values()}
+    messages = {topic: [] for topic in [*TYPES, SCENE]}
     for message in reader.messages():
         messages[reader.channels[message.channel].topic].append(message.data)
+    del messages[SCENE]
     return messages
 
 
@@ -109,7 +113,7 @@ def test_listener_receives_the_same_bytes_in_the_same_order_and_in_time(bag, lis
     assert status == 0
     assert {topic: [data for _, data in messages] for topic, messages
             in listener.heard.items()} == recorded_messages(bag)
-    assert '800 messages published' in log
+    assert '1001 messages published' in log
     late = float(re.search(r'p99 ([\d.]+) ms', log)[1])
     assert late < max(2.0, 2.0 * _bare_lateness()), log
 
@@ -152,11 +156,12 @@ def test_services_pause_step_and_go_on_with_the_clock_of_the_bag(bag, listener):
         # Playing has not begun yet.
         assert time.monotonic() < wait_for_step
         step = listener.call(Trigger, '/hnn_replay/step', Trigger.Request())
-    listener.spin_until(lambda: listener.counts == {1})
-    assert step.message == 't = 0.010000000 s'
-    step = listener.call(Trigger, '/hnn_replay/step', Trigger.Request())
-    listener.spin_until(lambda: listener.counts == {2})
-    assert step.message == 't = 0.020000000 s'
+    # The scene, which is stamped with the initial state.
+    assert step.message == 't = 0.000000000 s' and listener.counts == {0}
+    for count in (1, 2):
+        step = listener.call(Trigger, '/hnn_replay/step', Trigger.Request())
+        listener.spin_until(lambda: listener.counts == {count})
+        assert step.message == f't = {0.01 * count:.9f} s'
     playing = listener.call(SetBool, '/hnn_replay/set_pause', SetBool.Request(data=False))
     assert (playing.success, playing.message) == (True, 'playing')
     refused = listener.call(Trigger, '/hnn_replay/step', Trigger.Request())
@@ -190,6 +195,32 @@ def test_loop_goes_on_until_sigint_and_exits_0(bag, listener):
     assert energies[:400] == recorded_messages(bag)['/hnn_simulator/energy'] * 2
 
 
+@pytest.mark.parametrize('options', [[], ['--start-offset', 1.5, '--duration', 0.2]])
+def test_who_subscribes_while_a_bag_is_played_gets_its_scene(bag, listener, options):
+    replay = start_replay(bag, '--discovery-time', 0, '--loop', *options)
+    listener.spin_until(lambda: listener.heard['/joint_states'])
+    scenes = []
+    listener.node.create_subscription(String, SCENE, scenes.append, LATCHED)
+    listener.spin_until(lambda: scenes)
+    replay.send_signal(signal.SIGINT)
+    assert finish(replay)[0] == 0
+    assert scenes[0].data.encode() == BagReader(bag).attachment('scene.yaml')
+
+
+@pytest.mark.parametrize('options, published', [
+    ([], 11), (['--topics', f'{SCENE}, /hnn_simulator/commands'], 3)])
+def test_commands_are_played_only_if_they_are_named(tmp_path, options, published):
+    (tmp_path / 'scene.yaml').write_text(
+        'hamiltonian: {kind: free_particle, mass: 1.0, names: [x]}\n'
+        'effects: [{kind: external_force, coordinates: [x]}]\nstep_size: 0.01\n'
+        'integrator: {kind: generalized_leapfrog}\ninitial_state: {q: [0.0], p: [0.0]}\n')
+    driven = record_run(tmp_path / 'bag', load_scene(tmp_path / 'scene.yaml'), 2,
+                        commands={0: [[1.0]], 1: [[2.0]]})
+    status, _, log = finish(start_replay(driven, '--discovery-time', 0, *options))
+    assert status == 0 and f'{published} messages published' in log
+    assert ('/hnn_simulator/commands is left out' in log) == (not options)
+
+
 def foreign_bag(path: Path, *types: str, encoding: str = 'cdr') -> Path:
     with path.open('wb') as stream:
         writer = Writer(stream)
@@ -218,9 +249,10 @@ def test_topic_whose_type_is_not_installed_is_left_out_with_a_warning(tmp_path):
     (['nothing'], 'No such file'), (['--rate', '1'], 'required: BAG'),
     (['--rate', '0', 'BAG'], 'rate'),
     (['BAG', '--topics', '/nothing'], "'/nothing' is not in the bag; it holds: /hnn_simulator"),
-    (['BAG', '--start-offset', '5'], 'the bag is 1.99 s long'),
+    (['BAG', '--start-offset', '5'], 'the bag is 2 s long'),
     (['BAG', '--ros-args', '-p', 'rate:=fast'], 'rate'),
-    (['FOREIGN'], 'no topic that can be published'), (['FOREIGN', '--verify'], 'no scene.yaml'),
+    (['FOREIGN'], 'no topic that can be published'),
+    (['FOREIGN', '--verify'], 'holds no topic state of a simulator'),
 ])
 def test_mistake_is_one_line_with_the_remedy(bag, tmp_path, arguments, told):
     foreign = foreign_bag(tmp_path / 'a.mcap', 'std_msgs/msg/Int32', encoding='json')

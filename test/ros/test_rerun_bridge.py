@@ -12,10 +12,11 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import target_of
 from hnn_vi_ros.ros.parameters import markdown_table
+from hnn_vi_ros.ros.recorded_run import RecordedRun
 import numpy as np
 from processes import finish, read_bag, start, start_executable, wait_until
 import pytest
-from recorded import record_run
+from recorded import as_received, record_run
 from test_health import events_of
 from test_rerun_sink import read
 
@@ -30,10 +31,14 @@ def to_file(path: Path) -> list[str]:
     return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
 
 
-def test_bridge_shows_the_very_samples_of_a_bag(tmp_path):
+@pytest.mark.parametrize('kind', ['own', 'before ~/state', 'of another recorder'])
+def test_bridge_shows_the_very_samples_of_a_bag(tmp_path, kind):
     samples = {}
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300,
-                     change=lambda sample: samples.update({sample.step: sample}))
+                     change=lambda sample: samples.update({sample.step: sample}),
+                     state=kind != 'before ~/state')
+    if kind == 'of another recorder':
+        bag = as_received(bag, tmp_path / 'a.mcap')
     status, _, log = finish(start_bridge(bag, *to_file(tmp_path / 'a.rrd')))
     assert status == 0 and '300 samples shown' in log
     entities = read(tmp_path / 'a.rrd')
@@ -49,6 +54,25 @@ def test_bridge_shows_the_very_samples_of_a_bag(tmp_path):
         assert np.allclose(found, expected, rtol=4e-15, atol=4e-15), entity
     assert [row[0] for row in entities['/state/q']['Scalars:scalars']] == [
         samples[step].q[0] for step in steps]
+
+
+@pytest.mark.parametrize('state', [True, False])
+def test_bridge_shows_a_bag_that_is_replayed(tmp_path, state):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100, state=state)
+    recording = tmp_path / 'live.rrd'
+    bridge = start_bridge(*to_file(recording))
+    replay = start_executable('replay', bag, '--discovery-time', 20)
+    assert finish(replay)[0] == 0
+    wait_until(lambda: recording.exists() and recording.stat().st_size > 5_000)
+    time.sleep(0.5)
+    bridge.send_signal(signal.SIGINT)
+    status, _, log = finish(bridge, 20.0)
+    assert status == 0 and 'showing /hnn_simulator' in log
+    run = {run.step_of(stamp): q[0] for run in [RecordedRun(bag)] for stamp, q, _ in run.samples()}
+    entities = read(recording)['/state/q']
+    assert len(entities['step']) > 20
+    assert [row[0] for row in entities['Scalars:scalars']] == [
+        run[step] for step in entities['step']]
 
 
 def test_bridge_shows_a_running_simulator_and_leaves_it_alone(tmp_path):

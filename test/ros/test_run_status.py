@@ -148,7 +148,8 @@ class Run:
             lambda text, first: self.warnings.append((text, first)))
         values = {'record': False, 'record_path': '', 'rerun_sink': 'none', 'rerun_path': ''}
         self.recording = Recording(
-            rclpy.logging.get_logger('test'), scene, self.simulation, values, [], None)
+            rclpy.logging.get_logger('test'), scene, self.simulation, values, None, None, {},
+            self.sampler)
         self.health = Health(self.simulation, [], SimpleNamespace(
             topic=None, publish=lambda statuses: b''), self.recording, lambda *line: None)
         self.status = RunStatus(

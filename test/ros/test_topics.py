@@ -23,7 +23,6 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
-import yaml
 
 OSCILLATOR = """\
 hamiltonian: {kind: harmonic_oscillator}
@@ -66,7 +65,7 @@ def sample_of(simulation: Simulation, **changes: float) -> Sample:
 
 def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = None) -> Monitor:
     monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
-    topics.open(simulation, monitor, mechanism, BOX, 'world')
+    topics.open(simulation, monitor, mechanism, BOX, 'world', lambda topic, payload: None)
     return monitor
 
 
@@ -104,7 +103,7 @@ def topics_of(node: Node) -> tuple[set[str], set[str]]:
                       node.get_subscriber_names_and_types_by_node(*names)))
 
 
-ALWAYS = {'/simulator/q', '/simulator/p', '/simulator/energy', '/joint_states',
+ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy', '/joint_states',
           '/simulator/scene', '/diagnostics'}
 
 
@@ -227,15 +226,16 @@ def test_scene_reaches_a_subscriber_that_comes_later(tmp_path, nodes):
 def test_scene_report_names_live_effects_and_what_they_cost(tmp_path):
     scene = load(tmp_path, COMMANDED)
     simulation = Simulation.from_scene(scene)
-    report = yaml.safe_load(scene_report(scene, simulation, 1.23456, False))
+    report = scene_report(scene, simulation, origin=5)
     assert report['live_effects'] == [
         {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None}]
     assert report['conservative'] is False
-    assert report['microseconds_per_step'] == 1.235
+    assert (report['origin'], report['first_step']) == (5, 0)
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}
-    assert 'added_microseconds' not in report
-    explained = yaml.safe_load(scene_report(scene, simulation, None, True))
-    assert explained['microseconds_per_step'] is None
+    assert not {'microseconds_per_step', 'added_microseconds'} & report.keys()
+    assert scene_report(scene, simulation, 0, None, True)['microseconds_per_step'] is None
+    explained = scene_report(scene, simulation, 0, 1.23456, True)
+    assert explained['microseconds_per_step'] == 1.235
     added = explained['added_microseconds']
     assert added.keys() == {'external_force'}
     # A force on one coordinate costs nanoseconds; a mistaken unit would be off by 1e6.

@@ -2,17 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag against its own run simulated again, and a run that goes on from a bag."""
 
+from pathlib import Path
+import signal
+
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.ros import verification
+from hnn_vi_ros.ros.held_state import restore_state, state_file
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
-from processes import finish, start_executable
+from peer import peer, SIMULATOR
+from processes import finish, start, start_executable
 import pytest
-from recorded import record_run
+from recorded import as_received, record_run
+import safetensors.numpy
+from std_msgs.msg import Float64MultiArray
 
 # Learned and exact, implicit, driven in time, with noise.
 SCENES = ('harmonic_oscillator', 'exact_double_pendulum', 'damped_driven_pendulum',
@@ -26,6 +33,119 @@ def test_bag_agrees_bit_by_bit_with_its_run_simulated_again(tmp_path, name):
     verdict = verify(bag)
     assert verdict.good
     assert '100 samples agree bit by bit, on the machine' in verdict.text
+
+
+# Implicit, with noise and a watchdog: four steps from sample to sample, 20 to a time-out.
+DRIVEN = """\
+hamiltonian: {kind: double_pendulum}
+effects:
+  - {kind: external_force, coordinates: [angle1], timeout: 0.05}
+  - {kind: thermostat, temperature: 0.1, rate: 1.0, seed: 3}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.0025
+initial_state: {q: [1.0, 0.5], p: [0.0, 0.0]}
+"""
+# Before the first step, at a sample, between two, two at once, and after the watchdog's end.
+COMMANDS = {0: [[0.5]], 40: [[1.0]], 57: [[-1.0], [2.0]], 58: [[1.5]], 159: [[-0.5]],
+            160: [[0.25]], 203: [[3.0]]}
+
+
+@pytest.fixture(scope='module')
+def driven(tmp_path_factory):
+    path = tmp_path_factory.mktemp('driven') / 'driven.yaml'
+    path.write_text(DRIVEN)
+    return load_scene(path)
+
+
+def test_driven_run_agrees_bit_by_bit_by_the_commands_in_its_bag(tmp_path, driven):
+    bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS)
+    verdict = verify(bag)
+    assert verdict.good and '100 samples agree bit by bit' in verdict.text, verdict.text
+
+
+def test_bag_begun_while_a_command_is_held_agrees_bit_by_bit(tmp_path, driven):
+    # At step 60 the one of step 58 is held until step 78; solver and bath have a history.
+    for begin in (60, 62):
+        bag = record_run(tmp_path / f'bag{begin}', driven, 100, commands=COMMANDS, begin=begin)
+        verdict = verify(bag)
+        assert verdict.good and '85 samples agree bit by bit' in verdict.text, verdict.text
+
+
+def test_driven_run_whose_commands_are_gone_is_not_certified(tmp_path, driven):
+    bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS)
+    verdict = verify(as_received(bag, tmp_path / 'a.mcap', without=['commands']))
+    assert not verdict.good and 'the log does not tell at which step' in verdict.text
+    # At which step those acted that came at some time of another clock is not known either.
+    assert not verify(as_received(bag, tmp_path / 'b.mcap')).good
+
+
+def test_bag_of_another_recorder_is_verified_and_resumed_by_its_scene_topic(tmp_path):
+    scene = load_scene('harmonic_oscillator')
+    own = record_run(tmp_path / 'bag', scene, 100)
+    bag = as_received(own, tmp_path / 'a.mcap')
+    verdict = verify(bag)
+    assert '100 samples agree bit by bit' in verdict.text, verdict.text
+    there, here = resume(bag), resume(own)
+    assert (there.scene, there.step, there.origin) == (here.scene, here.step, here.origin)
+
+
+@pytest.mark.parametrize('without, words', [
+    (['scene'], 'neither a scene.yaml nor a message of /hnn_simulator/scene'),
+    (['state'], 'no /hnn_simulator/state'), (['state', 'q'], 'holds no topic state')])
+def test_bag_of_another_recorder_that_lacks_a_topic_is_one_line(tmp_path, without, words):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5)
+    with pytest.raises(RecordingError, match=words) as caught:
+        verify(as_received(bag, tmp_path / 'a.mcap', without=without))
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('change', [
+    lambda state: state.pop('steps'), lambda state: state.update(steps=np.zeros(3)),
+    lambda state: state.update(way=np.array(7)), lambda state: state.update(way=np.array(-1)),
+    lambda state: state.update(steps=np.array(-1))])
+def test_state_that_is_not_of_the_simulation_is_refused_and_changes_nothing(change):
+    simulation = Simulation.from_scene(load_scene('exact_pendulum'))
+    state = safetensors.numpy.load(state_file(simulation))
+    change(state)
+    for data in (safetensors.numpy.save(state), b'', bytes(100)):
+        with pytest.raises(RecordingError, match='state.safetensors'):
+            restore_state(simulation, data, 'bag')
+    assert simulation.steps == 0
+
+
+def test_bags_of_a_commanded_simulator_agree_bit_by_bit_whenever_they_were_begun(
+        tmp_path: Path, driven):
+    process = start(tmp_path, scene=driven.source, record_path='bag', rerun_sink='none')
+    with peer() as other:
+        publisher = other.node.create_publisher(
+            Float64MultiArray, f'{SIMULATOR}/commands', 10)
+        other.spin_until(lambda: other.states and publisher.get_subscription_count())
+
+        def drive(count: int) -> None:
+            for i in range(count):
+                publisher.publish(Float64MultiArray(data=[(-1.0)**i]))
+                # Now and then for longer than the watchdog allows.
+                other.spin(0.1 if i % 7 == 0 else 0.007)
+
+        drive(30)
+        assert other.trigger('stop_recording').success
+        drive(5)
+        assert other.trigger('start_recording').success
+        drive(30)
+        assert other.trigger('reset').success
+        drive(20)
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
+    for name in ('bag', 'bag-2', 'bag-3'):
+        assert len(list(RecordedRun(tmp_path / name).commands())) > 10
+        verdict = verify(tmp_path / name)
+        assert verdict.good, verdict.text
+
+
+def test_bag_of_before_the_state_topic_agrees_bit_by_bit(tmp_path):
+    bag = record_run(tmp_path / 'bag', load_scene('harmonic_oscillator'), 50, state=False)
+    verdict = verify(bag)
+    assert verdict.good and '50 samples agree bit by bit' in verdict.text
 
 
 def shift(stamp: int, size: float):
@@ -95,7 +215,6 @@ def test_run_resumed_from_a_log_goes_on_as_the_unbroken_one(tmp_path, name):
     assert resumption.step == run.step_of(samples[99][0]) == simulation.steps
     assert np.array_equal(simulation.q, samples[99][1])
     assert np.array_equal(simulation.p, samples[99][2])
-    assert resumption.parameters == {'publish_rate': 100.0}
     for stamp, q, p in samples[100:]:
         simulation.advance(run.step_of(stamp) - simulation.steps)
         # No solver memory is kept: equal to the implicit equation's round-off, which grows.
