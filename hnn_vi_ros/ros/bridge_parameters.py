@@ -8,7 +8,7 @@ from pathlib import Path
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.parameters import Specification, START, Value
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
-from hnn_vi_ros.sinks.rerun_sink import Target
+from hnn_vi_ros.sinks.rerun_stream import Target
 
 PARAMETERS = tuple(replace(item, changes=START) for item in (
     Specification('simulator', '/hnn_simulator', 'full name of the simulator node'),

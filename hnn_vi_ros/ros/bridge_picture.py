@@ -13,7 +13,8 @@ from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recorded_run import described_scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.rerun_sink import RerunSink, Target
+from hnn_vi_ros.sinks.rerun_sink import RerunSink
+from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
 

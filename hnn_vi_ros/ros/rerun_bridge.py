@@ -19,7 +19,7 @@ from hnn_vi_ros.ros.graph import init_ros
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.parameters import declare_parameters
 from hnn_vi_ros.ros.recorded_run import RecordedRun
-from hnn_vi_ros.sinks.rerun_sink import Target
+from hnn_vi_ros.sinks.rerun_stream import Target
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
