@@ -5,11 +5,13 @@
 from importlib import import_module
 import os
 from pathlib import Path
+import signal
 import sys
 import tempfile
 from typing import NoReturn
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.standard_streams import guard_streams, lost_output
 
 # Import names whose package on PyPI has another name.
 _PIP_NAMES = {
@@ -102,13 +104,31 @@ def _choose_cache() -> None:
 
 
 def _run(module: str) -> NoReturn:
-    """Call ``main(argv)`` of a module; an error that a user can mend becomes one line."""
+    """Call ``main(argv)`` of a module, and exit; whatever else it prints, errors are one line."""
     name = module.rpartition('.')[2]
+    guard_streams()
+    # The viewer's library would write lines of its own to standard error.
+    os.environ.setdefault('RUST_LOG', 'off')
     _choose_cache()
     try:
-        status = import_module(module).main(sys.argv[1:])
+        # Libraries look it up while they are imported.
+        os.getcwd()
+    except FileNotFoundError:
+        sys.exit(f'{name}: the working directory was removed; change to one that exists')
+    try:
+        status = _call(name, module)
+    except SystemExit as end:
+        # From argparse, which has printed help, or what is wrong.
+        status = end.code
+    sys.exit(_with_output(name, status, node=module.startswith('hnn_vi_ros.ros.')))
+
+
+def _call(name: str, module: str) -> int | str | None:
+    """Return the status of a module's ``main``; of an error that a user can mend, one line."""
+    try:
+        return import_module(module).main(sys.argv[1:])
     except HnnViRosError as problem:
-        status = f'{name}: {problem}'
+        return f'{name}: {problem}'
     except ModuleNotFoundError as problem:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
@@ -117,6 +137,23 @@ def _run(module: str) -> NoReturn:
                   f'{sys.executable} -m pip install "{_PIP_NAMES.get(package, package)}"')
         if sys.prefix == sys.base_prefix:
             status += ' (best in a virtual environment, active while colcon builds)'
+        return status
     except KeyboardInterrupt:
-        status = 130
-    sys.exit(status)
+        return 130
+
+
+def _with_output(name: str, status: int | str | None, node: bool) -> int | str | None:
+    """
+    Return the status to exit with when not all that was printed may have arrived.
+
+    Of a node, files and messages are what counts, and its status stays; of a tool, it is what it
+    prints. As other tools it says nothing of a reader that has seen enough: ``| head``.
+    """
+    problem = lost_output()
+    if problem is None or isinstance(status, str):
+        return status
+    if isinstance(problem, BrokenPipeError) and not node:
+        return status or 128 + signal.SIGPIPE
+    print(f'{name}: standard output: {problem.strerror}: what was printed is lost',
+          file=sys.stderr)
+    return status if node else status or 1

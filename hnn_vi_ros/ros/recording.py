@@ -12,6 +12,7 @@ import sys
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.run_folder import create_run_folder
+from hnn_vi_ros.ros.sampling import stamp_of
 from hnn_vi_ros.ros.scene_report import resolved_scene
 from hnn_vi_ros.ros.timing import Figures
 from hnn_vi_ros.scene import Scene
@@ -96,7 +97,7 @@ class Recording:
             Stamp of step 0 [ns].
 
         """
-        self.close()
+        self.close(ended=False)
         self.report()
         self._choose_files(scene, origin)
         for sink in (self._open_bag, self._open_picture):
@@ -185,8 +186,8 @@ class Recording:
         return {name: str(target) for name, target in {'bag': bag, 'rerun': picture}.items()
                 if target is not None}
 
-    def close(self) -> bool:
-        """Close what is open; tell whether everything was recorded."""
+    def close(self, ended: bool = True) -> bool:
+        """Close what is open, at the end or to go on; tell whether everything was recorded."""
         sinks = [self._bag_sink, self._picture_sink]
         self._bag_sink = self._picture_sink = None
         for sink in sinks:
@@ -194,7 +195,7 @@ class Recording:
                 try:
                     sink.close()
                 except RecordingError as problem:
-                    self._give_up(problem)
+                    self._give_up(problem, ended)
         return not self.problem
 
     def report(self) -> None:
@@ -203,6 +204,9 @@ class Recording:
         for bag in self._bags:
             file = bag / f'{bag.name}_0.mcap'
             lines.append(f'bag        {bag}')
+            if not (bag / 'metadata.yaml').exists():
+                lines.append('  is not complete')
+                continue
             if shutil.which('ros2'):
                 lines.append(f'  open it  {_command("ros2", "bag", "play", bag)}')
             lines.append(f'  open it  {_command(_rerun(), file)}')
@@ -265,11 +269,12 @@ class Recording:
             simulation.p.copy(), box=self._box, mechanism=mechanism,
             conservative=simulation.conservative,
             modified=simulation.modified_energy is not None, pace=pace or None,
+            begin=(stamp_of(simulation.steps, scene.step_size, self._begin[0]), simulation.steps),
             interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
 
-    def _give_up(self, problem: RecordingError) -> None:
+    def _give_up(self, problem: RecordingError, ended: bool = False) -> None:
         self.problem = str(problem)
-        self._logger.error(f'{problem}; the simulation goes on')
+        self._logger.error(self.problem if ended else f'{problem}; the simulation goes on')
 
 
 def _rerun() -> Path | str:
@@ -277,7 +282,11 @@ def _rerun() -> Path | str:
     beside = Path(sys.prefix) / 'bin' / 'rerun'
     if not beside.exists():
         return 'rerun'
-    here = os.path.relpath(beside)
+    try:
+        here = os.path.relpath(beside)
+    except FileNotFoundError:
+        # The working directory was removed.
+        return beside
     return beside if here.startswith('..') else here
 
 
