@@ -106,7 +106,7 @@ class Control:
             self._run.tell('paused' if paused else 'pause ended', 'INFO')
             if paused:
                 self._run.recording.flush()
-        return Answer(True, f'{word} at t = {self._run.simulation.time:.9g} s')
+        return Answer(True, f'{word} at t = {self._run.sampler.time:.9g} s')
 
     def request_steps(self, count: int) -> Future:
         """Take so many steps in the pause; return what will hold the Answer."""
@@ -133,7 +133,7 @@ class Control:
         finally:
             self._schedule()
         self._run.tell('reset', 'INFO')
-        return Answer(True, f'at the initial state, t = {self._run.sampler.stamp * 1e-9:.9g} s')
+        return Answer(True, f'at the initial state, t = {self._run.sampler.time:.9g} s')
 
     def set_period(self) -> None:
         """Follow a change of the pace."""
@@ -144,7 +144,7 @@ class Control:
         """Let the timer run while there is something to do, owing nothing as of now."""
         if self._timer is None:
             return
-        self._run.pacer.restart()
+        self._run.start_clocks()
         if self.active and (not self.paused or self._waiting is not None):
             self._timer.reset()
         else:
@@ -199,7 +199,7 @@ class Control:
             if not self._run.at_sample:
                 self._run.show_state()
             self._end_request(Answer(
-                True, f'{self._asked} steps, t = {self._run.simulation.time:.9g} s'))
+                True, f'{self._asked} steps, t = {self._run.sampler.time:.9g} s'))
             self._schedule()
 
     def _end_request(self, answer: Answer) -> None:
