@@ -15,6 +15,7 @@ from types import FrameType
 from typing import NoReturn
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.standard_streams import guard_streams, lost_output
 
 # Import names whose package on PyPI has another name.
 _PIP_NAMES = {
@@ -130,14 +131,35 @@ def _answer_at_once(name: str, module: str, argv: Sequence[str]) -> None:
 
 
 def _run(name: str, module: str) -> NoReturn:
-    """Call ``main(argv)`` of a module; an error that a user can mend becomes one line."""
+    """Call ``main(argv)`` of a module, and exit; whatever else it prints, errors are one line."""
     _merge_interrupts()
+    guard_streams()
+    # The viewer's library would write lines of its own to standard error.
+    os.environ.setdefault('RUST_LOG', 'off')
     _choose_cache()
     try:
+        # Libraries look it up while they are imported.
+        os.getcwd()
+    except FileNotFoundError:
+        sys.exit(f'{name}: the working directory was removed; change to one that exists')
+    try:
+        status = _call(name, module)
+    except SystemExit as end:
+        # From argparse, which has printed help, or what is wrong.
+        status = end.code
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Nothing is to interrupt the end, that of the interpreter included.
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(_with_output(name, status, node=module.startswith('hnn_vi_ros.ros.')))
+
+
+def _call(name: str, module: str) -> int | str | None:
+    """Return the status of a module's ``main``; of an error that a user can mend, one line."""
+    try:
         _answer_at_once(name, module, sys.argv[1:])
-        status = import_module(module).main(sys.argv[1:])
+        return import_module(module).main(sys.argv[1:])
     except HnnViRosError as problem:
-        status = f'{name}: {problem}'
+        return f'{name}: {problem}'
     except ModuleNotFoundError as problem:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
@@ -146,9 +168,23 @@ def _run(name: str, module: str) -> NoReturn:
                   f'{sys.executable} -m pip install "{_PIP_NAMES.get(package, package)}"')
         if sys.prefix == sys.base_prefix:
             status += ' (best in a virtual environment, active while colcon builds)'
+        return status
     except KeyboardInterrupt:
-        status = 130
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # Nothing is to interrupt the end, that of the interpreter included.
-        signal.signal(number, signal.SIG_IGN)
-    sys.exit(status)
+        return 130
+
+
+def _with_output(name: str, status: int | str | None, node: bool) -> int | str | None:
+    """
+    Return the status to exit with when not all that was printed may have arrived.
+
+    Of a node, files and messages are what counts, and its status stays; of a tool, it is what it
+    prints. As other tools it says nothing of a reader that has seen enough: ``| head``.
+    """
+    problem = lost_output()
+    if problem is None or isinstance(status, str):
+        return status
+    if isinstance(problem, BrokenPipeError) and not node:
+        return status or 128 + signal.SIGPIPE
+    print(f'{name}: standard output: {problem.strerror}: what was printed is lost',
+          file=sys.stderr)
+    return status if node else status or 1

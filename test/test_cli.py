@@ -61,6 +61,34 @@ def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, pa
     assert f'-m pip install "{package}"' in result.stderr
 
 
+@pytest.mark.parametrize('redirection, status, reason', [
+    ('>&-', 1, 'Bad file descriptor'), ('> /dev/full', 1, 'No space left on device'),
+    # As of any tool that a broken pipe has ended, and as quiet.
+    ('> >(true)', 141, ''),
+    ('2>&- > /dev/null', 0, ''), ('<&- > /dev/null', 0, '')])
+@pytest.mark.parametrize('words', ['scene --list', 'scene --help', 'scene --schema'])
+def test_output_that_does_not_arrive_is_one_line_at_most(words, redirection, status, reason):
+    name, option = words.split()
+    code = f'from hnn_vi_ros import cli; cli.{name}()'
+    result = subprocess.run(
+        ['/bin/bash', '-c', f'"{sys.executable}" -u -c "{code}" {option} {redirection}'],
+        capture_output=True, text=True, timeout=120, check=False)
+    # On a busy machine the reader may be there still.
+    assert result.returncode in ({141, 0} if status == 141 else {status})
+    assert result.stderr.count('\n') == bool(reason) and reason in result.stderr
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_working_directory_that_was_removed_is_one_line(executable, tmp_path):
+    code = (f'import os; os.rmdir({str(tmp_path / "gone")!r}); from hnn_vi_ros import cli; '
+            f'cli.{executable}()')
+    (tmp_path / 'gone').mkdir()
+    result = subprocess.run([sys.executable, '-c', code], cwd=tmp_path / 'gone',
+                            capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 1 and result.stderr.count('\n') == 1
+    assert 'working directory was removed' in result.stderr
+
+
 @pytest.mark.parametrize('hidden', ['torchdiffeq', 'torch'])
 def test_missing_peer_is_one_line_before_anything_is_measured(hidden, tmp_path):
     result = run('work_precision', hidden, '--scene', 'pendulum', '--peers', '--out',

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import time
+import tracemalloc
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import RecordingError
@@ -64,6 +65,29 @@ def record(folder: Path, ticks: int, start: int = 0) -> Path:
         sink.write(start + tick * PERIOD, payloads(tick))
     sink.close()
     return folder / f'{folder.name}_0.mcap'
+
+
+def test_index_of_the_chunks_takes_little_memory_while_the_bag_grows(tmp_path):
+    sink = McapSink(tmp_path / 'bag', TOPICS, {})
+    message, chunks = payloads(0), 500
+    tracemalloc.start()
+    try:
+        for tick in range(2 * chunks):
+            if tick == chunks:
+                before, _ = tracemalloc.get_traced_memory()
+            sink.write(tick * PERIOD, message)
+            sink.flush()
+        each = (tracemalloc.get_traced_memory()[0] - before) / chunks
+    finally:
+        tracemalloc.stop()
+    sink.close()
+    # A record of 9 + 64 bytes and the name of the compression, 10 for each channel, as an object
+    # of 33 in a list; the library's own objects take 600.
+    assert each < 9 + 64 + 8 + 10 * len(TOPICS) + 33 + 8 + 50
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert [index.message_start_time for index in summary.chunk_indexes] == [
+        tick * PERIOD for tick in range(2 * chunks)]
 
 
 def readable_records(path: Path) -> Iterator[McapRecord]:

@@ -32,6 +32,10 @@ class BandGuard(Guard):
         self.raised = True
         return self._alarm(sample.step)
 
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        return self._alarm(sample.step)
+
     @abstractmethod
     def _alarm(self, step: int) -> Alarm:
         """Return what to say of a band that has reached the limit."""

@@ -53,6 +53,10 @@ class Guard(ABC):
     def update(self, sample: Observed) -> Alarm | None:
         """Look at the next sample; return an alarm when it stops to hold, not while it lasts."""
 
+    @abstractmethod
+    def renew(self, sample: Observed) -> Alarm | None:
+        """Return the alarm that was raised as it stands at a sample, None if it stays as it is."""
+
 
 def accounted_energy(sample: Observed) -> float:
     """Return H~, or H where there is none, less the work done on the system [J]."""

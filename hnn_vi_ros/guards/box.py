@@ -19,13 +19,15 @@ class BoxGuard(Guard):
     ----------
     excess : float
         How far the last sample is outside, in half-widths of the box; 0 inside.
+    largest : float
+        The largest of these so far.
 
     """
 
     kind = 'out of the training box'
 
     def __init__(self, box: tuple[np.ndarray, np.ndarray]):
-        self.excess = 0.0
+        self.excess = self.largest = 0.0
         bounds = np.concatenate(box)
         # Plain floats: for the few coordinates of a model they are faster than arrays.
         self._low, self._high = bounds.T.tolist()
@@ -35,16 +37,22 @@ class BoxGuard(Guard):
         values, low, high = sample.q.tolist() + sample.p.tolist(), self._low, self._high
         for i, x in enumerate(values):
             if not low[i] <= x <= high[i]:
-                return self._outside(sample.step, values)
+                before, self.excess = self.excess, self._excess(values)
+                self.largest = max(self.largest, self.excess)
+                return None if before > 0.0 else self.renew(sample)
         self.excess = 0.0
         return None
 
-    def _outside(self, step: int, values: list[float]) -> Alarm | None:
-        before = self.excess
-        self.excess = max(2.0 * max(x - high, low - x) / (high - low)
-                          for x, low, high in zip(values, self._low, self._high, strict=True))
-        if before > 0.0:
-            return None
-        return Alarm(self.kind, step, self.excess, 0.0,
-                     f'outside of the box that the model was trained in, by {self.excess:.2g} of '
-                     'its half-width: H is a guess there; train a model on a larger box')
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        what = (f'outside of the box that the model was trained in, by {self.excess:.2g} of its '
+                'half-width: H is a guess there; train a model on a larger box')
+        if self.excess == 0.0:
+            what = (f'inside again, but was up to {self.largest:.2g} of its half-width outside of '
+                    'the box that the model was trained in: H is a guess there; train a model on '
+                    'a larger box')
+        return Alarm(self.kind, sample.step, self.excess, 0.0, what)
+
+    def _excess(self, values: list[float]) -> float:
+        return max(2.0 * max(x - high, low - x) / (high - low)
+                   for x, low, high in zip(values, self._low, self._high, strict=True))

@@ -36,7 +36,7 @@ class EnergyGuard(Guard):
     kind = 'energy not accounted for'
 
     def __init__(self, share: float, scale: float):
-        self.raised = False
+        self.raised, self._how = False, (share, '')
         self._share, self._scale = share, scale
         self._work, self._turnover = 0.0, 0.0
         self._start: float | None = None
@@ -68,15 +68,18 @@ class EnergyGuard(Guard):
             return None
         # Written so that NaN is an alarm.
         if not abs(change) <= _JUMP * self._scale:
-            self.raised = True
             return self._alarm(sample.step, abs(change), _JUMP, 'changed')
         if self._count < self._length:
             return None
         change = self._end_block()
         if change == 0.0:
             return None
-        self.raised = True
         return self._alarm(sample.step, change, self._share, 'changed for good')
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        change = abs(accounted_energy(sample) - self._start)
+        return self._alarm(sample.step, change, *self._how)
 
     def _end_block(self) -> float:
         """Close a block; return by how much the energy has changed for good, 0 if it has not."""
@@ -100,6 +103,7 @@ class EnergyGuard(Guard):
         return min(abs(low), abs(high)) if lasts else 0.0
 
     def _alarm(self, step: int, value: float, share: float, how: str) -> Alarm:
+        self.raised, self._how = True, (share, how)
         return Alarm(self.kind, step, value, share * self._scale,
                      f'the energy has {how} by {value:.2g} J, {value / self._scale:.2g} of its '
                      'size, beyond the work that was done: take a symplectic method or a smaller '

@@ -17,7 +17,8 @@ from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.rerun_sink import RerunSink, Target
+from hnn_vi_ros.sinks.rerun_sink import RerunSink
+from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.sinks.state_message import State
 import numpy as np

@@ -119,7 +119,7 @@ class Control:
             self._run.tell('paused' if paused else 'pause ended', 'INFO')
             if paused:
                 self._run.recording.flush()
-        return Answer(True, f'{word} at t = {self._run.simulation.time:.9g} s')
+        return Answer(True, f'{word} at t = {self._run.sampler.time:.9g} s')
 
     def request_steps(self, count: int, progress: Callable[[int, int], None] | None = None
                       ) -> Future:
@@ -185,7 +185,7 @@ class Control:
         """Let the timer run while there is something to do, owing nothing as of now."""
         if self._timer is None:
             return
-        self._run.pacer.restart()
+        self._run.start_clocks()
         if self.active and (not self.paused or self._waiting is not None):
             self._timer.reset()
         else:
@@ -255,6 +255,6 @@ class Control:
 
     def _where(self, **figures: Any) -> str:
         """Return figures, and at which step, time [s] and stamp [ns] the run stands, as JSON."""
-        simulation = self._run.simulation
-        return json.dumps(figures | {'step': simulation.steps, 'time': simulation.time,
-                                     'stamp': self._run.sampler.stamp})
+        run = self._run
+        return json.dumps(figures | {'step': run.simulation.steps, 'time': run.sampler.time,
+                                     'stamp': run.sampler.stamp})

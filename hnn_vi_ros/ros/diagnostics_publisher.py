@@ -40,7 +40,7 @@ class Status(NamedTuple):
 
 class DiagnosticsPublisher:
     """
-    Publish statuses, stamped with the node's clock.
+    Publish statuses, stamped like the samples.
 
     Parameters
     ----------
@@ -59,16 +59,16 @@ class DiagnosticsPublisher:
     """
 
     def __init__(self, node: Node, publisher: Publisher, hardware_id: str):
-        self._node, self._publisher, self._hardware_id = node, publisher, hardware_id
+        self._publisher, self._hardware_id = publisher, hardware_id
         # With its namespace: /diagnostics is one topic for all simulators.
         self._name = node.get_fully_qualified_name()[1:]
         self.topic = describe_topic(
             publisher.topic_name, DiagnosticArray, publisher.qos_profile)
 
-    def publish(self, statuses: Iterable[Status]) -> bytes:
-        """Publish one message that holds all the statuses; return it as it was sent."""
+    def publish(self, statuses: Iterable[Status], stamp: int) -> bytes:
+        """Publish all the statuses as of a stamp [ns] in one message; return it as it was sent."""
         message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         message.status = [DiagnosticStatus(
             level=status.level, name=f'{self._name}: {status.component}',
             message=status.message, hardware_id=self._hardware_id,

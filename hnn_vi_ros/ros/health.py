@@ -14,7 +14,7 @@ from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.pacing import OverrunGuard
 from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
 
 STEP_FAILED = 'step failed'
 # Wall time between two log lines of the same kind [s].
@@ -28,8 +28,8 @@ class Health:
 
     Parameters
     ----------
-    simulation : Simulation
-        Which is watched.
+    stamp_at : callable
+        Returns the stamp of a step [ns].
     guards : sequence of Guard
         What watches it.
     diagnostics : DiagnosticsPublisher
@@ -43,14 +43,16 @@ class Health:
 
     """
 
-    def __init__(self, simulation: Simulation, guards: Sequence[Guard],
+    def __init__(self, stamp_at: Callable[[int], int], guards: Sequence[Guard],
                  diagnostics: DiagnosticsPublisher, recording: Recording,
                  log: Callable[[str, str], None],
                  errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
-        self._simulation, self._guards, self.errors = simulation, guards, errors
+        self._stamp_at, self._guards, self.errors = stamp_at, guards, errors
         self._diagnostics, self._recording, self._log = diagnostics, recording, log
-        # The newest alarm of each kind, how many there were, and when the log takes the next.
+        # The newest alarm of each kind as it stands now, the step at which it was raised, how
+        # many there were, and when the log takes the next.
         self._alarms: dict[str, Alarm] = {}
+        self._raised: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
         self._due: dict[str, float] = {}
 
@@ -58,29 +60,38 @@ class Health:
         """Tell an alarm that belongs to a sample, the newest one, of that stamp [ns]."""
         self._alarms.pop(alarm.kind, None)
         self._alarms[alarm.kind] = alarm
+        self._raised[alarm.kind] = alarm.step
         self._counts[alarm.kind] += 1
         level = self._level(alarm)
         payload = self._diagnostics.publish([Status('health', level, alarm.message, {
-            'alarm': alarm.kind, **self._figures(alarm)})])
+            'alarm': alarm.kind, **self._figures(alarm)})], stamp)
         self._recording.write_other(self._diagnostics.topic, stamp, payload)
         word = 'ERROR' if level == ERROR else 'WARN'
         self._recording.event(f'{alarm.kind}: {alarm.message}', word)
         if time.monotonic() >= self._due.get(alarm.kind, -math.inf):
             self._due[alarm.kind] = time.monotonic() + _REPEATED
-            self._log(f't = {alarm.step * self._simulation.step_size:.9g} s: {alarm.message}',
-                      word)
+            self._log(f't = {self._time(alarm.step)} s: {alarm.message}', word)
 
-    def add_failure(self, failure: StepFailure, stamp: int) -> None:
-        """Tell that a step failed after the sample of that stamp."""
-        self.add(Alarm(STEP_FAILED, self._simulation.steps, failure.residual, math.nan,
-                       str(failure)), stamp)
+    def add_failure(self, failure: StepFailure, step: int, stamp: int) -> None:
+        """Tell that the step after this one failed, after the sample of that stamp [ns]."""
+        self.add(Alarm(STEP_FAILED, step, failure.residual, math.nan, str(failure)), stamp)
 
     def find(self, kind: str) -> Alarm | None:
         """Return the newest alarm of a kind, None if there was none."""
         return self._alarms.get(kind)
 
-    def status(self) -> Status:
-        """Return the worst that has happened so far, and the figures of each kind of alarm."""
+    def status(self, sample: Sample | None = None) -> Status:
+        """
+        Return the worst that has happened so far, and the figures of each kind of alarm.
+
+        Parameters
+        ----------
+        sample : Sample, optional
+            The newest one, at which the alarms are looked at again.
+
+        """
+        if sample is not None:
+            self._renew(sample)
         # Of several the newest.
         worst = max(reversed(self._alarms.values()), key=self._level, default=None)
         level, message = OK, 'no alarm'
@@ -94,11 +105,22 @@ class Health:
             'watched': ', '.join([STEP_FAILED, *(guard.kind for guard in self._guards)]),
             **figures})
 
+    def _renew(self, sample: Sample) -> None:
+        """Put in the place of each alarm what its guard says of it now."""
+        for guard in self._guards:
+            if guard.kind in self._alarms and (alarm := guard.renew(sample)) is not None:
+                self._alarms[guard.kind] = alarm
+
+    def _time(self, step: int) -> str:
+        """Return the time that a step is stamped with [s]."""
+        return f'{self._stamp_at(step) / 1e9:.9g}'
+
     def _level(self, alarm: Alarm) -> bytes:
         return ERROR if alarm.kind in self.errors else WARN
 
     def _figures(self, alarm: Alarm) -> dict[str, object]:
         unit = _UNITS.get(alarm.kind, 'J')
-        return {'step [1]': alarm.step, 't [s]': alarm.step * self._simulation.step_size,
+        return {'step [1]': alarm.step, 't [s]': self._time(alarm.step),
+                'since [s]': self._time(self._raised[alarm.kind]),
                 f'value [{unit}]': alarm.value, f'limit [{unit}]': alarm.limit,
                 'times [1]': self._counts[alarm.kind]}

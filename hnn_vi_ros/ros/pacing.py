@@ -106,3 +106,7 @@ class OverrunGuard(Guard):
                      f'{overruns} overruns: more than {LARGEST_DEBT:g} s behind the clock, which '
                      'is given up; use a lower real_time_factor or publish_rate, a larger '
                      'step_size or a cheaper integrator')
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        return None

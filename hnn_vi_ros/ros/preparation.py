@@ -89,8 +89,9 @@ def prepare(values: dict, topics: BagTopics, logger: RcutilsLogger,
     simulation = _compile(scene, logger)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
-        events.append((f'resumed {values["resume"]} at t = {simulation.time:.9g} s', 'INFO'))
     sampler = Sampler(simulation, values['publish_rate'], origin)
+    if step:
+        events.append((f'resumed {values["resume"]} at t = {sampler.time:.9g} s', 'INFO'))
     sampler.count(values['duration'])
     check_pace(factor, sampler.tick)
     begin('looking ahead')

@@ -105,7 +105,7 @@ class Recording:
             Whose stamps count from now on.
 
         """
-        self.close()
+        self.close(ended=False)
         self.report()
         self._choose_files(scene, report, sampler)
         for sink in (self._open_bag, self._open_picture):
@@ -195,8 +195,8 @@ class Recording:
         return {name: str(target) for name, target in {'bag': bag, 'rerun': picture}.items()
                 if target is not None}
 
-    def close(self) -> bool:
-        """Close what is open; tell whether everything was recorded."""
+    def close(self, ended: bool = True) -> bool:
+        """Close what is open, at the end or to go on; tell whether everything was recorded."""
         sinks = [self._bag_sink, self._picture_sink]
         self._bag_sink = self._picture_sink = None
         for sink in sinks:
@@ -204,7 +204,7 @@ class Recording:
                 try:
                     sink.close()
                 except RecordingError as problem:
-                    self._give_up(problem)
+                    self._give_up(problem, ended)
         return not self.problem
 
     def report(self) -> None:
@@ -213,6 +213,9 @@ class Recording:
         for bag in self._bags:
             file = bag / f'{bag.name}_0.mcap'
             lines.append(f'bag        {bag}')
+            if not (bag / 'metadata.yaml').exists():
+                lines.append('  is not complete')
+                continue
             if shutil.which('ros2'):
                 lines.append(f'  open it  {_command("ros2", "bag", "play", bag)}')
             lines.append(f'  open it  {_command(_rerun(), file)}')
@@ -280,15 +283,16 @@ class Recording:
             simulation.p.copy(), box=self._box, mechanism=mechanism,
             conservative=simulation.conservative,
             modified=simulation.modified_energy is not None, pace=pace or None,
+            begin=(self._sampler.stamp, simulation.steps),
             interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
 
     def _tell_bag(self) -> None:
         if self._bag_sink is not None:
             self._logger.info(f'recording to {self._bags[-1]}')
 
-    def _give_up(self, problem: RecordingError) -> None:
+    def _give_up(self, problem: RecordingError, ended: bool = False) -> None:
         self.problem = str(problem)
-        self._logger.error(f'{problem}; the simulation goes on')
+        self._logger.error(self.problem if ended else f'{problem}; the simulation goes on')
 
 
 def _rerun() -> Path | str:
@@ -296,7 +300,11 @@ def _rerun() -> Path | str:
     beside = Path(sys.prefix) / 'bin' / 'rerun'
     if not beside.exists():
         return 'rerun'
-    here = os.path.relpath(beside)
+    try:
+        here = os.path.relpath(beside)
+    except FileNotFoundError:
+        # The working directory was removed.
+        return beside
     return beside if here.startswith('..') else here
 
 

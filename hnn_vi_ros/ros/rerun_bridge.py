@@ -21,7 +21,7 @@ from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.ros.topics import LATCHED
-from hnn_vi_ros.sinks.rerun_sink import Target
+from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.state_message import decode_state, State
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException

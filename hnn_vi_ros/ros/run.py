@@ -95,11 +95,13 @@ class Run:
             f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
             *(effect.kind for effect in scene.effects),
             'conservative' if self.simulation.conservative else 'not conservative']), 'INFO')
+        # Of the newest sample.
+        self._stamp = self.sampler.stamp
         self._health = Health(
-            self.simulation, monitor.guards, self._diagnostics, self.recording,
+            self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
             lambda text, level: self.tell(text, level, show=False), self._errors())
-        self.status = RunStatus(scene, self.simulation, monitor, self.recording, self._health,
-                                values['real_time_factor'])
+        self.status = RunStatus(scene, self.simulation, self.sampler, monitor, self.recording,
+                                self._health, values['real_time_factor'])
 
     def _tell_scene(self, report: dict[str, Any]) -> None:
         self._report = report
@@ -125,11 +127,18 @@ class Run:
         for alarm in self._monitor.watch(sample):
             self._health.add(alarm, sample.stamp)
             if alarm.kind == BoxGuard.kind and self._values['stop_outside_box']:
-                self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp * 1e-9:.9g} s')
+                self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp / 1e9:.9g} s')
 
     def publish_diagnostics(self) -> None:
         """Publish how the run does."""
-        self._diagnostics.publish(self.status.statuses(self.pacer.overruns))
+        self._diagnostics.publish(
+            self.status.statuses(self.pacer.overruns), self.sampler.stamp)
+
+    def start_clocks(self) -> None:
+        """Owe nothing as of now, and measure the pace from here on."""
+        self.pacer.restart()
+        self._monitor.timing.restart()
+        self._status.restart(self.sampler.stamp)
 
     @property
     def scene(self) -> Scene:
@@ -158,9 +167,9 @@ class Run:
         try:
             seconds = self._monitor.advance(n)
         except StepFailure as failure:
-            newest = self._monitor.newest
-            self._health.add_failure(failure, newest.stamp if newest else 0)
-            where = f'at the last good state, t = {simulation.time:.9g} s'
+            self._health.add_failure(
+                _dated(failure, self.sampler.time), simulation.steps, self._stamp)
+            where = f'at the last good state, t = {self.sampler.time:.9g} s'
             if self._moved_by_others:
                 self.tell(f'stands still {where}; reset it', 'ERROR')
             else:
@@ -182,6 +191,7 @@ class Run:
         """Publish, record and show a sample; the log gets the very bytes that are published."""
         begin = time.perf_counter()
         sample = self.sampler.sample()
+        self._stamp = sample.stamp
         evaluated = self._monitor.add(sample)
         self.recording.write(sample, self._topics.publish(sample))
         if evaluated:
@@ -193,6 +203,7 @@ class Run:
     def show_state(self) -> None:
         """Publish and record a state between two samples; what is watched are samples only."""
         sample = self.sampler.sample()
+        self._stamp = sample.stamp
         self.recording.write(sample, self._topics.publish(sample))
 
     @property
@@ -227,10 +238,12 @@ class Run:
         before = self.simulation.snapshot()
         try:
             self.simulation.restart(*self._next_start)
-        except (ValueError, StepFailure):
+        except (ValueError, StepFailure) as problem:
             self._next_start = self._start
             self.simulation.restart(*self._start)
             self.simulation.restore(before)
+            if isinstance(problem, StepFailure):
+                raise _dated(problem, origin / 1e9) from problem
             raise
         self._start = self._next_start
         q, p = (list(map(float, x)) for x in self._start)
@@ -258,6 +271,7 @@ class Run:
         if values['real_time_factor'] != self._values['real_time_factor']:
             factor = self.status.asked = values['real_time_factor']
             self.pacer.set_pace(factor)
+            self.start_clocks()
             guards = self._monitor.guards
             if factor and not any(isinstance(guard, OverrunGuard) for guard in guards):
                 guards.append(OverrunGuard(self.pacer))
@@ -286,6 +300,11 @@ def log(node: Node, text: str, level: str) -> None:
         node.get_logger().warning(text)
     else:
         node.get_logger().error(text)
+
+
+def _dated(failure: StepFailure, t: float) -> StepFailure:
+    """Return a failure at the time of its stamp [s], which a reset does not begin anew."""
+    return StepFailure(failure.reason, t, failure.h, failure.residual, failure.iterations)
 
 
 def _with_start(scene: Scene, q: list[float], p: list[float]) -> Scene:

@@ -8,6 +8,7 @@ from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.sample import Sample
@@ -23,6 +24,8 @@ class RunStatus:
         What is simulated, resolved.
     simulation : Simulation
         Made of it.
+    sampler : Sampler
+        Of its samples and their stamps.
     monitor : Monitor
         What is measured.
     recording : Recording
@@ -41,10 +44,11 @@ class RunStatus:
 
     """
 
-    def __init__(self, scene: Scene, simulation: Simulation, monitor: Monitor,
-                 recording: Recording, health: Health, real_time_factor: float):
-        self._scene, self._simulation, self._monitor = scene, simulation, monitor
-        self._recording, self._health = recording, health
+    def __init__(self, scene: Scene, simulation: Simulation, sampler: Sampler,
+                 monitor: Monitor, recording: Recording, health: Health,
+                 real_time_factor: float):
+        self._scene, self._simulation, self._sampler = scene, simulation, sampler
+        self._monitor, self._recording, self._health = monitor, recording, health
         self.asked, self.paused = real_time_factor, False
         self._model = _model(scene, simulation)
         # When the last statuses were told.
@@ -53,7 +57,7 @@ class RunStatus:
     def statuses(self, overruns: int) -> list[Status]:
         """Return a status of each component."""
         return [self._timing(overruns), self._integrator(), self._energy(), self._recorder(),
-                self._model, self._health.status()]
+                self._model, self._health.status(self._monitor.newest)]
 
     def _timing(self, overruns: int) -> Status:
         figures, asked = self._monitor.timing.figures, self.asked
@@ -90,7 +94,7 @@ class RunStatus:
                                     'parts; use a smaller step_size')
         return Status('integrator', level, message, {
             'integrator': scene.integrator.kind, 'step_size [s]': simulation.step_size,
-            'steps [1]': simulation.steps, 'simulated_time [s]': simulation.time,
+            'steps [1]': simulation.steps, 'simulated_time [s]': f'{self._sampler.time:.9g}',
             'gradients_per_step [1]': self._monitor.timing.figures.gradients_per_step,
             'residual [1]': simulation.residual, 'rescued_steps [1]': simulation.rescued})
 

@@ -3,6 +3,7 @@
 """Samples of a simulation, a whole number of steps apart."""
 
 from fractions import Fraction
+from functools import cache
 import math
 
 from hnn_vi_ros.errors import ParameterError
@@ -12,6 +13,17 @@ from hnn_vi_ros.sinks.sample import Sample
 _MOST_STEPS = 1e9
 # What a ROS time stamp holds [s].
 _LONGEST_RUN = 2**31 - 1
+
+
+@cache
+def _nanoseconds(step_size: float) -> Fraction:
+    """Return h as it was written, not as it was rounded [ns]."""
+    return Fraction(repr(step_size)) * 10**9
+
+
+def stamp_of(step: int, step_size: float, origin: int = 0) -> int:
+    """Return the stamp of a step from that of step 0 [ns]: a count of steps, never a sum."""
+    return origin + round(step * _nanoseconds(step_size))
 
 
 class Sampler:
@@ -47,7 +59,6 @@ class Sampler:
         self._simulation, self._energy0 = simulation, simulation.energy
         self._origin = origin
         h = simulation.step_size
-        self._nanoseconds = Fraction(repr(h)) * 10**9
         exact = 1.0 / (rate * h)
         if exact > _MOST_STEPS:
             raise ParameterError(
@@ -70,8 +81,17 @@ class Sampler:
 
     @property
     def stamp(self) -> int:
-        """Return the simulated time [ns]: a count of steps, never a sum."""
-        return self._origin + round(self._simulation.steps * self._nanoseconds)
+        """Return the stamp of the state [ns]."""
+        return self.stamp_at(self._simulation.steps)
+
+    @property
+    def time(self) -> float:
+        """Return the stamp of the state [s]: the time that is told, in whatever form."""
+        return self.stamp / 1e9
+
+    def stamp_at(self, step: int) -> int:
+        """Return the stamp of a step [ns]."""
+        return stamp_of(step, self._simulation.step_size, self._origin)
 
     def sample(self) -> Sample:
         """Return the state, and the energies that belong to it."""

@@ -4,6 +4,7 @@
 
 from dataclasses import asdict
 import math
+from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.scene import Scene
@@ -29,9 +30,17 @@ def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_
     chosen = {}
     if scene.chosen is not None:
         chosen = dict(zip(('budget', 'choice'), map(asdict, scene.chosen), strict=True))
-    begin = {'source': str(scene.source.absolute()), 'origin': origin, 'first_step': first_step}
+    begin = {'source': _place(scene.source), 'origin': origin, 'first_step': first_step}
     return (scene.model_dump() | chosen | simulation.hamiltonian.provenance
             | {'model_files': scene.model_digests} | begin)
+
+
+def _place(file: Path) -> str:
+    """Return where a file is; its name alone once the working directory has been removed."""
+    try:
+        return str(file.absolute())
+    except FileNotFoundError:
+        return str(file)
 
 
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,

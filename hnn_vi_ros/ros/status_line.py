@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One live line that says how a run is doing."""
 
+from collections.abc import Callable
 import sys
 import time
 from typing import Protocol
@@ -24,19 +25,25 @@ class StatusLine:
     ----------
     logger : Logger
         Takes the lines when standard output is no terminal.
+    now : callable
+        A steady clock [s].
 
     """
 
-    def __init__(self, logger: Logger):
-        self._logger = logger
+    def __init__(self, logger: Logger, now: Callable[[], float] = time.monotonic):
+        self._logger, self._now = logger, now
         self._terminal = sys.stdout.isatty()
         self._interval = 0.2 if self._terminal else 5.0
-        self._next = time.monotonic() + self._interval
-        self._last = (time.monotonic(), 0)
+        self.restart(0)
+
+    def restart(self, stamp: int) -> None:
+        """Measure the pace from now and this stamp on [ns]: a pause or a reset has no pace."""
+        now = self._now()
+        self._last, self._next = (now, stamp), now + self._interval
 
     def show(self, sample: Sample, overruns: int) -> None:
         """Show a sample, if it is time to."""
-        now = time.monotonic()
+        now = self._now()
         if now < self._next:
             return
         wall, stamp = self._last

@@ -72,6 +72,10 @@ class Timing:
         self._due = -math.inf
         self.figures = Figures()
 
+    def restart(self) -> None:
+        """Measure the pace from now on: what passed before, as in a pause, does not count."""
+        self._last = self._now(), self._count
+
     def add_batch(self, steps: int, seconds: float, gradients: int) -> None:
         """Note how long a batch of steps took, and how many gradients."""
         self._batches.append((steps, seconds, gradients))
@@ -89,7 +93,9 @@ class Timing:
         self._due = now + _PERIOD
         then, count = self._last
         self._last = now, self._count
-        pace = (self._count - count) * self._tick / (now - then) if now > then else math.nan
+        pace = math.nan
+        if now > then and self._count > count:
+            pace = (self._count - count) * self._tick / (now - then)
         steps, seconds, gradients = np.array(self._batches).T
         median, p99 = quantiles(seconds / steps, steps, (0.5, 0.99))
         sample = sum(self._samples) / len(self._samples) if self._samples else math.nan

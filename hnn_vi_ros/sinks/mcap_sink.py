@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 import fcntl
 from pathlib import Path
+import shlex
 import time
 from typing import Any, BinaryIO, final
 
@@ -13,6 +14,7 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.sinks.bag_metadata import (
     bag_metadata, DEFINITIONS, NEVER, Topic, write_bag_metadata)
+from hnn_vi_ros.sinks.mcap_index import compact_index
 from hnn_vi_ros.yaml_text import dump_yaml
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
@@ -64,6 +66,7 @@ class McapSink:
             self._writer = Writer(
                 self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
                 enable_data_crcs=True)
+            compact_index(self._writer)
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
             self._describe()
             self._attach(attachments)
@@ -236,9 +239,12 @@ class McapSink:
             with suppress(OSError):
                 self._stream.close()
             self._stream = None
+        kept = 'the file was removed'
+        if self._path.exists():
+            kept = ('what was written before is kept: free some space, then make it whole with: '
+                    f'ros2 run hnn_vi_ros recover_bag {shlex.quote(str(self._path.parent))}')
         return RecordingError(
-            f'{self._path}: the recording stopped ({_reason(problem)}); what was written before '
-            'is kept; free some space or record elsewhere')
+            f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
 
 
 def _create(path: Path) -> BinaryIO:

@@ -2,12 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show samples in the rerun viewer: to a file, to a running viewer, or as a server."""
 
-from pathlib import Path
-import socket
-import threading
 import time
 from typing import final
-from urllib.parse import urlsplit
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -15,20 +11,20 @@ from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism
 from hnn_vi_ros.sinks import rerun_layout as layout
 from hnn_vi_ros.sinks.phase_portrait import frames_of, reach_of
 from hnn_vi_ros.sinks.rerun_blueprint import Arrangement, make_blueprint
+from hnn_vi_ros.sinks.rerun_stream import RerunStream, Target
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
 import rerun as rr
 
-Target = Path | str | int
 # More phase portraits would not fit into a window.
 MOST_PORTRAITS = 8
-# Wall time between sends [s]. A viewer should not lag; a file is half the size with longer
-# gathering, and still loses less than a second when the process is killed. It grows with a long
-# run, up to a bound: of each send the SDK keeps some 20 kB, for the index at the file's end.
+# Wall time between sends [s]. A viewer should not lag. A file loses so much when the process is
+# killed, a tenth of the run at most; but of each send the SDK keeps some 20 kB until the file is
+# closed, for its index, and a send takes 0.2 MB for each second: 2.4 MB an hour and 6 MB once.
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
-GATHER_SHARE, GATHER_MOST = 0.01, 15.0
-# What closing may take [s]: for the last samples to leave, for the connection to end.
-FLUSH, HANG_UP = 0.5, 0.3
+GATHER_SHARE, GATHER_MOST = 0.1, 30.0
+# More samples than this are sent at once: a run that no clock holds back hands out many.
+MOST_PENDING = 4096
 
 
 @final
@@ -63,8 +59,10 @@ class RerunSink:
         Simulated time between two samples that are shown [ns]; 0 shows every sample.
     pace : float, optional
         The real-time factor that is asked for.
+    begin : tuple of int
+        Stamp [ns] and step of the initial state.
     epoch : int
-        ROS time at the start of the run [ns].
+        ROS time at stamp 0 [ns].
 
     Raises
     ------
@@ -77,9 +75,10 @@ class RerunSink:
                  p0: np.ndarray, *, box: tuple[np.ndarray, np.ndarray] | None = None,
                  mechanism: Mechanism | None = None, conservative: bool = True,
                  modified: bool = True, interval: int = 33_333_333,
-                 pace: float | None = None, epoch: int = 0):
+                 pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
         self._interval, self._epoch, self._due = max(1, interval), epoch, 0
+        self._begin = begin
         self._pending: list[Sample] = []
         # Stamp, step, microseconds per step (median and p99), real-time factor.
         self._timings: list[tuple[int, int, tuple[float, float], float]] = []
@@ -88,10 +87,10 @@ class RerunSink:
         self._kept: Sample | None = None
         self._sent: Sample | None = None
         self._reach = 0.0
-        self._live = not isinstance(target, Path)
+        # Stamp, step, text and level.
+        self._events: list[tuple[int, int, str, str]] = []
         self._closed = False
-        self._stream = rr.RecordingStream(f'hnn_vi_ros_{name}')
-        _open(self._stream, target)
+        self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
         self._labels = layout.series_labels(
             self._coordinates, relative, conservative, modified)
@@ -107,14 +106,18 @@ class RerunSink:
         self._due = (sample.stamp // self._interval + 1) * self._interval
         self._kept = sample
         self._pending.append(sample)
-        if self._sent_at + self._gather() <= time.monotonic():
+        if self._sent_at + self._gather() <= time.monotonic() \
+                or len(self._pending) == MOST_PENDING:
             self._send()
 
     def event(self, text: str, level: str = 'INFO') -> None:
         """Show a line of text at the time of the newest sample; level INFO, WARN or ERROR."""
-        stamp, step = (self._newest.stamp, self._newest.step) if self._newest else (0, 0)
-        self._columns('/events', self._times([stamp], [step]),
-                      rr.TextLog.columns(text=[text], level=[level]))
+        if self._closed:
+            raise RecordingError('the rerun recording is closed; open a new one')
+        stamp, step = (self._newest.stamp, self._newest.step) if self._newest else self._begin
+        self._events.append((stamp, step, text, level))
+        if self._stream.live:
+            self._send_events()
 
     def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float
                ) -> None:
@@ -139,19 +142,15 @@ class RerunSink:
             return
         if self._newest is not None and self._newest is not self._kept:
             self._pending.append(self._newest)
-        self._send()
         self._closed = True
         try:
-            self._stream.flush(timeout_sec=FLUSH)
-        except RuntimeError as problem:
-            raise RecordingError(f'the end of the rerun recording is lost: {problem}') \
-                from problem
+            self._send()
         finally:
-            _hang_up(self._stream, self._live)
+            self._stream.close()
 
     def _gather(self) -> float:
         """Return the wall time from the last send to the next [s]."""
-        if self._live:
+        if self._stream.live:
             return GATHER_LIVE
         share = GATHER_SHARE * (self._sent_at - self._began)
         return min(max(GATHER_FILE, share), GATHER_MOST)
@@ -170,16 +169,18 @@ class RerunSink:
         arrangement = Arrangement(len(shown), bounds)
         self._stream.send_blueprint(
             make_blueprint(shown, self._labels, arrangement, self._interval, pace))
-        layout.log_series_styles(self._stream, self._labels | layout.TIMING)
+        recording = self._stream.recording
+        layout.log_series_styles(recording, self._labels | layout.TIMING)
         for frame in frames[:len(shown)]:
-            layout.log_phase_portrait(
-                self._stream, hamiltonian, frame, q0, p0, arrangement.side)
+            layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
         if parts:
-            layout.log_mechanism_styles(self._stream, parts)
+            layout.log_mechanism_styles(recording, parts)
 
     def _send(self) -> None:
         samples, self._pending = self._pending, []
         self._sent_at = time.monotonic()
+        self._stream.check()
+        self._send_events()
         self._send_timings()
         if not samples:
             return
@@ -196,6 +197,13 @@ class RerunSink:
         if self._mechanism is not None:
             self._send_mechanism(times, q)
         self._sent = samples[-1]
+
+    def _send_events(self) -> None:
+        events, self._events = self._events, []
+        if events:
+            stamps, steps, texts, levels = (list(column) for column in zip(*events, strict=True))
+            self._columns('/events', self._times(stamps, steps),
+                          rr.TextLog.columns(text=texts, level=levels))
 
     def _send_timings(self) -> None:
         timings, self._timings = self._timings, []
@@ -232,64 +240,10 @@ class RerunSink:
 
     def _columns(self, path: str, times: list[rr.TimeColumn], columns: rr.ComponentColumnList
                  ) -> None:
-        if self._closed:
-            raise RecordingError('the rerun recording is closed; open a new one')
-        self._stream.send_columns(path, times, columns, strict=True)
+        self._stream.recording.send_columns(path, times, columns, strict=True)
 
 
 def _scalars(values: np.ndarray) -> rr.ComponentColumnList:
     """Make one row a sample, of shape (n,) or (n, d)."""
     columns = rr.Scalars.columns(scalars=values.reshape(-1))
     return columns if values.ndim == 1 else columns.partition([values.shape[1]] * len(values))
-
-
-def _open(stream: rr.RecordingStream, target: Target) -> None:
-    try:
-        if isinstance(target, Path):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            # Creating it here, exclusively, is what keeps an existing file from being overwritten.
-            target.open('xb').close()
-            stream.save(target)
-        elif isinstance(target, str):
-            _check_viewer(target)
-            stream.connect_grpc(target)
-        else:
-            _check_port(target)
-            stream.serve_grpc(grpc_port=target)
-            stream.flush(timeout_sec=FLUSH)
-    except FileExistsError as problem:
-        raise RecordingError(f'{target}: exists and is not overwritten; choose another '
-                             'rerun_path') from problem
-    except (OSError, RuntimeError, ValueError, OverflowError) as problem:
-        raise RecordingError(f'{target}: cannot record for rerun there: {problem}') from problem
-
-
-def _check_viewer(url: str) -> None:
-    """Knock first: connecting to a viewer that is not there takes the SDK five seconds."""
-    parts = urlsplit(url)
-    if parts.scheme not in ('rerun', 'rerun+http', 'rerun+https') or not parts.hostname:
-        raise RecordingError(f'{url}: no address of a rerun viewer; it looks like '
-                             'rerun+http://127.0.0.1:9876/proxy')
-    port = parts.port or {'rerun+http': 80}.get(parts.scheme, 443)
-    try:
-        socket.create_connection((parts.hostname, port), timeout=2.0).close()
-    except OSError as problem:
-        raise RecordingError(f'{url}: no rerun viewer listens there ({problem}); '
-                             'start one with: rerun') from problem
-
-
-def _check_port(port: int) -> None:
-    """Bind it once: the SDK only logs that a port is taken."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind(('', port))
-
-
-def _hang_up(stream: rr.RecordingStream, live: bool) -> None:
-    """Close the target; a viewer that is gone would keep the caller waiting for ten seconds."""
-    if not live:
-        stream.disconnect()
-        return
-    waiter = threading.Thread(target=stream.disconnect, daemon=True)
-    waiter.start()
-    waiter.join(HANG_UP)

@@ -23,6 +23,7 @@ GROUPS = {
     'auto': ('benchmarks.auto', 60.0),
     'guards': ('benchmarks.guards', 60.0),
     'node': ('benchmarks.node_load', 200.0),
+    'memory': ('benchmarks.memory', 800.0),
     'cold_start': ('benchmarks.cold_start', 150.0),
 }
 # Read when a library is loaded: too late to set here.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each guard, provoked in a running simulator: other nodes hear its alarm, the files hold it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 import time
@@ -13,7 +13,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.barrier import BarrierGuard
-from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
@@ -26,6 +26,7 @@ from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.ros.parameters import PARAMETERS
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.studies.hard_cases_plan import load_plan
 import numpy as np
 from processes import finish, read_bag, start
@@ -274,15 +275,16 @@ class Parts:
 
     topic = 'topic'
 
-    def __init__(self):
+    def __init__(self, guards: Sequence[Guard] = ()):
         self.published: list[Status] = []
         self.recorded: list[tuple] = []
         self.events: list[tuple[str, str]] = []
         self.lines: list[tuple[str, str]] = []
-        self.health = Health(simulation_of(), [], self, self,
+        # As after a reset at 5 s.
+        self.health = Health(lambda step: 5_000_000_000 + step * 10_000_000, guards, self, self,
                              lambda *line: self.lines.append(line))
 
-    def publish(self, statuses: list[Status]) -> bytes:
+    def publish(self, statuses: list[Status], stamp: int) -> bytes:
         self.published += statuses
         return b'payload'
 
@@ -310,7 +312,7 @@ def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch)
     assert len(parts.published) == len(parts.recorded) == len(parts.events) == 6
     assert parts.recorded[-1] == ('topic', 60_000_000, b'payload')
     assert [text for text, _ in parts.lines] == [
-        't = 0.01 s: under-resolved at 1', 't = 0.01 s: separatrix not resolved at 1']
+        't = 5.01 s: under-resolved at 1', 't = 5.01 s: separatrix not resolved at 1']
     now = 111.0
     parts.health.add(alarm('under-resolved', 7), 70_000_000)
     assert len(parts.lines) == 3
@@ -326,6 +328,50 @@ def test_health_stays_as_bad_as_the_worst_alarm_and_says_its_newest():
     assert status.values['under-resolved: step [1]'] == 3
     assert status.values[f'{EnergyGuard.kind}: value [J]'] == 0.5
     assert [told.level for told in parts.published] == [WARN, ERROR, WARN]
+
+
+def at(q: float, step: int, energy: float = 0.5) -> Sample:
+    """Return a sample whose coordinate, step and energy alone matter."""
+    return replace(Sampler(simulation_of(), 100.0).sample(), q=np.array([q]), step=step,
+                   energy=energy, modified_energy=energy)
+
+
+def watched(guard: Guard, samples: Sequence[Sample]) -> Parts:
+    """Return what was told of samples, the last one being the newest."""
+    parts = Parts([guard])
+    for sample in samples:
+        if (found := guard.update(sample)) is not None:
+            parts.health.add(found, sample.stamp)
+    return parts
+
+
+def test_box_alarm_says_how_far_outside_the_newest_sample_is():
+    guard, samples = BoxGuard(BOX), [at(q, step) for step, q in enumerate((0.9, 1.01, 1.5, 1.25))]
+    status = watched(guard, samples).health.status(samples[-1])
+    assert 'by 0.25 of its half-width' in status.message
+    kind = BoxGuard.kind
+    assert status.values[f'{kind}: value [half-widths]'] == pytest.approx(0.25)
+    assert (status.values[f'{kind}: step [1]'], status.values[f'{kind}: t [s]']) == (3, '5.03')
+    assert status.values[f'{kind}: since [s]'] == '5.01'
+    assert status.values[f'{kind}: times [1]'] == 1
+
+
+def test_box_alarm_that_is_over_says_so_and_how_far_outside_the_state_was():
+    samples = [at(q, step) for step, q in enumerate((1.01, 1.5, 0.5))]
+    status = watched(BoxGuard(BOX), samples).health.status(samples[-1])
+    assert status.level == WARN and status.values[f'{BoxGuard.kind}: value [half-widths]'] == 0.0
+    assert status.message.startswith('inside again, but was up to 0.5 of its half-width outside')
+
+
+@pytest.mark.parametrize('guard, text', [
+    (ResolutionGuard(0.1, 0.5, 0.01, 2), 'only to 0.8 of its size'),
+    (BarrierGuard('separatrix', 0.05), 'only to 0.4 J'),
+    (EnergyGuard(0.02, 0.02), 'changed by 0.4 J')])
+def test_alarm_of_energy_has_the_values_of_the_newest_sample(guard, text):
+    samples = [at(1.0, step, 0.5 + change) for step, change in enumerate((0.0, 0.25, 0.4))]
+    status = watched(guard, samples).health.status(samples[-1])
+    assert status.values[f'{guard.kind}: value [J]'] == pytest.approx(0.4)
+    assert text in status.message
 
 
 def test_health_forgets_an_overrun_once_it_is_reported():

@@ -14,7 +14,7 @@ from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics import LATCHED
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_recovery import recover
-from peer import peer
+from peer import Peer, peer
 from processes import finish, read_bag, start
 import pytest
 from rclpy.qos import QoSProfile
@@ -34,10 +34,13 @@ TOPICS = {'/hnn_simulator/scene': (String, LATCHED), '/hnn_simulator/state': (Jo
 REST = ('/hnn_simulator/p', '/hnn_simulator/energy')
 
 
-def fill_disk(process: subprocess.Popen, bag: Path) -> None:
-    # No file of the process may grow beyond what the bag is now.
-    size = (bag / 'bag_0.mcap').stat().st_size
+def limit_files(process: subprocess.Popen, size: int) -> None:
+    """Let no file of a process grow beyond a size, as on a disk that is full."""
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, size))
+
+
+def fill_disk(process: subprocess.Popen, bag: Path) -> None:
+    limit_files(process, (bag / 'bag_0.mcap').stat().st_size)
 
 
 def remove_folder(process: subprocess.Popen, bag: Path) -> None:
@@ -87,6 +90,15 @@ def test_simulator_killed_before_its_first_step_leaves_a_bag_with_its_scene(
     assert stamp == 0 and message.data.encode() == BagReader(bag).attachment('scene.yaml')
 
 
+def listen(other: Peer, told: list[str]) -> None:
+    """Note what /diagnostics says of a recorder that has failed."""
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        told.extend(status.message for status in message.status
+                    if status.name == 'hnn_simulator: recorder' and status.level == b'\x02')
+
+    other.node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
+
+
 @pytest.mark.parametrize('spoil, reason', [
     (fill_disk, 'File too large'), (remove_folder, 'No such file or directory')])
 def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_on(
@@ -94,13 +106,8 @@ def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_o
     (tmp_path / 'oscillator.yaml').write_text(SCENE)
     process = start(tmp_path, record_path='bag', rerun_sink='none')
     told: list[str] = []
-
-    def on_diagnostics(message: DiagnosticArray) -> None:
-        told.extend(status.message for status in message.status
-                    if status.name == 'hnn_simulator: recorder' and status.level == b'\x02')
-
     with peer() as other:
-        other.node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
+        listen(other, told)
         other.spin_until(lambda: len(other.states) > 150)
         assert told == []
         spoil(process, tmp_path / 'bag')
@@ -113,6 +120,42 @@ def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_o
     # The process ends with the status of an incomplete recording, and says why once.
     assert status == 1
     assert error.count('the simulation goes on') == 1 and reason in error
+    # Of what is there still, something is left to be done; of what is not, nothing.
+    assert error.count('ros2 run hnn_vi_ros recover_bag bag') == (tmp_path / 'bag').exists()
+
+
+def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_path: Path):
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    process = start(tmp_path, record_path='bag', rerun_path='picture.rrd', rerun_sink='file')
+    with peer() as other:
+        other.spin_until(lambda: len(other.states) > 50)
+        assert other.pause().success
+        # Nothing is written until the end, for which there is no room then.
+        limit_files(process, 4096)
+        process.send_signal(signal.SIGINT)
+        status, out, error = finish(process)
+    assert status == 1
+    assert 'the simulation goes on' not in error
+    # One line for each file, which the node says, and what to do about the bag.
+    assert sum('[ERROR]' in line for line in error.splitlines()) == 2
+    assert 'recover_bag bag' in error and 'picture.rrd' in error
+    assert all('[hnn_simulator]' in line for line in error.splitlines())
+    assert 'is not complete' in out
+
+
+def test_picture_that_cannot_be_written_is_told_while_the_simulation_goes_on(tmp_path: Path):
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    process = start(tmp_path, record='false', rerun_path='picture.rrd', rerun_sink='file')
+    told: list[str] = []
+    with peer() as other:
+        listen(other, told)
+        other.spin_until(lambda: len(other.states) > 50)
+        limit_files(process, 4096)
+        other.spin_until(lambda: told)
+        assert 'picture.rrd: the rerun recording stopped' in told[0]
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 1 and error.count('the simulation goes on') == 1
 
 
 def test_recording_into_a_folder_that_cannot_be_made_is_refused_and_the_simulation_goes_on(

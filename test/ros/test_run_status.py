@@ -150,10 +150,11 @@ class Run:
         self.recording = Recording(
             rclpy.logging.get_logger('test'), scene, self.simulation, values, None, None, {},
             self.sampler)
-        self.health = Health(self.simulation, [], SimpleNamespace(
-            topic=None, publish=lambda statuses: b''), self.recording, lambda *line: None)
+        self.health = Health(self.sampler.stamp_at, [], SimpleNamespace(
+            topic=None, publish=lambda statuses, stamp: b''), self.recording, lambda *line: None)
         self.status = RunStatus(
-            scene, self.simulation, self.monitor, self.recording, self.health, factor)
+            scene, self.simulation, self.sampler, self.monitor, self.recording, self.health,
+            factor)
 
     def advance(self, count: int) -> None:
         for _ in range(count):
@@ -197,7 +198,7 @@ def test_integrator_warns_of_steps_in_parts_since_the_last_report(tmp_path):
 
 def test_integrator_and_health_keep_saying_that_a_step_failed(tmp_path):
     run = Run(tmp_path)
-    run.health.add_failure(StepFailure('not finite', 0.5, 0.01, 1.0, 3), 0)
+    run.health.add_failure(StepFailure('not finite', 0.5, 0.01, 1.0, 3), 50, 0)
     for component in ('integrator', 'health'):
         for _ in range(2):
             level, message = run.told(component)

@@ -4,9 +4,11 @@
 
 import json
 from pathlib import Path
+import re
 import signal
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, ClockPublisher
 from hnn_vi_ros.ros.pacing import Pacer
@@ -16,6 +18,7 @@ from peer import Peer, peer, SIMULATOR, stamp
 from processes import finish, read_bag, start
 import pytest
 from rclpy.serialization import deserialize_message
+from rerun.chunk import RrdReader
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -36,12 +39,28 @@ integrator: {kind: generalized_leapfrog}
 step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
-TICK = 10_000_000
+# Each step multiplies the energy by 1.04: after 16 s it has changed by ten times its size.
+COARSE = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: explicit_euler}
+step_size: 0.2
+initial_state: {q: [1.0], p: [0.0]}
+"""
+# The paper's iteration does not converge in its 17th step.
+FAILING = """\
+hamiltonian: {kind: tao}
+integrator: {kind: variational_euler, solver: fixed_point}
+step_size: 0.4
+initial_state: {q: [1.0], p: [-1.0]}
+"""
+TICK, SECOND = 10_000_000, 10**9
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a working directory with two scenes."""
+    """Return a working directory with scenes."""
+    (tmp_path / 'coarse.yaml').write_text(COARSE)
+    (tmp_path / 'failing.yaml').write_text(FAILING)
     (tmp_path / 'driven.yaml').write_text(SCENE)
     (tmp_path / 'noisy.yaml').write_text(NOISY)
     return tmp_path
@@ -172,6 +191,71 @@ def test_reset_repeats_the_run_bit_by_bit_in_a_new_bag(folder, scene):
     assert 0 < stamps[1][0] - stamps[0][-1] <= 2 * TICK
     assert begun['stamp'] == stamps[1][0] - TICK
     assert stamps[0][0] == stamps[2][0] == TICK
+
+
+def times_told(text: str) -> list[float]:
+    """Return the simulated times that a text names [s]."""
+    return [float(found) for found in re.findall(r't = ([\d.]+) s', text)]
+
+
+def test_after_a_reset_every_time_that_is_told_is_that_of_the_stamps(folder):
+    """In the log, in services' answers, on /diagnostics, in the bag and in the picture."""
+    process = start(folder, scene='coarse.yaml', record_path='bag', rerun_path='picture.rrd',
+                    rerun_sink='file', real_time_factor=20, publish_rate=5)
+    told: list[DiagnosticArray] = []
+    with peer() as other:
+        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
+        other.spin_until(lambda: other.states and stamp(other.states[-1]) > 20 * SECOND)
+        answer = other.trigger('reset')
+        origin = round(times_told(answer.message)[0] * SECOND)
+        assert origin > 20 * SECOND
+        told.clear()
+        other.spin_until(lambda: stamp(other.states[-1]) > origin + 18 * SECOND)
+        other.spin_until(lambda: len(told) > 2)
+        assert times_told(other.pause().message)[0] * SECOND > origin
+        other.set_parameters(step_count=3)
+        assert times_told(other.trigger('step').message)[0] * SECOND > origin
+        error = stop(process)
+    # On the air: alarms, and how the run does.
+    assert {s.name.rpartition(' ')[2] for m in told for s in m.status} >= {'health', 'integrator'}
+    for message in told:
+        assert message.header.stamp.sec >= origin // SECOND
+        for item in (item for status in message.status for item in status.values):
+            if item.key.partition(': ')[2] in ('t [s]', 'since [s]') or item.key in (
+                    't [s]', 'since [s]', 'simulated_time [s]'):
+                assert float(item.value) * SECOND >= origin
+    # In the log, where the alarm is told of each run.
+    assert [t for t in times_told(error) if t * SECOND > origin]
+    # In the bag of the second run, stamped as it is logged.
+    stamps = [when for when, _ in read_bag(folder / 'bag-2')['/hnn_simulator/q']]
+    alarms = read_bag(folder / 'bag-2')['/diagnostics']
+    assert stamps[0] > origin and alarms
+    for when, message in alarms:
+        assert when in stamps
+        assert message.header.stamp.sec * SECOND + message.header.stamp.nanosec == when
+    # In the picture.
+    shown = [time for chunk in RrdReader(folder / 'picture-2.rrd').stream()
+             if not chunk.is_static
+             for time in chunk.to_record_batch().column('sim_time').cast('int64').to_pylist()]
+    assert min(shown) >= origin
+
+
+def test_failure_after_a_reset_is_told_at_the_time_of_the_stamps(folder):
+    process = start(folder, scene='failing.yaml', record_path='bag', rerun_sink='none',
+                    publish_rate=2.5, real_time_factor=10, start_paused='true', step_count=10)
+    with peer() as other:
+        other.wait_for_state('active')
+        # Refused until the timer runs.
+        other.spin_until(lambda: other.trigger('step').success)
+        assert other.trigger('reset').success
+        assert other.pause(False).success
+        status, _, error = finish(process)
+    assert status == 1
+    # It fails in the 17th step of 0.4 s, which begins after 16 of them; the reset was after 10.
+    lines = [line for line in error.splitlines() if '[ERROR]' in line]
+    assert len(lines) == 2 and all(set(times_told(line)) == {10.4} for line in lines)
+    (when, message), = read_bag(folder / 'bag-2')['/diagnostics']
+    assert times_told(message.status[0].message) == [10.4] and when == round(10.4 * SECOND)
 
 
 def test_as_fast_as_possible_answers_within_50_ms(folder):

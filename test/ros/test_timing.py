@@ -72,6 +72,22 @@ def test_pace_is_simulated_over_wall_time_between_two_evaluations():
     assert timing.figures.real_time_factor == pytest.approx(0.5 / 0.25)
 
 
+def test_pace_counts_neither_a_pause_nor_what_lies_before_the_first_step():
+    clock = Clock()
+    timing = Timing(every=1, tick=0.01, now=clock)
+    timing.add_batch(1, 1e-6, 1)
+    for begin in (10.0, 30.0):
+        # Configuration, then a pause, of 10 s and more.
+        clock.time = begin
+        timing.restart()
+        assert timing.evaluate() and math.isnan(timing.figures.real_time_factor)
+        for _ in range(50):
+            timing.add_sample(1e-6)
+        clock.time = begin + 0.25
+        assert timing.evaluate()
+        assert timing.figures.real_time_factor == pytest.approx(2.0)
+
+
 def test_figures_forget_what_lies_before_the_window():
     timing = Timing(every=1, tick=0.01, now=Clock())
     for _ in range(WINDOW):

@@ -1,0 +1,197 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A stream of the rerun SDK to one target, which says what fails and leaves nothing behind."""
+
+from pathlib import Path
+import socket
+import threading
+from typing import final
+from urllib.parse import urlsplit
+from uuid import NAMESPACE_OID, uuid5
+
+from hnn_vi_ros.errors import RecordingError
+import rerun as rr
+from rerun import bindings
+import rerun.blueprint as rrb
+
+Target = Path | str | int
+# What closing may take [s]: for the last samples to leave, for a connection to end, for a server
+# or the index of a file.
+FLUSH, HANG_UP, FINISH = 0.5, 0.3, 10.0
+# Those that wait for a target that may never answer.
+_waiting: list[threading.Thread] = []
+
+
+@final
+class RerunStream:
+    """
+    A stream to a file, a viewer, or those that connect to a port.
+
+    Parameters
+    ----------
+    application : str
+        Recordings of one application share a layout in the viewer.
+    target : Path, str or int
+        A file to write (must not exist), the URL of a viewer, or the port to serve viewers on.
+
+    Attributes
+    ----------
+    live : bool
+        Whether viewers show what is sent at once.
+    recording : rerun.RecordingStream
+        What takes the data.
+
+    Raises
+    ------
+    RecordingError
+        The file exists or cannot be written, no viewer listens, or the port is taken.
+
+    """
+
+    def __init__(self, application: str, target: Target):
+        self.live = not isinstance(target, Path)
+        self._target, self._size = target, 0
+        self.recording = _open(application, target)
+
+    def send_blueprint(self, blueprint: rrb.Blueprint) -> None:
+        """
+        Lay the views out.
+
+        The SDK's own function leaves its stream in a circle with the memory that it writes to,
+        where nothing frees it; here it is disconnected from it.
+        """
+        _number(blueprint.root_container, 'root')
+        stream = rr.RecordingStream._from_native(bindings.new_blueprint(
+            application_id=self.recording.get_application_id(), make_default=False,
+            make_thread_default=False, default_enabled=True))
+        stream.set_time('blueprint', sequence=0)
+        blueprint._log_to_stream(stream)
+        bindings.send_blueprint(stream.memory_recording().storage, make_active=True,
+                                make_default=True, recording=self.recording.to_native())
+        stream.disconnect()
+
+    def check(self) -> None:
+        """
+        Look whether what was sent before has arrived in the file.
+
+        Raises
+        ------
+        RecordingError
+            The file was removed, or cannot be written any more; the stream is closed.
+
+        """
+        if self.live:
+            return
+        try:
+            before, self._size = self._size, self._target.stat().st_size
+            if self._size == before:
+                # The disk is slow, or the thread that writes has ended, which only this tells.
+                self.recording.flush(timeout_sec=FLUSH)
+        except (OSError, RuntimeError) as problem:
+            self._hang_up(HANG_UP)
+            raise RecordingError(
+                f'{self._target}: the rerun recording stopped ({_reason(problem)}): the file was '
+                'removed or the disk is full; record elsewhere') from problem
+
+    def close(self) -> None:
+        """
+        Let the last data leave, and close the target; within a second, but for a slow disk.
+
+        Raises
+        ------
+        RecordingError
+            Not everything was taken, because the viewer is gone or the disk is full.
+
+        """
+        try:
+            self.recording.flush(timeout_sec=FLUSH)
+        except RuntimeError as problem:
+            self._hang_up(HANG_UP)
+            why = 'the viewer is gone' if self.live else 'the disk is full'
+            raise RecordingError(f'{self._target}: the end of the rerun recording is lost '
+                                 f'({_reason(problem)}): perhaps {why}') from problem
+        self._hang_up(HANG_UP if isinstance(self._target, str) else FINISH)
+        if not self.live and not bindings.check_for_rrd_footer(self._target):
+            raise RecordingError(f'{self._target}: the end of the rerun recording is lost: '
+                                 'perhaps the disk is full')
+
+    def _hang_up(self, longest: float) -> None:
+        """
+        Close the target, or give that up [s].
+
+        A viewer that is gone would keep the caller waiting for 10 s, and a file whose disk is full
+        for ever, at the end of the process as well.
+        """
+        thread = threading.Thread(target=self.recording.disconnect, daemon=True)
+        thread.start()
+        thread.join(longest)
+        if thread.is_alive():
+            _waiting.append(thread)
+            rr.unregister_shutdown()
+
+
+def _number(part: rrb.Container | rrb.View, place: str) -> None:
+    """Give a view the same id each time: of random ones the SDK keeps the paths for ever."""
+    part.id = uuid5(NAMESPACE_OID, place)
+    if isinstance(part, rrb.Container):
+        for number, child in enumerate(part.contents):
+            _number(child, f'{place}/{number}')
+
+
+def _open(application: str, target: Target) -> rr.RecordingStream:
+    try:
+        if isinstance(target, Path):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            # Creating it here, exclusively, is what keeps an existing file from being overwritten.
+            target.open('xb').close()
+        elif isinstance(target, str):
+            _check_viewer(target)
+        else:
+            _check_port(target)
+        return _connect(application, target)
+    except FileExistsError as problem:
+        raise RecordingError(f'{target}: exists and is not overwritten; choose another '
+                             'rerun_path') from problem
+    except (OSError, RuntimeError, ValueError, OverflowError) as problem:
+        raise RecordingError(f'{target}: cannot record for rerun there: {problem}') from problem
+
+
+def _connect(application: str, target: Target) -> rr.RecordingStream:
+    # The SDK keeps every closed recording, with two threads and half a megabyte, until it is told
+    # to clean up (rerun issue 2116), as by its own rr.init; that waits for all of them.
+    if not any(thread.is_alive() for thread in _waiting):
+        bindings.flush_and_cleanup_orphaned_recordings()
+    stream = rr.RecordingStream(application)
+    if isinstance(target, Path):
+        stream.save(target)
+    elif isinstance(target, str):
+        stream.connect_grpc(target)
+    else:
+        stream.serve_grpc(grpc_port=target)
+        stream.flush(timeout_sec=FLUSH)
+    return stream
+
+
+def _check_viewer(url: str) -> None:
+    """Knock first: connecting to a viewer that is not there takes the SDK five seconds."""
+    parts = urlsplit(url)
+    if parts.scheme not in ('rerun', 'rerun+http', 'rerun+https') or not parts.hostname:
+        raise RecordingError(f'{url}: no address of a rerun viewer; it looks like '
+                             'rerun+http://127.0.0.1:9876/proxy')
+    port = parts.port or {'rerun+http': 80}.get(parts.scheme, 443)
+    try:
+        socket.create_connection((parts.hostname, port), timeout=2.0).close()
+    except OSError as problem:
+        raise RecordingError(f'{url}: no rerun viewer listens there ({problem}); '
+                             'start one with: rerun') from problem
+
+
+def _check_port(port: int) -> None:
+    """Bind it once: the SDK only logs that a port is taken."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(('', port))
+
+
+def _reason(problem: OSError | RuntimeError) -> str:
+    return getattr(problem, 'strerror', None) or str(problem)

@@ -1,0 +1,62 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Standard output and error that are closed, full, or pipes that nobody reads any more."""
+
+import io
+import os
+import sys
+from typing import TextIO
+
+
+class _Lossy(io.FileIO):
+    """
+    A file whose writes never fail: what it cannot take is lost, and why is remembered.
+
+    A recording, a training or a study is not to end because its lines cannot be shown.
+
+    Attributes
+    ----------
+    problem : OSError or None
+        Why something was lost.
+
+    """
+
+    problem: OSError | None = None
+
+    def write(self, data: bytes) -> int | None:
+        """Write, as long as that works."""
+        if self.problem is None:
+            try:
+                return super().write(data)
+            except OSError as problem:
+                self.problem = problem
+        return len(data)
+
+
+def guard_streams() -> None:
+    """Let no write to standard output or error raise; see ``lost_output``."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # Else the next file that is opened, such as a bag, would be what is printed to. Opened
+            # so that writing fails, as it does to what is closed.
+            os.open(os.devnull, os.O_WRONLY if number == 0 else os.O_RDONLY)
+    sys.stdout, sys.stderr = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
+
+
+def lost_output() -> OSError | None:
+    """Return why something that was printed has not arrived; None if all has."""
+    sys.stdout.flush()
+    return sys.stdout.buffer.raw.problem
+
+
+def _guarded(number: int, stream: TextIO | None) -> TextIO:
+    """Return a text stream like the one that Python has made, if it has made one."""
+    terminal = os.isatty(number)
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Lossy(number, 'w', closefd=False)),
+        encoding=stream.encoding if stream else 'utf-8',
+        errors=stream.errors if stream else 'backslashreplace',
+        line_buffering=terminal or number == 2,
+        write_through=stream.write_through if stream else False)

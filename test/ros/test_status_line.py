@@ -1,0 +1,97 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pace of the status line is that of the steps since it was last started, by any clock."""
+
+import io
+import re
+import sys
+from types import SimpleNamespace
+
+from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.status_line import StatusLine
+from hnn_vi_ros.sinks.sample import Sample
+import numpy as np
+import pytest
+
+SECOND = 10**9
+
+
+class Terminal(io.StringIO):
+    """A standard output that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+class Shown:
+    """A status line on a clock that is put forward by hand, and the paces that it shows."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch):
+        self.time, self.terminal = 0.0, Terminal()
+        monkeypatch.setattr(sys, 'stdout', self.terminal)
+        self.line = StatusLine(None, lambda: self.time)
+
+    def run(self, begin: int, seconds: float, pace: float) -> None:
+        """Show samples of a run at a pace, every 20 ms of wall time, from a stamp on."""
+        start = self.time
+        for tick in range(1, round(seconds / 0.02) + 1):
+            self.time = start + 0.02 * tick
+            self.line.show(sample(begin + round(tick * 0.02 * pace * SECOND)), 0)
+
+    @property
+    def paces(self) -> list[float]:
+        """Return what was shown, and forget it."""
+        found = re.findall(r'(\S+) x real time', self.terminal.getvalue())
+        self.terminal.seek(0)
+        self.terminal.truncate()
+        return [float(pace) for pace in found]
+
+
+@pytest.mark.parametrize('act', [
+    lambda control: control.activate(), lambda control: control.deactivate(),
+    lambda control: control.set_paused(True), lambda control: control.reset(False),
+    lambda control: (control.set_paused(True), control.request_steps(3))],
+    ids=['activate', 'deactivate', 'pause', 'reset', 'step'])
+def test_clocks_are_started_anew_whenever_the_run_is_halted_or_goes_on(act):
+    started = []
+    run = SimpleNamespace(
+        status=SimpleNamespace(paused=False), recording=SimpleNamespace(flush=lambda: None),
+        sampler=SimpleNamespace(time=0.0), reset=lambda time_too: None,
+        start_clocks=lambda: started.append(True), tell=lambda *words: None)
+    control = Control(None, run, None, {'discovery_time': 0.0, 'start_paused': False})
+    # As once subscribers have been found.
+    control._timer = SimpleNamespace(reset=lambda: None, cancel=lambda: None)
+    control.active = True
+    before = len(started)
+    act(control)
+    assert len(started) > before
+
+
+def sample(stamp: int) -> Sample:
+    one = np.ones(1)
+    return Sample(0, stamp, one, one, one, one, 0.5, 0.5, 0.0)
+
+
+def test_pace_counts_from_the_first_step(monkeypatch):
+    shown = Shown(monkeypatch)
+    # Configuration and discovery.
+    shown.time = 30.0
+    shown.line.restart(0)
+    shown.run(0, 1.0, pace=2.0)
+    paces = shown.paces
+    # Every 0.2 s, of which rounding may take one to the next sample.
+    assert len(paces) in (4, 5) and set(paces) == {2.0}
+
+
+@pytest.mark.parametrize('wait, before, after', [
+    (20.0, SECOND, SECOND), (0.0, 100 * SECOND, 0), (7.0, 0, 50 * SECOND)],
+    ids=['pause', 'reset of the time', 'resumed'])
+def test_pace_counts_from_each_restart(monkeypatch, wait, before, after):
+    shown = Shown(monkeypatch)
+    shown.line.restart(before - SECOND)
+    shown.run(before - SECOND, 1.0, pace=1.0)
+    shown.time += wait
+    shown.line.restart(after)
+    shown.run(after, 1.0, pace=1.0)
+    paces = shown.paces
+    assert len(paces) >= 8 and set(paces) == {1.0}
