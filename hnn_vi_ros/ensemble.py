@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.arguments import check_count, check_seconds
+from hnn_vi_ros.checks import check_count, check_seconds
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
