@@ -68,9 +68,9 @@ def compiled_options(options: tuple) -> tuple:
     return type(options)(*parts) if hasattr(options, '_fields') else tuple(parts)
 
 
-def is_own(module: str) -> bool:
-    """Tell whether a module belongs to this package, whose changes are noticed."""
-    return module.startswith(f'{_PACKAGE}.')
+def is_own(module: str | None) -> bool:
+    """Tell whether a module, None for none, belongs to this package, whose changes are noticed."""
+    return module is not None and module.startswith(f'{_PACKAGE}.')
 
 
 def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True) -> Callable:

@@ -139,7 +139,7 @@ def symplectic_defect(hamiltonian: Hamiltonian, integrator: Integrator, h: float
 
     """
     d, z = q.size, np.concatenate([q, p])
-    scales = _scales(hamiltonian, q, p)
+    scales = state_scales(hamiltonian, q, p)
 
     def step(z: np.ndarray) -> np.ndarray:
         return np.concatenate(take_step(hamiltonian.kernel, integrator, h, z[:d], z[d:]))
@@ -218,7 +218,7 @@ def stationary_energy(hamiltonian: Hamiltonian, q: Sequence[float], p: Sequence[
     raise ValueError(f'no stationary state of H next to q = {list(q)}, p = {list(p)}')
 
 
-def _scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+def state_scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Return over what H changes, for each entry of (q, p): its box, or the size of the state."""
     if hamiltonian.box is not None:
         return 0.5 * np.ptp(np.concatenate(hamiltonian.box), axis=1)

@@ -2,39 +2,54 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
+from hnn_vi_ros.checks import check_count, check_seconds
 from hnn_vi_ros.phase_space import check_state, Trajectory
+from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.system import System
 import numpy as np
 
-if TYPE_CHECKING:
-    from hnn_vi_ros.scene import Scene
-
 # Trajectories that step together: a network's weights are read once for all of them. Larger
 # blocks gain no more, and each waits for its slowest trajectory.
 BLOCK = 32
+# Coordinates that the samples of a run may have in all; as many momenta come beside them: 4 GiB.
+_MOST_NUMBERS = 2**28
+
+# What a command is in time: values at a time [s], or at each sample.
+Commands = Callable[[float], Sequence[float]] | Sequence[Sequence[float]]
 
 
-def simulate(scene: 'Scene', duration: float, *, step_size: float | None = None,
-             integrator: str | None = None, every: int = 1) -> Trajectory:
+def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
+             integrator: str | None = None,
+             initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+             effects: Sequence[Mapping[str, Any]] | None = None,
+             commands: Commands | None = None, every: int = 1) -> Trajectory:
     """
     Simulate a scene without ROS.
 
     Parameters
     ----------
-    scene : Scene
-        From ``load_scene``.
+    scene : Scene, str or Path
+        From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
     duration : float
         Simulated time [s]; rounded to a whole number of samples.
     step_size : float, optional
         h [s], in place of the scene's.
     integrator : str, optional
         A name from INTEGRATORS, in place of the scene's.
+    initial_state : tuple of (q, p), shape (d,) each, optional
+        In place of the scene's.
+    effects : sequence of mapping, optional
+        In place of the scene's, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+    commands : callable or array, shape (N, c), optional
+        Of the effect external_force: a function of the time [s] that is asked before each step,
+        or a row for each sample, which holds until the next.
     every : int, optional
         Steps from one sample to the next.
 
@@ -46,26 +61,80 @@ def simulate(scene: 'Scene', duration: float, *, step_size: float | None = None,
     Raises
     ------
     HnnViRosError
-        An unknown integrator, a model that cannot be loaded, or a StepFailure.
+        An unknown scene or integrator, a model that cannot be loaded, or a StepFailure.
     ValueError
-        A duration or step size that is not usable.
+        An argument that is not usable, or more samples than fit into memory.
+    TypeError
+        An argument of another type.
 
     """
-    if not (np.isfinite(duration) and duration >= 0.0):
-        raise ValueError(f'duration = {duration} must be a number of seconds, at least 0')
-    if every < 1:
-        raise ValueError(f'every = {every} must be at least 1 step')
-    simulation = Simulation.from_scene(scene.with_overrides(step_size, integrator))
-    samples = round(duration / (simulation.step_size * every))
+    check_seconds('duration', duration)
+    check_count('every', every)
+    simulation = Simulation.from_scene(_scene(scene).with_overrides(
+        step_size, integrator, _state(initial_state), effects))
+    samples = _count_samples(duration, simulation.step_size * every, simulation.q.size)
     q0, p0 = simulation.q.copy(), simulation.p.copy()
-    q, p = simulation.record(samples, every)
+    if commands is None:
+        q, p = simulation.record(samples, every)
+    else:
+        q, p = _record_commanded(simulation, samples, every, commands)
     q, p = np.vstack([q0, q]), np.vstack([p0, p])
     t = np.arange(samples + 1) * every * simulation.step_size
     return Trajectory(t, q, p, simulation.hamiltonian.energy(q, p))
 
 
-def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequence[float]],
-                  duration: float, *, samples: int = 1, threads: int | None = None) -> Trajectory:
+def _scene(scene: Scene | str | Path) -> Scene:
+    """Return the scene of a name."""
+    if isinstance(scene, str | Path):
+        return load_scene(scene)
+    if not isinstance(scene, Scene):
+        raise TypeError(f'scene is a {type(scene).__name__}: give what load_scene returns, the '
+                        'name of a shipped scene, or the path of a YAML file')
+    return scene
+
+
+def _state(state: tuple[Sequence[float], Sequence[float]] | None
+           ) -> dict[str, Sequence[float]] | None:
+    """Return a pair (q, p) by name."""
+    if state is None:
+        return None
+    if isinstance(state, Mapping | str) or len(state) != 2:
+        raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p')
+    return {name: np.array(part, dtype=np.float64).tolist()
+            for name, part in zip(('q', 'p'), state, strict=True)}
+
+
+def _count_samples(duration: float, interval: float, dimension: int) -> int:
+    """Return the samples of a run; ValueError if they do not fit into memory."""
+    samples = round(duration / interval)
+    if samples * dimension > _MOST_NUMBERS:
+        raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
+                         f'{interval:g} s: more than memory holds; take a larger every')
+    return samples
+
+
+def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands
+                      ) -> tuple[np.ndarray, np.ndarray]:
+    """Take samples times every steps, with a command before each step."""
+    if not callable(commands):
+        rows = np.array(commands, dtype=np.float64)
+        if rows.ndim != 2 or len(rows) < samples:
+            raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
+                             'for each sample but the last; or give a function of the time')
+    q, p = np.empty((2, samples, simulation.q.size))
+    for sample in range(samples):
+        for _ in range(every):
+            # Before each step: none ends by the effect's time-out.
+            simulation.set_command(commands(simulation.time) if callable(commands)
+                                   else rows[sample])
+            simulation.advance(1)
+        q[sample], p[sample] = simulation.q, simulation.p
+    return q, p
+
+
+def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
+                  p: Sequence[Sequence[float]], duration: float, *, samples: int = 1,
+                  threads: int | None = None) -> Trajectory:
     """
     Simulate one scene from many initial states.
 
@@ -76,8 +145,8 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
 
     Parameters
     ----------
-    scene : Scene
-        Its own initial state is not used.
+    scene : Scene, str or Path
+        See ``simulate``; its own initial state is not used.
     q, p : sequence, shape (m, d)
         Initial states.
     duration : float
@@ -98,17 +167,28 @@ def simulate_many(scene: 'Scene', q: Sequence[Sequence[float]], p: Sequence[Sequ
     HnnViRosError
         The scene cannot be built, or a step of some trajectory fails.
     ValueError
-        States, duration or samples that are not usable.
+        An argument that is not usable, or more samples than fit into memory.
+    TypeError
+        An argument of another type.
 
     """
-    scene = scene.resolved()
+    check_seconds('duration', duration)
+    if duration == 0.0:
+        raise ValueError('duration = 0 s: the samples must lie some time apart')
+    check_count('samples', samples)
+    if threads is not None:
+        check_count('threads', threads)
+    scene = _scene(scene).resolved()
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
     effects = scene.create_effects()
     system = System(hamiltonian, effects, integrator)
     d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
     q0, p0 = (part.reshape(-1, d) for part in check_state(q, p, d))
-    if not (np.isfinite(duration) and duration > 0.0 and samples >= 1):
-        raise ValueError(f'duration = {duration} and samples = {samples} must be positive')
+    if q0.size == 0:
+        raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
+    if q0.size * samples > _MOST_NUMBERS:
+        raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
+                         'holds; take fewer at a time')
     every = max(1, round(duration / (samples * scene.step_size)))
 
     def start(block: slice) -> Simulation:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes: the schema of their YAML, and how one becomes a Hamiltonian and an integrator."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -91,31 +91,30 @@ class Scene(StrictModel):
         except ValidationError as problem:
             first = problem.errors(include_url=False)[0]
             where = '.'.join(str(part) for part in first['loc'])
-            raise SceneError(f'{self.source} with other {" or ".join(changes)}: {where}: '
+            raise SceneError(f'{self.source} with other {", ".join(changes)}: {where}: '
                              f'{first["msg"]}') from problem
         scene._origin = replace(
             self._origin, replaced=self._origin.replaced | changes.keys())
         return scene
 
-    def with_overrides(self, step_size: float | None = None, integrator: str | None = None
-                       ) -> 'Scene':
+    def with_overrides(self, step_size: float | None = None, integrator: str | None = None,
+                       initial_state: Mapping[str, Sequence[float]] | None = None,
+                       effects: Sequence[Mapping[str, Any]] | None = None) -> 'Scene':
         """
-        Return this scene with another step size [s] or integrator (a name), where given.
+        Return this scene with other parts, where given; the integrator's is its name.
 
         Raises
         ------
         SceneError
-            An unknown integrator, or a step size that is not a positive number.
+            An unknown integrator, or a part that does not fit the schema.
 
         """
-        changes: dict[str, Any] = {}
-        if step_size is not None:
-            changes['step_size'] = float(step_size)
-        if integrator is not None:
-            if integrator not in INTEGRATORS:
-                valid = ', '.join(sorted(INTEGRATORS))
-                raise SceneError(f'unknown integrator {integrator!r}; valid: {valid}')
-            changes['integrator'] = {'kind': integrator}
+        if integrator not in (None, *INTEGRATORS):
+            raise SceneError(f'unknown integrator {integrator!r}; valid: '
+                             f'{", ".join(sorted(INTEGRATORS))}')
+        given = {'step_size': step_size, 'integrator': integrator and {'kind': integrator},
+                 'initial_state': initial_state, 'effects': effects}
+        changes = {name: value for name, value in given.items() if value is not None}
         return self.changed(changes) if changes else self
 
     @property

@@ -8,6 +8,7 @@ import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError, Force, Live, Potential, StepEffect
+from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
 from hnn_vi_ros.effects.impact import Impact
@@ -172,6 +173,8 @@ class System:
             raise ValueError('q and p are several states, but thermostat, impact, '
                              'holonomic_constraint and time_transformed take one at a time; use '
                              'simulate_many')
+        for index in self._all(Damping, Thermostat):
+            self._effects[index].check_state(self.hamiltonian, q)
         for index in self._all(Impact):
             self._effects[index].check_state(self._parameters[index], q)
         for index in self._all(HolonomicConstraint):

@@ -57,5 +57,13 @@ def test_many_trajectories_refuse_bad_arguments():
         simulate_many(scene, [[1.0, 2.0]], [[0.0, 0.0]], 1.0)
     with pytest.raises(ValueError, match='finite'):
         simulate_many(scene, [[np.nan]], [[0.0]], 1.0)
-    with pytest.raises(ValueError, match='positive'):
+    with pytest.raises(ValueError, match='duration = 0 s'):
         simulate_many(scene, [[1.0]], [[0.0]], 0.0)
+    with pytest.raises(ValueError, match=r'shape \(0, 1\): no trajectory'):
+        simulate_many(scene, np.empty((0, 1)), np.empty((0, 1)), 1.0)
+    with pytest.raises(ValueError, match='threads = -1 must be at least 1'):
+        simulate_many(scene, [[1.0]], [[0.0]], 1.0, threads=-1)
+    with pytest.raises(TypeError, match='samples = 1.5 must be a whole number'):
+        simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=1.5)
+    with pytest.raises(ValueError, match='more than memory holds'):
+        simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=10 ** 12)

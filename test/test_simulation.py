@@ -2,16 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulations in Python: counting of time, failures, repeatability, arguments."""
 
+from functools import cached_property
+
 from helpers import EPS, random_checkpoint
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import SceneError, StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+import numba
 import numpy as np
 import pytest
+import sympy
 
 
 def tao(h: float, q: float = 1.0, p: float = -1.0, **options: int | str) -> Simulation:
@@ -61,6 +68,89 @@ def test_simulate_bad_arguments_are_refused(scene):
             simulate(scene, duration)
     with pytest.raises(ValueError, match='every'):
         simulate(scene, 1.0, every=0)
+
+
+@pytest.mark.parametrize('arguments, error, message', [
+    ({'every': 1.5}, TypeError, 'every = 1.5 must be a whole number'),
+    ({'every': True}, TypeError, 'every = True must be'),
+    ({'duration': '1 s'}, TypeError, "duration = '1 s' must be a number of seconds"),
+    ({'duration': 1e12}, ValueError, r'1e\+14 samples, one every 0.01 s: .* larger every'),
+    ({'scene': 3}, TypeError, 'scene is a int: give what load_scene returns'),
+    ({'scene': 'nowhere'}, SceneError, "no scene 'nowhere'; shipped"),
+    ({'initial_state': {'q': [1.0]}}, TypeError, 'initial_state must be a pair'),
+    ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError, 'initial_state.*2 values'),
+    ({'effects': [{'kind': 'dampin'}]}, SceneError, 'with other effects: effects'),
+    ({'commands': [[1.0]]}, ValueError, r'commands has shape \(1, 1\), expected \(100, c\)'),
+    ({'commands': lambda t: [1.0]}, ValueError, 'takes no commands')])
+def test_simulate_refuses_an_argument_in_a_sentence(scene, arguments, error, message):
+    with pytest.raises(error, match=message):
+        simulate(**{'scene': scene, 'duration': 1.0} | arguments)
+
+
+def test_simulate_takes_the_name_of_a_scene():
+    assert simulate('exact_harmonic_oscillator', 0.01).q.shape == (2, 1)
+
+
+def test_simulate_takes_an_initial_state_and_effects_in_place_of_the_scenes(scene):
+    trajectory = simulate(scene, 1.0, initial_state=(np.array([0.0]), [2.0]),
+                          integrator='gauss8', effects=[{'kind': 'damping', 'rate': 0.5}])
+    assert (trajectory.q[0, 0], trajectory.p[0, 0]) == (0.0, 2.0)
+    omega = np.sqrt(1.0 - 0.0625)
+    exact = 2.0 / omega * np.exp(-0.25 * trajectory.t) * np.sin(omega * trajectory.t)
+    # Of order 8 with h = 0.01: round-off alone, of 100 steps.
+    assert trajectory.q[:, 0] == pytest.approx(exact, abs=100 * 4 * np.finfo(float).eps)
+
+
+def test_simulate_takes_commands_as_a_function_of_time_or_as_rows(scene):
+    """A constant force f moves the oscillator about f; a row holds from sample to sample."""
+    def run(commands: object) -> np.ndarray:
+        return simulate(scene, 2.0, initial_state=([0.0], [0.0]), integrator='gauss8', every=10,
+                        effects=[{'kind': 'external_force', 'coordinates': ['x'],
+                                  'timeout': 0.01}], commands=commands).q[:, 0]
+    t = 0.1 * np.arange(21)
+    assert run(lambda time: [0.5]) == pytest.approx(0.5 * (1.0 - np.cos(t)), abs=1e-12)
+    force = 0.5 * np.arange(20)
+    rows = run(force[:, None])
+    assert np.array_equal(rows, run(lambda time: [0.5 * ((time + 1e-9) // 0.1)]))
+    # By superposition of steps of the force, which the oscillator answers by 1 - cos.
+    steps = np.diff(force, prepend=0.0)
+    expected = [sum(steps[k] * (1.0 - np.cos(time - 0.1 * k)) for k in range(20) if 0.1 * k < time)
+                for time in t]
+    assert rows == pytest.approx(expected, abs=1e-11)
+
+
+def test_hamiltonian_of_functions_without_a_module_is_simulated():
+    """As sympy's lambdify makes them."""
+    q, p = sympy.symbols('q p')
+    energy, slope, velocity = (numba.njit(sympy.lambdify((q, p), expression)) for expression in (
+        p ** 2 / 2 + 2 * q ** 2, 4 * q, p))
+
+    class Own(Hamiltonian):
+        coordinates, separable = (Coordinate('x'),), True
+
+        @cached_property
+        def kernel(self) -> Kernel:
+            @numba.njit
+            def gradient(_, q, p, dH_dq, dH_dp):
+                for i in range(q.size):
+                    dH_dq[i], dH_dp[i] = slope(q[i], p[i]), velocity(q[i], p[i])
+
+            @numba.njit
+            def hessian_vector(_, q, p, v_q, v_p, product_q, product_p):
+                for i in range(q.size):
+                    product_q[i], product_p[i] = 4.0 * v_q[i], v_p[i]
+
+            @numba.njit
+            def whole(_, q, p):
+                return energy(q[0], p[0])
+            for function in (whole, gradient, hessian_vector):
+                function.py_func.__module__ = None
+            return Kernel(whole, gradient, hessian_vector, (), 1, (0.0, 0.0), True)
+
+    simulation = Simulation(Own(), INTEGRATORS['gauss8'](), 0.01, [1.0], [0.0],
+                            [EFFECTS['gravity']('x', acceleration=0.0)])
+    simulation.advance(100)
+    assert simulation.q[0] == pytest.approx(np.cos(2.0), abs=1e-13)
 
 
 @pytest.mark.parametrize('q, p', [([1.0, 2.0], [0.0]), ([float('nan')], [0.0]), ([], [])])

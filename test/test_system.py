@@ -115,8 +115,8 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'base', 'events', 'input_map', 'kernels', 'noise', 'points', 'rattle', 'splitting',
-          'wrapped'}
+SHARED = {'base', 'events', 'input_map', 'kernels', 'masses', 'noise', 'ornstein_uhlenbeck',
+          'points', 'rattle', 'splitting', 'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
@@ -294,8 +294,8 @@ def test_thermostat_noise_is_that_of_its_seed_and_stream():
         simulation.advance(20)
     assert np.array_equal(first.q, same.q)
     assert not np.isclose(first.q, other.q)
-    # Two uniform numbers for each normal one, of which a step takes one.
-    assert first.snapshot()['live.draws'][0] == 2 * 20
+    # Two uniform numbers for the normal one of a step, and one to accept it by.
+    assert first.snapshot()['live.draws'][0] == 3 * 20
     first.restart([0.7], [0.0], stream=0)
     other.restart([0.7], [0.0])
     same.restart([0.7], [0.0], stream=1)
@@ -313,11 +313,11 @@ def test_thermostat_noise_is_drawn_once_for_each_part_of_a_step_that_a_wall_cuts
     simulation = Simulation(
         Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['stormer_verlet'](), 0.05, [0.7],
         [0.0], [effect('thermostat', 0.5, 1.0), effect('impact', 'angle', restitution=1.0)])
-    q, _ = simulation.record(100, 1)
+    q, _ = simulation.record(200, 1)
     assert q.min() >= 0.0
-    parts = simulation.snapshot()['live.draws'][0] // 2 - 100
-    # Some two impacts a second.
-    assert 5 <= parts <= 20
+    parts = simulation.snapshot()['live.draws'][0] // 3 - 200
+    # One or two impacts a second.
+    assert 5 <= parts <= 40
 
 
 @pytest.mark.parametrize('integrator', ['variational_euler', 'implicit_midpoint'])

@@ -13,7 +13,7 @@ import numpy as np
 
 class Live(NamedTuple):
     """
-    What the effects of one simulation keep from step to step.
+    What the effects of one simulation share, and keep from step to step.
 
     Parameters
     ----------
@@ -27,6 +27,9 @@ class Live(NamedTuple):
         The force that was last commanded, for each coordinate, and until when it holds [s].
     draws : np.ndarray, shape (3,)
         Random numbers drawn, those drawn in the step being tried, and the stream's number.
+    gauge : np.ndarray, shape (d, d)
+        The vector potential of all magnetic fields is linear: c A(q) = gauge q. The momentum that
+        belongs to the velocity, M v, is p - gauge q.
 
     """
 
@@ -35,16 +38,18 @@ class Live(NamedTuple):
     pending: np.ndarray
     command: np.ndarray
     draws: np.ndarray
+    gauge: np.ndarray
 
     @classmethod
     def empty(cls, effects: int, dimension: int) -> 'Live':
         """Return the state before the first step."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
-                   np.zeros(dimension + 1), np.zeros(3, dtype=np.int64))
+                   np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
+                   np.zeros((dimension, dimension)))
 
     def reset(self, stream: int) -> None:
         """Go back to before the first step, on a stream of random numbers."""
-        for array in self:
+        for array in (self.clock, self.work, self.pending, self.command, self.draws):
             array[...] = 0
         self.draws[2] = stream
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Linear damping of the momenta."""
+"""Linear damping of the motion."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -8,8 +8,10 @@ import math
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.base import Force, Live, per_coordinate, StepEffect
+from hnn_vi_ros.effects.masses import check_rates, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.phase_space import Coordinate
@@ -18,31 +20,27 @@ import numpy as np
 
 class Damping(Force, StepEffect):
     """
-    Linear damping, f = -gamma p, one rate for each coordinate.
+    Linear damping, f = -gamma P, one rate for each coordinate.
 
-    Methods of order 1 and 2 take its exact flow p -> exp(-gamma h / 2) p before and after a step
-    (Strang splitting), which keeps their order; others take f at their nodes, as that would
-    lower their order to 2. Energy account: the change of H in the flow, or the power f . H_p.
+    P belongs to the velocity: p, or p - c A(q) in magnetic fields. Methods of order 1 and 2 take
+    its exact flow P -> exp(-gamma h / 2) P before and after a step (Strang splitting); others
+    take f at their nodes. Energy account: the change of H in the flow, or the power f . H_p.
 
     Parameters
     ----------
     rate : float or list of float, optional
-        gamma >= 0 [1/s], for all coordinates or for each.
+        gamma >= 0 [1/s], for all coordinates or for each; see ``check_rates``.
     model : str, optional
         A model that has learned its friction (family dgnet), in place of the rate.
 
     Raises
     ------
-    ModelError
-        The model does not exist, is damaged, or has learned no friction.
-    ValueError
-        A rate that is negative or not finite; both, or none, of rate and model.
+    ModelError, ValueError
+        No model that has learned friction; no rate that can be used.
 
     References
     ----------
     E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section II.5.
-    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001,
-    part 3.
 
     """
 
@@ -54,8 +52,7 @@ class Damping(Force, StepEffect):
         if model is not None:
             rate = load_checkpoint(model).card.friction
             if rate is None:
-                raise ModelError(f'{model}: has learned no friction, as the family dgnet does; '
-                                 'give a rate')
+                raise ModelError(f'{model}: has learned no friction, as dgnet does; give a rate')
         if not all(math.isfinite(value) and value >= 0.0 for value in np.ravel(rate)):
             raise ValueError(f'rate = {rate} must be at least 0 and finite')
         self.rate = rate
@@ -69,17 +66,22 @@ class Damping(Force, StepEffect):
         return integrator.uses_hamiltonian and (
             self.splits(integrator) or Force.accepts(self, integrator))
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[np.ndarray]:
-        """Return the rates, shape (d,) [1/s]."""
-        return (per_coordinate(coordinates, 'rate', self.rate),)
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+        """Return the rates, shape (d,) [1/s], and the gauge of the magnetic fields; see Live."""
+        return per_coordinate(coordinates, 'rate', self.rate), live.gauge
+
+    def check_state(self, hamiltonian: Hamiltonian, q: np.ndarray) -> None:
+        """Raise ValueError if the rates would feed energy in near q, shape (d,)."""
+        check_rates(hamiltonian, q, per_coordinate(hamiltonian.coordinates, 'rate', self.rate))
 
     @staticmethod
     @inlined
     def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add -gamma p."""
+        """Add -gamma P."""
+        rate, gauge = parameters
         for i in range(p.size):
-            f_p[i] -= parameters[0][i] * p[i]
+            f_p[i] -= rate[i] * (p[i] - vector_potential(gauge, q, i))
 
     @staticmethod
     @cache
@@ -89,8 +91,9 @@ class Damping(Force, StepEffect):
 
 
 @inlined
-def _flow(parameters: tuple, h: float, p: np.ndarray, p_carry: np.ndarray) -> None:
-    for i in range(parameters[0].size):
-        factor = math.exp(-parameters[0][i] * h)
-        p[i] *= factor
+def _flow(parameters: tuple, h: float, q: np.ndarray, p: np.ndarray, p_carry: np.ndarray) -> None:
+    rate, gauge = parameters
+    for i in range(rate.size):
+        factor = math.exp(-rate[i] * h)
+        p[i] = factor * p[i] - math.expm1(-rate[i] * h) * vector_potential(gauge, q, i)
         p_carry[i] *= factor

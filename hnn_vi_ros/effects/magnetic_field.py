@@ -52,4 +52,7 @@ class MagneticField(Effect):
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, int, float]:
         """Return the places of x and y, and c B / 2 [kg/s]."""
         x, y = (coordinate_index(coordinates, name) for name in self.plane)
-        return x, y, 0.5 * self.strength
+        b = 0.5 * self.strength
+        live.gauge[x, y] -= b
+        live.gauge[y, x] += b
+        return x, y, b

@@ -26,6 +26,19 @@ def _uniform(key: np.uint64, count: np.uint64) -> float:
 
 
 @numba.njit(cache=True)
+def _key(seed: int, draws: np.ndarray) -> np.uint64:
+    """Return the key of a stream of numbers."""
+    return _mix(_mix(np.uint64(seed) + _GOLDEN) ^ _mix(np.uint64(draws[2])))
+
+
+@numba.njit(cache=True)
+def draw_uniform(seed: int, draws: np.ndarray) -> float:
+    """Return one number that is uniform in (0, 1]; see ``fill_normals``."""
+    draws[1] += 1
+    return _uniform(_key(seed, draws), np.uint64(draws[0] + draws[1] - 1))
+
+
+@numba.njit(cache=True)
 def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
     """
     Fill an array with standard normal numbers, by the method of Box and Muller.
@@ -45,7 +58,7 @@ def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
     G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
 
     """
-    key = _mix(_mix(np.uint64(seed) + _GOLDEN) ^ _mix(np.uint64(draws[2])))
+    key = _key(seed, draws)
     for i in range(normals.size):
         count = np.uint64(draws[0] + draws[1])
         radius = math.sqrt(-2.0 * math.log(_uniform(key, count)))

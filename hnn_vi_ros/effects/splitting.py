@@ -18,7 +18,7 @@ def strang(flow: Callable, step: Callable, keeps_gradient: bool) -> Callable:
     Parameters
     ----------
     flow : callable
-        ``flow(parameters, h, p, p_carry)`` changes the momenta of one state, shape (d,).
+        ``flow(parameters, h, q, p, p_carry)`` changes the momenta of one state, shape (d,).
     step : callable
         Of the method.
     keeps_gradient : bool
@@ -36,7 +36,8 @@ def strang(flow: Callable, step: Callable, keeps_gradient: bool) -> Callable:
         before = energy_of(kernel, z)
         d = kernel.dimension - kernel.channels
         for a in range(0, z.q.size, kernel.dimension):
-            flow(parameters, 0.5 * h, z.p[a:a + d], z.p_carry[a:a + d])
+            b = a + d
+            flow(parameters, 0.5 * h, z.q[a:b], z.p[a:b], z.p_carry[a:b])
         return energy_of(kernel, z) - before
 
     @inlined

@@ -90,17 +90,24 @@ class ManagedNode(LifecycleNodeMixin, Node):
         before = LifecycleState(
             state_id=self.state, label=self._state_machine.current_state[1])
         self._state_machine.trigger_transition_by_id(transition, True)
-        result = FAILURE
         try:
             found = getattr(self, _PUBLIC[transition])(before)
             result = await found if isinstance(found, Awaitable) else found
-        finally:
-            if self.state != State.PRIMARY_STATE_FINALIZED:
-                self._state_machine.trigger_transition_by_label(result.to_label(), True)
+        except GeneratorExit:
+            # The process ends first, and ROS has ended already.
+            raise
+        except BaseException:
+            self._end_transition(FAILURE)
+            raise
+        self._end_transition(result)
         if result == SUCCESS:
             self.get_logger().info(
                 f'{before.label} -> {self._state_machine.current_state[1]}')
         return result == SUCCESS
+
+    def _end_transition(self, result: TransitionCallbackReturn) -> None:
+        if self.state != State.PRIMARY_STATE_FINALIZED:
+            self._state_machine.trigger_transition_by_label(result.to_label(), True)
 
     async def in_thread(self, work: Callable[[], Any]) -> Any:
         """Let a thread do the work; return what it returns, raise what it raises."""

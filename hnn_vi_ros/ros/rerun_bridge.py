@@ -54,7 +54,7 @@ class RerunBridge(Node):
 
     Parameters
     ----------
-    arguments : sequence of str
+    arguments : sequence of str, optional
         The command line, by which parameters were given.
     trust_code : bool, optional
         Whether Python code that a scene names may be run; the parameter's value if it is set.
@@ -66,7 +66,7 @@ class RerunBridge(Node):
 
     """
 
-    def __init__(self, arguments: Sequence[str], trust_code: bool = False):
+    def __init__(self, arguments: Sequence[str] = (), trust_code: bool = False):
         with plain_ros_errors('ROS'):
             super().__init__(
                 'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,

@@ -376,15 +376,3 @@ def test_thermostat_without_heat_is_exact_friction():
     t, _, p = path(simulation, 50)
     # The noise is of the size of 1e-20, the momenta above 1e-5; each step rounds twice.
     assert np.abs(p / np.exp(-np.outer(t, [0.3, 2.0])) - 1.0).max() <= 2 * 50 * 2 * EPS
-
-
-def test_thermostat_takes_a_rate_and_a_mass_for_each_coordinate():
-    simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['generalized_leapfrog'](), 0.5,
-                            [0.0, 0.0], [0.0, 0.0],
-                            [effect('thermostat', 1.0, [0.5, 3.0], [1.0, 4.0], 4)])
-    simulation.advance(50)
-    p = simulation.record(20_000, 1)[1]
-    for i, (rate, mass) in enumerate([(0.5, 1.0), (3.0, 4.0)]):
-        assert_within_three_errors(p[:, i] ** 2, mass)
-        assert_within_three_errors(p[1:, i] * p[:-1, i], mass * np.exp(-0.5 * rate))
-    assert_within_three_errors(p[:, 0] * p[:, 1], 0.0)

@@ -1,0 +1,61 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What momenta mean: the mass matrix and the vector potential, for effects that act on them."""
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+import numpy as np
+
+# States near the initial one at which different rates of friction are tried.
+_STATES = 64
+# A mass matrix that is learned couples by its error what the true one does not.
+_COUPLING = 1e-3
+# How far a mass that is given may be from that of H, relatively.
+_TOLERANCE = 1e-6
+
+
+def inverse_mass(hamiltonian: Hamiltonian, q: np.ndarray) -> np.ndarray:
+    """Return H_pp at a state q, shape (d,), at p = 0, shape (d, d)."""
+    zero = np.zeros(q.size)
+    return np.column_stack([hamiltonian.hessian_vector(q, zero, zero, unit)[1]
+                            for unit in np.eye(q.size)])
+
+
+def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> None:
+    """Raise ValueError if the power -v . (rate M v) could be positive near q, shape (d,)."""
+    if (rate == rate[0]).all():
+        return
+    others = np.random.default_rng(0).normal(q, 1.0 + np.abs(q), (_STATES, q.size))
+    for state in [q, *others]:
+        inverse = inverse_mass(hamiltonian, state)
+        if np.isfinite(inverse).all() and np.linalg.matrix_rank(inverse) == q.size:
+            product = rate[:, None] * np.linalg.inv(inverse)
+            powers = np.linalg.eigvalsh(product + product.T)
+            if powers[0] < -_COUPLING * np.abs(powers).max():
+                raise ValueError(
+                    f'damping: with the rates {rate.tolist()} of coordinates that share a mass '
+                    f'matrix some motions would gain energy, at q = {state.round(3).tolist()}; '
+                    'give one rate, or rates that differ less')
+
+
+def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | None) -> None:
+    """Raise ValueError if H has no masses at q, shape (d,), or others than those given."""
+    inverse = inverse_mass(hamiltonian, q)
+    if not (np.isfinite(inverse).all() and np.linalg.eigvalsh(inverse)[0] > 0.0):
+        raise ValueError(
+            'thermostat: H_pp is not positive definite at the initial state, so that there are '
+            'no masses and no temperature; start elsewhere, or take another model')
+    if given is not None and np.abs(
+            np.diag(given) @ inverse - np.eye(q.size)).max() > _TOLERANCE:
+        raise ValueError(
+            f'thermostat: mass = {given.tolist()} is not that of H, whose H_pp at the initial '
+            f'state is {inverse.round(9).tolist()}; leave mass out')
+
+
+@inlined
+def vector_potential(gauge: np.ndarray, q: np.ndarray, i: int) -> float:
+    """Return component i of c A(q), of the gauge that Live holds."""
+    total = 0.0
+    for j in range(q.size):
+        total += gauge[i, j] * q[j]
+    return total

@@ -1,0 +1,59 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Lyapunov times, against the variational equations and for motions that are not chaotic."""
+
+from pathlib import Path
+
+from hnn_vi_ros.lyapunov import lyapunov_time
+from hnn_vi_ros.scene import load_scene, Scene
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+REGULAR = {
+    'oscillator': ('harmonic_oscillator', [1.0], [0.0], 0.1),
+    'pendulum that turns over': ('pendulum', [0.0], [8.0], 0.02),
+    'pendulum next to its separatrix': ('pendulum', [3.1], [0.0], 0.02),
+    'Hénon-Heiles at a low energy': ('henon_heiles', [0.05, 0.0], [0.0, 0.05], 0.1),
+    'eccentric orbit': ('kepler', [0.5, 0.0], [0.0, np.sqrt(3.0)], 0.01),
+}
+
+
+def scene_of(folder: Path, kind: str, q: list[float], p: list[float], h: float) -> Scene:
+    """Write a scene and read it."""
+    path = folder / 'scene.yaml'
+    path.write_text(f'hamiltonian: {{kind: {kind}}}\nintegrator: {{kind: generalized_leapfrog}}\n'
+                    f'step_size: {h}\ninitial_state: {{q: {q}, p: {list(map(float, p))}}}\n')
+    return load_scene(path)
+
+
+@pytest.mark.parametrize('name', REGULAR)
+def test_lyapunov_time_of_a_regular_motion_is_infinite(name: str, tmp_path: Path):
+    scene = scene_of(tmp_path, *REGULAR[name])
+    assert lyapunov_time(scene, 4096 * scene.step_size) == np.inf
+
+
+def tangent_growth(duration: float, q: list[float], p: list[float]) -> float:
+    """Return the exponent of Hénon and Heiles' system from its variational equations [1/s]."""
+    def field(t: float, z: np.ndarray) -> np.ndarray:
+        x, y, px, py, dx, dy, dpx, dpy = z
+        return np.array([px, py, -x - 2 * x * y, -y - x * x + y * y, dpx, dpy,
+                         -(1 + 2 * y) * dx - 2 * x * dy, -2 * x * dx - (1 - 2 * y) * dy])
+    z, growth = np.array([*q, *p, 1.0, 0.0, 0.0, 0.0]), 0.0
+    for _ in range(int(duration / 10.0)):
+        z = solve_ivp(field, (0.0, 10.0), z, method='DOP853', rtol=1e-10, atol=1e-12).y[:, -1]
+        size = np.linalg.norm(z[4:])
+        growth, z[4:] = growth + np.log(size), z[4:] / size
+    return growth / duration
+
+
+def test_lyapunov_time_of_a_chaotic_motion_is_that_of_the_variational_equations(tmp_path: Path):
+    q, p = [0.0, -0.25], [0.42, 0.1]
+    found = lyapunov_time(scene_of(tmp_path, 'henon_heiles', q, p, 0.05))
+    # Exponents over some twenty Lyapunov times fluctuate by a quarter of their value.
+    assert found == pytest.approx(1.0 / tangent_growth(2000.0, q, p), rel=0.5)
+
+
+def test_lyapunov_time_is_the_same_each_time(tmp_path: Path):
+    scene = scene_of(tmp_path, 'henon_heiles', [0.0, -0.25], [0.42, 0.1], 0.1)
+    assert lyapunov_time(scene) == lyapunov_time(scene)
