@@ -60,3 +60,7 @@ class StepFailure(HnnViRosError):
         super().__init__(
             f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s, residual {residual:.3g} '
             f'after {iterations} iterations; use a smaller step_size or another integrator')
+
+    def dated(self, t: float) -> 'StepFailure':
+        """Return the failure at another time [s], such as that of a stamp."""
+        return StepFailure(self.reason, t, self.h, self.residual, self.iterations)

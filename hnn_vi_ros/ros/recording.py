@@ -5,9 +5,6 @@
 from collections.abc import Sequence
 import os
 from pathlib import Path
-import shlex
-import shutil
-import sys
 from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
@@ -17,6 +14,7 @@ from hnn_vi_ros.ros.run_folder import create_run_folder
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.serialization import serialize
 from hnn_vi_ros.ros.timing import Figures
+from hnn_vi_ros.ros.told_files import tell_files
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import BagTopics, Topic
@@ -209,22 +207,7 @@ class Recording:
 
     def report(self) -> None:
         """Print where the files are, and the command that opens each."""
-        lines = []
-        for bag in self._bags:
-            file = bag / f'{bag.name}_0.mcap'
-            lines.append(f'bag        {bag}')
-            if not (bag / 'metadata.yaml').exists():
-                lines.append('  is not complete')
-                continue
-            if shutil.which('ros2'):
-                lines.append(f'  open it  {_command("ros2", "bag", "play", bag)}')
-            lines.append(f'  open it  {_command(_rerun(), file)}')
-        if self._picture is not None:
-            lines.append(f'recording  {self._picture}')
-            lines.append(f'  open it  {_command(_rerun(), self._picture)}')
-        if lines:
-            sys.stdout.write('\n'.join(lines) + '\n')
-            sys.stdout.flush()
+        tell_files(self._bags, self._picture)
 
     def _choose_files(self, scene: Scene, report: dict[str, Any], sampler: Sampler) -> None:
         """Choose names; the first ones as they were asked for, later ones with a number."""
@@ -293,20 +276,3 @@ class Recording:
     def _give_up(self, problem: RecordingError, ended: bool = False) -> None:
         self.problem = str(problem)
         self._logger.error(self.problem if ended else f'{problem}; the simulation goes on')
-
-
-def _rerun() -> Path | str:
-    """Return the viewer that is installed beside this interpreter, or its name on the PATH."""
-    beside = Path(sys.prefix) / 'bin' / 'rerun'
-    if not beside.exists():
-        return 'rerun'
-    try:
-        here = os.path.relpath(beside)
-    except FileNotFoundError:
-        # The working directory was removed.
-        return beside
-    return beside if here.startswith('..') else here
-
-
-def _command(*words: object) -> str:
-    return shlex.join(str(word) for word in words)

@@ -14,6 +14,7 @@ from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
+from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.pacing import LONGEST_CALL, OverrunGuard, Pacer
 from hnn_vi_ros.ros.preparation import check_pace, Prepared
@@ -168,7 +169,7 @@ class Run:
             seconds = self._monitor.advance(n)
         except StepFailure as failure:
             self._health.add_failure(
-                _dated(failure, self.sampler.time), simulation.steps, self._stamp)
+                failure.dated(self.sampler.time), simulation.steps, self._stamp)
             where = f'at the last good state, t = {self.sampler.time:.9g} s'
             if self._moved_by_others:
                 self.tell(f'stands still {where}; reset it', 'ERROR')
@@ -243,7 +244,7 @@ class Run:
             self.simulation.restart(*self._start)
             self.simulation.restore(before)
             if isinstance(problem, StepFailure):
-                raise _dated(problem, origin / 1e9) from problem
+                raise problem.dated(origin / 1e9) from problem
             raise
         self._start = self._next_start
         q, p = (list(map(float, x)) for x in self._start)
@@ -289,22 +290,6 @@ class Run:
         complete = self.recording.close()
         self.recording.report()
         return complete
-
-
-def log(node: Node, text: str, level: str) -> None:
-    """Log a line; level is INFO, WARN or ERROR."""
-    # On lines of their own: rclpy ties the line of a call to one severity.
-    if level == 'INFO':
-        node.get_logger().info(text)
-    elif level == 'WARN':
-        node.get_logger().warning(text)
-    else:
-        node.get_logger().error(text)
-
-
-def _dated(failure: StepFailure, t: float) -> StepFailure:
-    """Return a failure at the time of its stamp [s], which a reset does not begin anew."""
-    return StepFailure(failure.reason, t, failure.h, failure.residual, failure.iterations)
 
 
 def _with_start(scene: Scene, q: list[float], p: list[float]) -> Scene:

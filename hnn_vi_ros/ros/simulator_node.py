@@ -15,10 +15,11 @@ from hnn_vi_ros.ros.control import Control
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
+from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.node_parameters import Parameters
 from hnn_vi_ros.ros.parameters import PARAMETERS
 from hnn_vi_ros.ros.preparation import OPENING, prepare, Prepared
-from hnn_vi_ros.ros.run import log, Run
+from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
 from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
