@@ -18,7 +18,7 @@ class Steps:
     def __init__(self):
         self.simulation = SimpleNamespace(
             steps=0, time=0.0, q=np.array([1.0]), p=np.array([-0.5]), takes_commands=False)
-        self.sampler, self.status = SimpleNamespace(stamp=0), SimpleNamespace()
+        self.sampler, self.status = SimpleNamespace(stamp=0, time=0.0), SimpleNamespace()
         self.recording = SimpleNamespace(flush=lambda: None)
         # Nothing is due as long as it is not asked for.
         self.pacer = SimpleNamespace(
@@ -26,6 +26,9 @@ class Steps:
         self.start, self.at_sample, self.began = (np.array([1.0]), np.array([-0.5])), True, []
 
     def watch(self) -> None:
+        pass
+
+    def start_clocks(self) -> None:
         pass
 
     def publish_diagnostics(self) -> None:
@@ -42,7 +45,7 @@ class Steps:
     def _stand(self, steps: int) -> None:
         simulation = self.simulation
         simulation.steps, simulation.time = steps, steps * 0.25
-        self.sampler.stamp = steps * 250_000_000
+        self.sampler.stamp, self.sampler.time = steps * 250_000_000, steps * 0.25
 
     def set_start(self, q, p) -> None:
         self.start = q, p

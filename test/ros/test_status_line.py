@@ -56,7 +56,8 @@ def test_clocks_are_started_anew_whenever_the_run_is_halted_or_goes_on(act):
     started = []
     run = SimpleNamespace(
         status=SimpleNamespace(paused=False), recording=SimpleNamespace(flush=lambda: None),
-        sampler=SimpleNamespace(time=0.0), reset=lambda time_too: None,
+        sampler=SimpleNamespace(stamp=0, time=0.0), reset=lambda time_too: None,
+        simulation=SimpleNamespace(steps=0, q=np.zeros(1), p=np.zeros(1)),
         start_clocks=lambda: started.append(True), tell=lambda *words: None)
     control = Control(None, run, None, {'discovery_time': 0.0, 'start_paused': False})
     # As once subscribers have been found.
