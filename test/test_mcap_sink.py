@@ -331,6 +331,26 @@ def test_file_killed_before_its_first_message_is_recovered_with_its_attachments(
         assert found.message_count == 0
 
 
+def test_file_gets_its_name_once_it_holds_what_explains_it(tmp_path, monkeypatch):
+    """Killed at any moment, there is no file under that name which tells nothing."""
+    begun = []
+
+    def rename(source: Path, target: Path) -> None:
+        assert not target.exists()
+        begun.append(source.read_bytes())
+        os.replace(source, target)
+
+    monkeypatch.setattr('hnn_vi_ros.sinks.mcap_sink.os.rename', rename)
+    sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
+    path = tmp_path / 'copy.mcap'
+    path.write_bytes(*begun)
+    for name, data in ATTACHMENTS.items():
+        assert BagReader(path).attachment(name) == data
+    sink.close()
+    assert sorted(file.name for file in (tmp_path / 'bag').iterdir()) == [
+        'bag_0.mcap', 'metadata.yaml']
+
+
 def test_first_message_is_flushed_at_once(tmp_path):
     sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
     path = tmp_path / 'bag' / 'bag_0.mcap'

@@ -5,6 +5,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 import fcntl
+import os
 from pathlib import Path
 import shlex
 import time
@@ -61,7 +62,9 @@ class McapSink:
         self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
         self._path = Path(folder) / f'{Path(folder).name}_0.mcap'
-        self._stream: BinaryIO | None = _create(self._path)
+        origin = identity()
+        hidden = self._path.with_name(f'.{self._path.name}')
+        self._stream: BinaryIO | None = _create(hidden)
         try:
             self._writer = Writer(
                 self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
@@ -71,9 +74,11 @@ class McapSink:
             self._describe()
             self._attach(attachments)
             # By which it is known whether the same run could be had again, bit by bit.
-            self._writer.add_metadata('hnn_vi_ros', identity())
+            self._writer.add_metadata('hnn_vi_ros', origin)
             self._channels = [self._register(topic) for topic in self._topics]
-            self._flush()
+            self._writer.flush()
+            # What is there under this name can be read, whenever the process is killed.
+            os.rename(hidden, self._path)
             # With the first tick, at once: of a run that began there is a sample.
             self._next_flush = 0.0
         except OSError as problem:
