@@ -71,7 +71,7 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     check_seconds('duration', duration)
     check_count('every', every)
     simulation = Simulation.from_scene(_scene(scene).with_overrides(
-        step_size, integrator, _state(initial_state), effects))
+        step_size, integrator, _state(initial_state), _listed(effects)))
     samples = _count_samples(duration, simulation.step_size * every, simulation.q.size)
     q0, p0 = simulation.q.copy(), simulation.p.copy()
     if commands is None:
@@ -98,19 +98,24 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
     """Return a pair (q, p) by name."""
     if state is None:
         return None
-    if isinstance(state, Mapping | str) or len(state) != 2:
+    if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
         raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p')
     return {name: np.array(part, dtype=np.float64).tolist()
             for name, part in zip(('q', 'p'), state, strict=True)}
 
 
+def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
+    """Return a sequence of effects as the list that a scene holds, and anything else as it is."""
+    return list(effects) if isinstance(effects, tuple) else effects
+
+
 def _count_samples(duration: float, interval: float, dimension: int) -> int:
     """Return the samples of a run; ValueError if they do not fit into memory."""
-    samples = round(duration / interval)
+    samples = duration / interval
     if samples * dimension > _MOST_NUMBERS:
         raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
                          f'{interval:g} s: more than memory holds; take a larger every')
-    return samples
+    return round(samples)
 
 
 def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands

@@ -4,9 +4,11 @@
 
 import math
 
+from hnn_vi_ros.checks import check_seconds
 from hnn_vi_ros.diagnostics import state_scales
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.system import System
 import numpy as np
 
 # Steps from one renormalisation to the next, and of the first horizon that is looked at.
@@ -43,15 +45,20 @@ def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
     HnnViRosError
         The scene cannot be built, or a step fails.
     ValueError
-        An effect takes one motion at a time only: thermostat, impact, holonomic_constraint.
+        A duration that is negative or not finite; or the scene takes one motion at a time only:
+        thermostat, impact, holonomic_constraint, time_transformed.
+    TypeError
+        The duration is not a number.
 
     References
     ----------
     G. Benettin, L. Galgani, A. Giorgilli, J.-M. Strelcyn, Meccanica 15 (1980).
 
     """
+    if duration is not None:
+        check_seconds('duration', duration)
     scene = scene.resolved()
-    most = 2 ** 17 if duration is None else max(_FIRST, round(duration / scene.step_size))
+    most = 2 ** 17 if duration is None else max(_FIRST, duration / scene.step_size)
     pair = _Pair(scene)
     steps, half = 0, 0.0
     horizon = _FIRST
@@ -74,6 +81,9 @@ class _Pair:
     def __init__(self, scene: Scene):
         q, p = (np.array(part) for part in (scene.initial_state.q, scene.initial_state.p))
         hamiltonian = scene.create_hamiltonian()
+        if not System(hamiltonian, scene.create_effects(), scene.create_integrator()).lockstep:
+            raise ValueError('thermostat, impact, holonomic_constraint and time_transformed take '
+                             'one motion at a time: their Lyapunov time cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)
         direction = np.random.default_rng(0).normal(size=2 * q.size)
         self._offset = _DISTANCE * direction / np.linalg.norm(direction)

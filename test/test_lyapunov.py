@@ -54,6 +54,16 @@ def test_lyapunov_time_of_a_chaotic_motion_is_that_of_the_variational_equations(
     assert found == pytest.approx(1.0 / tangent_growth(2000.0, q, p), rel=0.5)
 
 
+@pytest.mark.parametrize('name, duration, error, message', [
+    ('henon_heiles', -1.0, ValueError, 'duration = -1.0 must be a number of seconds, at least 0'),
+    ('henon_heiles', np.nan, ValueError, 'duration = nan must be a number of seconds'),
+    ('henon_heiles', '1 s', TypeError, "duration = '1 s' must be a number of seconds"),
+    ('bouncing_mass', None, ValueError, 'one motion at a time: their Lyapunov time cannot be')])
+def test_lyapunov_time_refuses_what_it_cannot_use_in_a_sentence(name, duration, error, message):
+    with pytest.raises(error, match=message):
+        lyapunov_time(load_scene(name), duration)
+
+
 def test_lyapunov_time_is_the_same_each_time(tmp_path: Path):
     scene = scene_of(tmp_path, 'henon_heiles', [0.0, -0.25], [0.42, 0.1], 0.1)
     assert lyapunov_time(scene) == lyapunov_time(scene)

@@ -75,9 +75,11 @@ def test_simulate_bad_arguments_are_refused(scene):
     ({'every': True}, TypeError, 'every = True must be'),
     ({'duration': '1 s'}, TypeError, "duration = '1 s' must be a number of seconds"),
     ({'duration': 1e12}, ValueError, r'1e\+14 samples, one every 0.01 s: .* larger every'),
+    ({'duration': 1e308}, ValueError, 'inf samples, one every 0.01 s: .* larger every'),
     ({'scene': 3}, TypeError, 'scene is a int: give what load_scene returns'),
     ({'scene': 'nowhere'}, SceneError, "no scene 'nowhere'; shipped"),
     ({'initial_state': {'q': [1.0]}}, TypeError, 'initial_state must be a pair'),
+    ({'initial_state': 3}, TypeError, 'initial_state must be a pair'),
     ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError, 'initial_state.*2 values'),
     ({'effects': [{'kind': 'dampin'}]}, SceneError, 'with other effects: effects'),
     ({'commands': [[1.0]]}, ValueError, r'commands has shape \(1, 1\), expected \(100, c\)'),
@@ -89,6 +91,12 @@ def test_simulate_refuses_an_argument_in_a_sentence(scene, arguments, error, mes
 
 def test_simulate_takes_the_name_of_a_scene():
     assert simulate('exact_harmonic_oscillator', 0.01).q.shape == (2, 1)
+
+
+def test_simulate_takes_a_tuple_of_effects(scene):
+    damped = {'kind': 'damping', 'rate': 0.5}
+    assert np.array_equal(simulate(scene, 0.1, effects=(damped,)).q,
+                          simulate(scene, 0.1, effects=[damped]).q)
 
 
 def test_simulate_takes_an_initial_state_and_effects_in_place_of_the_scenes(scene):
