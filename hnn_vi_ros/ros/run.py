@@ -256,6 +256,7 @@ class Run:
         report = self._report | {
             'initial_state': self._scene.initial_state.model_dump(), 'origin': origin,
             'first_step': 0}
+        self._status.close()
         self.recording.renew(self._scene, report, self.sampler)
         self._tell_scene(report)
         paused = self.status.paused

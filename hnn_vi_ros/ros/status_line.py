@@ -34,6 +34,7 @@ class StatusLine:
         self._logger, self._now = logger, now
         self._terminal = sys.stdout.isatty()
         self._interval = 0.2 if self._terminal else 5.0
+        self._shown = False
         self.restart(0)
 
     def restart(self, stamp: int) -> None:
@@ -55,11 +56,13 @@ class StatusLine:
         if self._terminal:
             sys.stdout.write(f'\r\x1b[K{text}')
             sys.stdout.flush()
+            self._shown = True
         else:
             self._logger.info(text)
 
     def close(self) -> None:
-        """Leave the last line on the terminal."""
-        if self._terminal:
+        """Leave the line on the terminal: what is printed next begins a line of its own."""
+        if self._shown:
+            self._shown = False
             sys.stdout.write('\n')
             sys.stdout.flush()

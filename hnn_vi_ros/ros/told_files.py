@@ -16,6 +16,9 @@ def tell_files(bags: Sequence[Path], picture: Path | None) -> None:
     for bag in bags:
         file = bag / f'{bag.name}_0.mcap'
         lines.append(f'bag        {bag}')
+        if not file.exists():
+            lines.append('  was removed')
+            continue
         if not (bag / 'metadata.yaml').exists():
             lines.append('  is not complete')
             continue
@@ -24,6 +27,9 @@ def tell_files(bags: Sequence[Path], picture: Path | None) -> None:
         lines.append(f'  open it  {_command(_rerun(), file)}')
     if picture is not None:
         lines.append(f'recording  {picture}')
+    if picture is not None and not picture.exists():
+        lines.append('  was removed')
+    elif picture is not None:
         lines.append(f'  open it  {_command(_rerun(), picture)}')
     if lines:
         sys.stdout.write('\n'.join(lines) + '\n')

@@ -96,3 +96,14 @@ def test_pace_counts_from_each_restart(monkeypatch, wait, before, after):
     shown.run(after, 1.0, pace=1.0)
     paces = shown.paces
     assert len(paces) >= 8 and set(paces) == {1.0}
+
+
+def test_line_is_left_once_so_that_what_follows_begins_a_line_of_its_own(monkeypatch):
+    shown = Shown(monkeypatch)
+    shown.line.close()
+    assert shown.terminal.getvalue() == ''
+    shown.run(0, 0.3, 1.0)
+    shown.line.close()
+    shown.line.close()
+    assert shown.terminal.getvalue().count('\n') == 1
+    assert shown.terminal.getvalue().endswith('real time\n')
