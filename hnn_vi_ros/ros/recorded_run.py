@@ -115,9 +115,9 @@ class RecordedRun:
         for message in self.reader.messages(names, first):
             if message.time != stamp:
                 stamp, found = message.time, {}
-            found[names[message.channel]] = message.data
+            found[names[message.channel]] = message
             if len(found) == 2:
-                yield stamp, _array(found['q']), _array(found['p'])
+                yield stamp, self._array(found['q']), self._array(found['p'])
 
     @property
     def states(self) -> list[int]:
@@ -131,6 +131,15 @@ class RecordedRun:
         except ValueError as problem:
             raise RecordingError(f'{self.reader.path}: the message of {self.node}/state at '
                                  f'{message.time} ns cannot be read: {problem}') from problem
+
+    def decoded(self, message: Recorded, kind: type) -> Any:
+        """Return a message of a type of ROS; RecordingError if the bytes are none."""
+        try:
+            return deserialize_message(message.data, kind)
+        except RuntimeError as problem:
+            topic = self.reader.channels[message.channel].topic
+            raise RecordingError(f'{self.reader.path}: the message of {topic} at {message.time} '
+                                 f'ns cannot be read: it is no {kind.__name__}') from problem
 
     @property
     def stamped(self) -> bool:
@@ -147,7 +156,15 @@ class RecordedRun:
         name = f'{self.node}/commands'
         if name in self._topics and self.stamped:
             for message in self.reader.messages([self._topics[name]]):
-                yield self.step_of(message.time), _array(message.data).tolist()
+                yield self.step_of(message.time), self._array(message).tolist()
+
+    @property
+    def own(self) -> bool:
+        """Tell whether the simulator recorded the bag: then it holds all samples of the run."""
+        try:
+            return bool(self.reader.attachment('scene.yaml'))
+        except RecordingError:
+            return False
 
     @property
     def held_state(self) -> bytes | None:
@@ -157,10 +174,14 @@ class RecordedRun:
         except RecordingError:
             return None
 
+    def stamp_of(self, step: int) -> int:
+        """Return the stamp of a step [ns]."""
+        return self.origin + round(step * self._nanoseconds)
+
     def step_of(self, stamp: int) -> int:
         """Return the step of a stamp; RecordingError if it is not that of a whole one."""
         step = round((stamp - self.origin) / self._nanoseconds)
-        if self.origin + round(step * self._nanoseconds) != stamp or step < self.first_step:
+        if self.stamp_of(step) != stamp or step < self.first_step:
             raise RecordingError(
                 f'{self.reader.path}: the stamp {stamp} ns is no whole number of steps of '
                 f'{self.scene.step_size:g} s from {self.origin} ns; was the step size changed, or '
@@ -181,6 +202,9 @@ class RecordedRun:
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
         return Resumption(scene, self.step_of(stamp), self.origin)
 
+    def _array(self, message: Recorded) -> np.ndarray:
+        return np.array(self.decoded(message, Float64MultiArray).data)
+
     def _count(self, name: str) -> int:
         value = self.described.get(name, 0)
         if type(value) is not int or not 0 <= value < 2**63:
@@ -197,8 +221,7 @@ class RecordedRun:
     def _published_scene(self) -> str:
         name = f'{self.node}/scene'
         channels = [self._topics[name]] if name in self._topics else []
-        texts = {deserialize_message(message.data, String).data
-                 for message in self.reader.messages(channels)}
+        texts = {self.decoded(message, String).data for message in self.reader.messages(channels)}
         if len(texts) != 1:
             told = f'{len(texts)} scenes on {name}: the run was reset while it was recorded; ' \
                 'give a bag of one run, as the simulator records them' if texts else \
@@ -272,7 +295,3 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
 def resume(bag: str | Path, trust_code: bool = False) -> Resumption:
     """Return what a simulator needs to go on from the last state of a bag; see RecordedRun."""
     return RecordedRun(Path(bag).expanduser(), trust_code).resumption()
-
-
-def _array(data: bytes) -> np.ndarray:
-    return np.array(deserialize_message(data, Float64MultiArray).data)

@@ -29,7 +29,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import JointState
@@ -130,7 +129,7 @@ class RerunBridge(Node):
             if message.channel in states:
                 self._show(run.state(message))
             else:
-                self._tell(deserialize_message(message.data, DiagnosticArray), run.node)
+                self._tell(run.decoded(message, DiagnosticArray), run.node)
 
     def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
         """Show the samples of a bag of before ~/state."""
@@ -140,7 +139,7 @@ class RerunBridge(Node):
                 self._show_tick(tick)
                 tick, stamp = {}, message.time
             name = names[message.channel]
-            content = deserialize_message(message.data, _KINDS[name])
+            content = run.decoded(message, _KINDS[name])
             if name == 'diagnostics':
                 # An alarm belongs to the sample of its time, which is there by now.
                 self._show_tick(tick)

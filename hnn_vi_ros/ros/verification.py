@@ -77,14 +77,15 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
         where = 'elsewhere than the log, of which ' + ', '.join(
             f'{name} is {value}' for name, value in others.items()) if there \
             else 'of a log that names neither machine nor versions'
+    begin = simulation.steps
     samples, difference = _first_difference(run, simulation)
-    told, missing = f'{run.reader.path}: ', _missing(run)
+    told, missing = f'{run.reader.path}: ', _missing(run, begin)
     if difference is None:
         return Verdict(f'{told}{samples} samples agree bit by bit, {where}{missing}',
                        bool(samples) and not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
-    within = margin.difference <= margin.explained
+    within = margin.difference <= margin.explained < np.inf
     commands = '; the scene takes commands, and the log does not tell at which step any acted' \
         if simulation.takes_commands and not any(run.commands()) else ''
     return Verdict(
@@ -96,10 +97,13 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
         within and bool(others) and not missing)
 
 
-def _missing(run: RecordedRun) -> str:
+def _missing(run: RecordedRun, begin: int) -> str:
     """Return what is to be told of samples that are not there to be compared; else empty."""
-    told = ''
-    if gaps := missing_stamps([stamp for stamp, _, _ in run.samples()]):
+    told, stamps = '', [stamp for stamp, _, _ in run.samples()]
+    if run.own:
+        # Others may begin in the middle of a run; the simulator itself records all from here on.
+        stamps.append(run.stamp_of(begin))
+    if gaps := missing_stamps(stamps):
         first = gaps[0]
         told = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
                 f'the first from t = {first.after * 1e-9:.9g} s to {first.before * 1e-9:.9g} s')
@@ -200,6 +204,9 @@ def _margin(run: RecordedRun) -> Margin:
         difference = float(np.abs(np.concatenate([q, p]) - state).max())
         steps = own.steps - run.first_step
         explained = _PLACES * _EPSILON * size * steps * growth
+        if np.isnan(difference):
+            # The log holds what is no number: round-off explains none.
+            return Margin(difference, explained, stamp)
         if difference * worst.explained >= worst.difference * explained:
             worst = Margin(difference, explained, stamp)
     return worst

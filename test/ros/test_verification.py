@@ -13,6 +13,8 @@ from hnn_vi_ros.ros.held_state import restore_state, state_file
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from mcap.writer import Writer
 import numpy as np
 from peer import peer, SIMULATOR
 from processes import finish, start, start_executable
@@ -181,6 +183,55 @@ def test_difference_elsewhere_is_good_within_round_off_alone(tmp_path, elsewhere
     assert verdict.good == within
     assert ('is within' if within else 'is beyond') in verdict.text
     assert f'processor is {identity()["processor"]}' in verdict.text
+
+
+def test_sample_that_is_no_number_is_not_explained_by_round_off(tmp_path, elsewhere):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 20,
+                     change=shift(10**8, np.nan))
+    verdict = verify(bag)
+    assert not verdict.good and 'is beyond' in verdict.text
+
+
+@pytest.mark.parametrize('begin', [0, 62])
+def test_bag_without_its_first_samples_is_not_certified(tmp_path, driven, begin):
+    bag = record_run(tmp_path / 'bag', driven, 100, begin=begin)
+    assert verify(bag).good
+    own = RecordedRun(bag).reader
+    verdict = verify(rewritten(own, tmp_path / 'a.mcap', lambda message: message.time > 5 * 10**8))
+    assert not verdict.good and 'samples are missing in 1 gaps' in verdict.text
+
+
+@pytest.mark.parametrize('data', [b'', b'\0\1\0\0', b'\0\1\0\0\xff\xff\xff\x7fabc'])
+@pytest.mark.parametrize('topic', ['scene', 'commands'])
+def test_message_that_is_none_of_its_type_is_one_line(tmp_path, driven, topic, data):
+    reader = RecordedRun(record_run(tmp_path / 'bag', driven, 5, commands=COMMANDS)).reader
+    numbers = [n for n, c in reader.channels.items() if c.topic.endswith(topic)]
+    bag = rewritten(reader, tmp_path / 'a.mcap', own=topic == 'commands', change=lambda message:
+                    message._replace(data=data) if message.channel in numbers else message)
+    with pytest.raises(RecordingError, match=f'{topic} at 0 ns cannot be read') as caught:
+        verify(bag)
+    assert '\n' not in str(caught.value)
+
+
+def rewritten(reader: BagReader, path: Path, keep=lambda message: True, own: bool = True,
+              change=lambda message: message) -> Path:
+    """Write the messages of a bag that are to be kept, with what the simulator keeps with them."""
+    with path.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start('ros2')
+        attachments = [found for source in reader._sources for found in source.attachments()]
+        for found in attachments if own else ():
+            writer.add_attachment(0, 0, found.name, '', found.data)
+        writer.add_metadata('hnn_vi_ros', reader.metadata('hnn_vi_ros'))
+        channels = {}
+        for number, channel in reader.channels.items():
+            schema = reader.schemas[channel.schema_id]
+            channels[number] = writer.register_channel(
+                channel.topic, 'cdr', writer.register_schema(schema.name, 'ros2msg', schema.data))
+        for message in filter(keep, reader.messages()):
+            writer.add_message(channels[message.channel], message.time, change(message).data, 0)
+        writer.finish()
+    return path
 
 
 def test_agreement_elsewhere_says_so(tmp_path, elsewhere):
