@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which files a bag consists of, and how each is opened."""
 
+from itertools import pairwise
+import os
 from pathlib import Path
 import re
 import shutil
@@ -39,20 +41,22 @@ def bag_files(bag: Path) -> list[Path]:
         A folder without a bag, with several, or with a part of one.
 
     """
-    if not bag.is_dir():
+    # Of a path that cannot be one, whoever opens it says why.
+    if not os.path.isdir(bag):
         return [bag]
     files = sorted(path for path in bag.iterdir() if path.name.endswith(_SUFFIXES))
     named = read_bag_metadata(bag).get('relative_file_paths')
     # No path of it leads out of the folder.
-    names = [Path(str(name)).name for name in named] if isinstance(named, list) else []
-    if names and set(names) <= {path.name for path in files}:
+    names = list(dict.fromkeys(Path(str(name)).name for name in named)) \
+        if isinstance(named, list) else []
+    absent = [name for name in names if bag / name not in files]
+    if names and not absent:
         return [bag / name for name in names]
     if len(files) == 1 and len(names) < 2:
         return files
     if names:
-        missing = next(name for name in names if not (bag / name).exists())
-        raise RecordingError(f'{bag}: its metadata.yaml names {missing}, which is not there; '
-                             'put it back, or give a file')
+        raise RecordingError(f'{bag}: its metadata.yaml names {absent[0]!r}, which is no file of '
+                             'a bag there; put it back, or give a file')
     return _numbered(bag, files)
 
 
@@ -65,7 +69,14 @@ def _numbered(bag: Path, files: list[Path]) -> list[Path]:
         told = f'{len(files)} files; give one of them' if files else 'none'
         raise RecordingError(f'{bag}: expected a folder with one bag (.mcap or .db3), found '
                              f'{told}')
-    return sorted(files, key=numbers.__getitem__)
+    files.sort(key=numbers.__getitem__)
+    # The first ones may have been deleted, as recorders do that keep the newest.
+    for before, after in pairwise(files):
+        if numbers[after] != numbers[before] + 1:
+            raise RecordingError(f'{bag}: none of its files is number {numbers[before] + 1}, '
+                                 f'between {before.name} and {after.name}; put it back, or give '
+                                 'a file')
+    return files
 
 
 def open_source(path: Path) -> Source:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The messages of an SQLite file, as rosbag2 records them without MCAP."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 import sqlite3
@@ -14,8 +14,9 @@ from hnn_vi_ros.sinks.mcap_records import LARGEST
 from hnn_vi_ros.sinks.regular_file import open_file
 from mcap.records import Channel, Message, Schema
 
-# Rows that are read together.
-_ROWS = 100
+# Rows that are read together, and how much they may hold [bytes].
+_ROWS = 20
+_MOST = 2**30
 
 
 @final
@@ -53,7 +54,8 @@ class SqliteFile(Source):
             rows = database.execute(
                 'SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages '
                 "WHERE id >= ? AND id < ? AND typeof(timestamp) = 'integer' ORDER BY id",
-                (piece.start, piece.start + piece.length)).fetchall()
+                (piece.start, piece.start + piece.length))
+            rows = self._taken(rows)
         messages = [Message(topic, time, data or b'', time, 0) for topic, time, data in rows
                     if topic in self.channels]
         if len(messages) < len(rows):
@@ -68,6 +70,17 @@ class SqliteFile(Source):
     def metadata(self, name: str) -> dict[str, str]:
         """See Source."""
         return {}
+
+    def _taken(self, rows: Iterable[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Return rows within a limit: a file of any size may hold what computes large ones."""
+        taken, size = [], 0
+        for row in rows:
+            size += len(row[2] or b'')
+            if size > _MOST:
+                raise RecordingError(f'{self.name}: {_ROWS} messages hold more than '
+                                     f'{_MOST >> 20} MiB; give another bag')
+            taken.append(row)
+        return taken
 
     def _add_topics(self, database: sqlite3.Connection, columns: set[str]) -> None:
         # What older versions of rosbag2 do not write.

@@ -12,6 +12,7 @@ from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.bag_data import BagData, read_bags
 from hnn_vi_ros.ros.recorded_run import resume
 from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.sinks import sqlite_file
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from mcap.writer import Writer as McapWriter
 import numpy as np
@@ -242,7 +243,54 @@ def test_folder_of_several_bags_or_of_a_part_of_one_is_refused(run, tmp_path):
         BagReader(tmp_path / 'two')
     part = split(run, tmp_path / 'part', StoragePlugin.MCAP)
     (part / 'part_10.mcap').unlink()
-    with pytest.raises(RecordingError, match='names part_10.mcap, which is not there'):
+    with pytest.raises(RecordingError, match="names 'part_10.mcap', which is no"):
         BagReader(part)
     (part / 'metadata.yaml').unlink()
     assert len(messages_of(part)) == 2 * TICKS
+
+
+@pytest.mark.parametrize('named', [
+    ['bag_0.mcap', ''], ['bag_0.mcap', 'metadata.yaml'], ['bag_0.mcap', '..']])
+def test_description_that_names_what_is_no_file_of_a_bag_is_one_line(run, tmp_path, named):
+    describe(run, tmp_path, named)
+    with pytest.raises(RecordingError, match='which is no file of a bag there'):
+        BagReader(tmp_path)
+
+
+def test_file_that_is_named_twice_is_read_once(run, tmp_path):
+    describe(run, tmp_path, ['bag_0.mcap', 'bag_0.mcap'])
+    assert messages_of(tmp_path) == messages_of(run)
+
+
+def describe(run: Path, folder: Path, named: list[str]) -> None:
+    """Write a bag of one file whose description names others."""
+    shutil.copy(run / 'bag_0.mcap', folder)
+    (folder / 'metadata.yaml').write_text(yaml.safe_dump(
+        {'rosbag2_bagfile_information': {'relative_file_paths': named}}))
+
+
+def test_bag_that_lacks_a_file_between_two_others_is_refused(run, tmp_path):
+    for number in (3, 5):
+        shutil.copy(run / 'bag_0.mcap', tmp_path / f'a_{number}.mcap')
+    with pytest.raises(RecordingError, match='none of its files is number 4, between a_3.mcap'):
+        BagReader(tmp_path)
+
+
+def test_path_that_is_too_long_is_one_line():
+    with pytest.raises(RecordingError, match='File name too long'):
+        BagReader(Path('a' * 300))
+
+
+def test_large_rows_that_a_small_file_computes_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / 'a.db3'
+    with sqlite3.connect(path) as database:
+        database.execute('CREATE TABLE topics (id, name, type, serialization_format)')
+        database.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/String', 'cdr')")
+        database.execute('CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, '
+                         'data AS (zeroblob(1000000)))')
+        database.executemany('INSERT INTO messages (id, topic_id, timestamp) VALUES (?, 1, ?)',
+                             [(i, i) for i in range(8)])
+    assert len(list(BagReader(path).messages())) == 8
+    monkeypatch.setattr(sqlite_file, '_MOST', 7 * 10**6)
+    with pytest.raises(RecordingError, match='messages hold more than'):
+        list(BagReader(path).messages())
