@@ -9,6 +9,7 @@ import shutil
 import tempfile
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks import mcap_reader
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hypothesis import given, settings, strategies
@@ -110,3 +111,13 @@ def test_bag_that_is_a_pointer_of_git_lfs_is_named_as_such(tmp_path):
     path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
     with pytest.raises(RecordingError, match='a git-LFS pointer .* git lfs pull'):
         BagReader(path)
+
+
+def test_messages_that_cannot_be_sorted_in_little_memory_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / 'a.mcap'
+    # Each chunk begins at time 1 and ends at 9, so that all of them wait for the last.
+    write_foreign(path, [1, 9] * 50)
+    assert len(list(BagReader(path).messages())) == 100
+    monkeypatch.setattr(mcap_reader, '_HELD', 10)
+    with pytest.raises(RecordingError, match='too far out of order'):
+        list(BagReader(path).messages())

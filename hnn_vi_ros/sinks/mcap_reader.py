@@ -16,6 +16,8 @@ import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
 _BLOCK = 2**20
+# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks.
+_HELD = 2**30
 
 
 class Recorded(NamedTuple):
@@ -152,6 +154,10 @@ class BagReader:
         for i, part in enumerate(parts):
             held += [message for message in self._read(part, wanted)
                      if first <= message.time <= last]
+            if sum(len(message.data) for message in held) > _HELD:
+                raise RecordingError(
+                    f'{self.path}: its messages are too far out of order: to sort them takes more '
+                    f'than {_HELD >> 20} MiB; sort it with `mcap sort`')
             held.sort(key=lambda message: message.time)
             # What a later piece may come before is kept.
             until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
