@@ -213,6 +213,17 @@ def test_gap_in_the_stamps_is_told(tmp_path, killed):
     assert (gap.before - gap.after) == (gap.count + 1) * PERIOD
 
 
+def test_gap_is_told_where_metadata_was_written_before_the_end(tmp_path, killed):
+    begins = chunks_of(killed)
+    bag = tmp_path / 'bag'
+    make(bag, TICKS, close=True)
+    metadata = (bag / 'metadata.yaml').read_text()
+    (bag / 'metadata.yaml').write_text(re.sub(
+        r'(  message_count: )\d+', r'\g<1>0', metadata, count=1))
+    (bag / 'bag_0.mcap').write_bytes(killed[:begins[4]] + killed[begins[6]:])
+    assert len(recover(bag).gaps) == 1
+
+
 def test_original_is_kept_under_a_name_that_none_has_or_replaced(tmp_path, killed):
     bag = tmp_path / 'bag'
     bag.mkdir()

@@ -157,7 +157,8 @@ def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
     recovery.incomplete = file.incomplete
     recovery.damaged, recovery.unread = len(file.unread), sum(file.unread.values())
     recorded = _recorded(file)
-    if recovery.changed and recorded is not None:
+    # A count of fewer was made before the recording ended, and tells nothing.
+    if recovery.changed and recorded is not None and recorded >= recovery.messages:
         recovery.fewer = max(0, recorded - recovery.messages)
     elif recovery.changed:
         recovery.gaps = missing_in_all(list(stamps.values()))
