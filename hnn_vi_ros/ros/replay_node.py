@@ -219,7 +219,10 @@ def find_type(name: str) -> type:
         # Importing runs code: whatever else a bag names is left alone.
         if not (package.isidentifier() and has_resource('rosidl_interfaces', package)):
             raise ModuleNotFoundError(f'no package of messages {package!r}')
-        return getattr(import_module(f'{package}.msg'), rest.rpartition('/')[2])
+        found = getattr(import_module(f'{package}.msg'), rest.rpartition('/')[2])
+        if not hasattr(type(found), '_TYPE_SUPPORT'):
+            raise AttributeError(f'{name} is no type of messages')
+        return found
     except (ImportError, AttributeError) as problem:
         raise RecordingError(f'its type {name} is not installed; source the workspace that '
                              'has it') from problem

@@ -308,3 +308,9 @@ def test_replay_ends_in_time_when_it_is_terminated_before_it_begins(bag):
     replay.send_signal(signal.SIGTERM)
     wait_until(lambda: replay.poll() is not None, 10.0)
     assert finish(replay)[0] in (0, -signal.SIGTERM)
+
+
+@pytest.mark.parametrize('name', ['std_msgs/msg/_string', 'std_msgs/msg/__name__', 'os/path'])
+def test_name_of_what_is_no_message_type_is_refused(name):
+    with pytest.raises(RecordingError, match='is not installed'):
+        find_type(name)
