@@ -123,7 +123,7 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
             total += count
             # What it took and where it stands, whatever another client has set in between.
             assert json.loads(answer.message) == {
-                'steps': count, 'step': total, 'time': total * 0.002,
+                'steps': count, 'step': total, 'time': total * 2_000_000 / 1e9,
                 'stamp': total * 2_000_000}
             expected.advance(count)
             other.spin_until(
@@ -194,8 +194,9 @@ def test_reset_repeats_the_run_bit_by_bit_in_a_new_bag(folder, scene):
 
 
 def times_told(text: str) -> list[float]:
-    """Return the simulated times that a text names [s]."""
-    return [float(found) for found in re.findall(r't = ([\d.]+) s', text)]
+    """Return the simulated times that a text or the JSON in it names [s]."""
+    return [float(found) for pair in re.findall(r't = ([\d.]+) s|"time": ([\d.]+)', text)
+            for found in pair if found]
 
 
 def test_after_a_reset_every_time_that_is_told_is_that_of_the_stamps(folder):

@@ -24,7 +24,7 @@ from hnn_vi_ros.ros.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.yaml_text import dump_yaml, parse_mapping
+from hnn_vi_ros.yaml_text import dump_yaml
 from processes import finish, start, start_executable, started, wait_until
 from pydantic import ValidationError
 import pytest
@@ -98,7 +98,7 @@ def test_code_that_a_bag_names_is_refused_and_not_run(tmp_path, marker, on_path,
     bag = record(tmp_path, **named)
     with pytest.raises(RecordingError) as caught:
         READERS[way](bag)
-    for word in ('scene.yaml:', "'marker:make' is code", '--trust-code', 'trust_code'):
+    for word in ('its scene:', "'marker:make' is code", '--trust-code', 'trust_code'):
         assert word in str(caught.value)
     assert '\n' not in str(caught.value)
     assert not marker.exists() and 'marker' not in sys.modules
@@ -262,8 +262,7 @@ def test_models_of_effects_are_recorded_with_their_digests(tmp_path):
     path.write_text(dump_yaml(load_scene('exact_pendulum').model_dump() | {
         'effects': [{'kind': 'learned_dissipation', 'model': 'm.safetensors'}]}))
     scene = load_scene(path)
-    told, _ = parse_mapping(
-        scene_report(scene, Simulation.from_scene(scene), None, False), 'here', RecordingError)
+    told = scene_report(scene, Simulation.from_scene(scene))
     assert told['model_files'] == scene.model_digests
     again, _ = described_scene(dump_yaml(told), 'here')
     assert len(again.create_effects()) == 1
