@@ -3,17 +3,20 @@
 """Damaged recordings: nothing that can be read is lost, and nothing is lost in silence."""
 
 from collections import Counter
+import io
 import os
 from pathlib import Path
 import random
 import re
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.recover_bag import main
+from hnn_vi_ros.sinks.mcap_frames import walk
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_recovery import recover, Recovery
 from hnn_vi_ros.sinks.mcap_sink import McapSink
@@ -333,3 +336,21 @@ def test_changes_of_a_file_are_not_taken_for_whole(tmp_path, finished):
     changed = finished[:begins[2]] + finished[begins[3]:begins[4]] + finished[begins[3]:]
     recovery, _ = attempt(tmp_path / 'bag', changed)
     assert recovery.changed
+
+
+@pytest.mark.parametrize('opcode', [0x05, 0x06, 0x09, 0x0c])
+def test_search_behind_damage_reads_no_more_than_a_multiple_of_the_file(killed, opcode):
+    """A file of nothing but beginnings of records, each of which would reach far."""
+    class Counted(io.BytesIO):
+        read_bytes = 0
+
+        def read(self, size: int = -1) -> bytes:
+            content = super().read(size)
+            self.read_bytes += len(content)
+            return content
+
+    content = killed[:4000] + struct.pack('<BQ', opcode, 400_000) * 50_000
+    stream = Counted(content)
+    assert sum(1 for _ in walk(stream, len(content)))
+    # 64 times the file and 256 MiB, and at most the content of one record beyond that.
+    assert stream.read_bytes <= 64 * len(content) + 2**28 + 2**24

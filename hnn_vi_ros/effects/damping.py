@@ -71,7 +71,7 @@ class Damping(Force, StepEffect):
         return per_coordinate(coordinates, 'rate', self.rate), live.gauge
 
     def check_state(self, hamiltonian: Hamiltonian, q: np.ndarray) -> None:
-        """Raise ValueError if the rates would feed energy in near q, shape (d,)."""
+        """Raise ValueError if the rates would feed energy in near q, shape (m d,)."""
         check_rates(hamiltonian, q, per_coordinate(hamiltonian.coordinates, 'rate', self.rate))
 
     @staticmethod

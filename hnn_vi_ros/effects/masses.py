@@ -22,13 +22,15 @@ def inverse_mass(hamiltonian: Hamiltonian, q: np.ndarray) -> np.ndarray:
 
 
 def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> None:
-    """Raise ValueError if the power -v . (rate M v) could be positive near q, shape (d,)."""
+    """Raise ValueError if the power -v . (rate M v) could be positive near q, shape (m d,)."""
     if (rate == rate[0]).all():
         return
-    others = np.random.default_rng(0).normal(q, 1.0 + np.abs(q), (_STATES, q.size))
-    for state in [q, *others]:
+    states = q.reshape(-1, rate.size)
+    others = np.random.default_rng(0).normal(
+        states[0], 1.0 + np.abs(states[0]), (_STATES, rate.size))
+    for state in [*states, *others]:
         inverse = inverse_mass(hamiltonian, state)
-        if np.isfinite(inverse).all() and np.linalg.matrix_rank(inverse) == q.size:
+        if np.isfinite(inverse).all() and np.linalg.matrix_rank(inverse) == rate.size:
             product = rate[:, None] * np.linalg.inv(inverse)
             powers = np.linalg.eigvalsh(product + product.T)
             if powers[0] < -_COUPLING * np.abs(powers).max():

@@ -29,7 +29,7 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
 
     A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
     What the node does not have there belongs to another one: it is told if it looks like a
-    misspelling, and left.
+    misspelling, and left. So is a section whose name is nearly the node's, where none is its own.
 
     Parameters
     ----------
@@ -50,7 +50,10 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
     """
     own = [*(item.name for item in table), *ROS_OWN]
     policies = parameter_names(node, endpoints)
-    shared = set(_shared_names(arguments))
+    sections = list(_sections(arguments))
+    _warn_of_misspelt_node(node, [name for name, _ in sections])
+    shared = {name for section, parameters in sections if '*' in section
+              for name in _flat(parameters, '')}
     for name, parameter in sorted(node.get_parameters_by_prefix('').items()):
         if name in ROS_OWN and type(parameter.value) is not bool:
             raise ParameterError(f'parameter {name} = {parameter.value!r}: expected true or false')
@@ -87,22 +90,29 @@ def _remedy(name: str, own: Sequence[str], policies: Sequence[str]) -> tuple[str
     return did_you_mean(topic, known), f'; QoS can be set of: {", ".join(known) or "none"}'
 
 
-def _shared_names(arguments: Sequence[str]) -> Iterator[str]:
-    """Yield the names of the parameters that files give to several nodes."""
+def _warn_of_misspelt_node(node: Node, sections: Sequence[str]) -> None:
+    name = node.get_name()
+    if not any(section == name or '*' in section for section in sections):
+        for section in filter(lambda section: did_you_mean(section, [name]), sections):
+            node.get_logger().warning(
+                f'parameters of {section} in a file are not of this node; did you mean {name}?')
+
+
+def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
+    """Yield the name of each node in parameter files, not where it is, and its parameters."""
     for option, path in zip(arguments, arguments[1:], strict=False):
         if option == '--params-file':
             # ROS has read it already, and refused what is no parameter file. Only names count.
             content, _ = parse_mapping(Path(path).read_bytes(), path, ParameterError)
-            yield from _names_in(content, '')
+            yield from _sections_in(content, '')
 
 
-def _names_in(content: Mapping, node: str) -> Iterator[str]:
+def _sections_in(content: Mapping, node: str) -> Iterator[tuple[str, object]]:
     for key, value in content.items():
         if key == _SECTION:
-            # The name of the node itself, not of where it is.
-            yield from _flat(value, '') if '*' in node.rpartition('/')[2] else ()
+            yield node.rpartition('/')[2], value
         elif isinstance(value, Mapping):
-            yield from _names_in(value, f'{node}/{key}')
+            yield from _sections_in(value, f'{node}/{key}')
 
 
 def _flat(parameters: object, prefix: str) -> Iterator[str]:

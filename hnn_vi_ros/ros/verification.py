@@ -81,7 +81,7 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
     samples, difference = _first_difference(run, simulation)
     told, missing = f'{run.reader.path}: ', _missing(run, begin)
     if difference is None:
-        return Verdict(f'{told}{samples} samples agree bit by bit, {where}{missing}',
+        return Verdict(f'{told}q and p of {samples} samples agree bit by bit, {where}{missing}',
                        bool(samples) and not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
@@ -89,8 +89,8 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
     commands = '; the scene takes commands, and the log does not tell at which step any acted' \
         if simulation.takes_commands and not any(run.commands()) else ''
     return Verdict(
-        f'{told}{samples} samples agree bit by bit, {where}; then {difference.name} differs at '
-        f't = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} in the log, '
+        f'{told}q and p of {samples} samples agree bit by bit, {where}; then {difference.name} '
+        f'differs at t = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} in the log, '
         f'{difference.simulated!r} now; the largest difference, {margin.difference:.3g} at t = '
         f'{margin.stamp * 1e-9:.9g} s, is {"within" if within else "beyond"} what round-off '
         f'explains, {margin.explained:.3g}{commands}{missing}',

@@ -21,6 +21,9 @@ _HEAD = 64
 # Records below 4 GiB: an opcode, and the length's upper half, which is zero.
 _START = re.compile(rb'(?=[\x01-\x0f].{4}\x00{4})', re.DOTALL)
 _WINDOW = 2**20
+# What is read in search of records, over the size of the file and beside so many bytes: a bag that
+# was damaged takes a few times its size, one that is made to take long would take its square.
+_MOST_READ, _AT_LEAST = 64, 2**28
 # Only chunks, attachments, messages and their indexes may be longer [bytes].
 _LONGEST = 2**24
 _KINDS = frozenset(range(0x01, 0x10))
@@ -84,6 +87,7 @@ class _Finder:
 
     def __init__(self, stream: BinaryIO, size: int):
         self._stream, self._size = stream, size
+        self._left = _MOST_READ * size + _AT_LEAST
 
     def at(self, place: int, alone: bool = False, searched: bool = False) -> Frame | None:
         """
@@ -122,7 +126,8 @@ class _Finder:
         return self._search(place + 1, within_chunk=_is_chunk(self._read(place, _HEAD)))
 
     def _search(self, place: int, within_chunk: bool = False) -> int:
-        while place < self._size:
+        # Beyond what any damage takes, nothing more is understood.
+        while place < self._size and self._left > 0:
             window = self._read(place, _WINDOW + PREFIX.size)
             for match in _START.finditer(window):
                 start = place + match.start()
@@ -130,6 +135,8 @@ class _Finder:
                     continue
                 if self.at(start, searched=True) is not None:
                     return start
+                if self._left <= 0:
+                    break
             place += _WINDOW
         return self._size
 
@@ -148,7 +155,11 @@ class _Finder:
 
     def _read(self, place: int, length: int) -> bytes:
         self._stream.seek(place)
-        return self._stream.read(min(length, max(0, self._size - place)))
+        return self._spend(self._stream.read(min(length, max(0, self._size - place))))
+
+    def _spend(self, content: bytes) -> bytes:
+        self._left -= len(content)
+        return content
 
     def _fits(self, frame: Frame, head: bytes) -> bool:
         """Tell whether a record is there, and its fields are as long as it is."""
@@ -162,7 +173,7 @@ class _Finder:
             return entries >= 0 and entries % 16 == 0 and entries == int.from_bytes(
                 head[start:start + 4], 'little')
         return (opcode == Opcode.ATTACHMENT or length <= _LONGEST) and decode(
-            opcode, read_content(self._stream, frame)) is not None
+            opcode, self._spend(read_content(self._stream, frame))) is not None
 
     def _chunk(self, frame: Frame, alone: bool) -> Frame | None:
         """Return a chunk whose lengths agree, if what follows does or its CRC holds."""
@@ -181,7 +192,7 @@ class _Finder:
         return None
 
     def _sound(self, chunk: Frame) -> bool:
-        content = read_content(self._stream, chunk)
+        content = self._spend(read_content(self._stream, chunk))
         head = chunk_head(content)
         return head is not None and head.crc != 0 and unpack(content, True)[1]
 

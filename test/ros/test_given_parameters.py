@@ -116,6 +116,17 @@ def test_unknown_parameter_of_a_file_for_all_nodes_is_left_and_a_misspelling_is_
     assert 'parameter integratr, ' in told and told.count('did you mean') == 1
 
 
+@pytest.mark.parametrize('sections, warned', [
+    (['hnn_simulatr'], True), (['/ns/hnn_simulatr'], True), (['elsewhere'], False),
+    (['hnn_simulator', 'hnn_simulator2'], False), (['/**', 'hnn_simulatr'], False)])
+def test_section_of_a_file_for_a_node_of_nearly_this_name_is_told(
+        tmp_path, capfd, sections, warned):
+    arguments = parameter_file(tmp_path, {
+        section: {'ros__parameters': {'integrator': 'rk4'}} for section in sections})
+    with given(*arguments):
+        assert ('did you mean hnn_simulator?' in capfd.readouterr().err) == warned
+
+
 def test_parameter_of_the_command_line_is_refused_beside_a_file_for_all_nodes(tmp_path):
     arguments = parameter_file(tmp_path, {'/**': {'ros__parameters': {'robot': 1}}})
     assert 'integratr' in refused(*arguments, '-p', 'integratr:=rk4')
