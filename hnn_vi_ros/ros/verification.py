@@ -90,10 +90,11 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
         if simulation.takes_commands and not any(run.commands()) else ''
     return Verdict(
         f'{told}q and p of {samples} samples agree bit by bit, {where}; then {difference.name} '
-        f'differs at t = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} in the log, '
-        f'{difference.simulated!r} now; the largest difference, {margin.difference:.3g} at t = '
-        f'{margin.stamp * 1e-9:.9g} s, is {"within" if within else "beyond"} what round-off '
-        f'explains, {margin.explained:.3g}{commands}{missing}',
+        f'differs at t = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} '
+        f'in the log, {difference.simulated!r} now; the largest difference, '
+        f'{margin.difference:.3g} at t = {margin.stamp * 1e-9:.9g} s, is '
+        f'{"within" if within else "beyond"} what round-off explains, {margin.explained:.3g}'
+        f'{commands}{missing}',
         within and bool(others) and not missing)
 
 
