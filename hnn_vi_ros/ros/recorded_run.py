@@ -8,15 +8,14 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.ros.described_scene import described_scene
 from hnn_vi_ros.ros.held_state import STATE_FILE
+from hnn_vi_ros.ros.sampling import steps_between
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene_origin import Origin
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.sinks.state_message import decode_state, State
-from hnn_vi_ros.yaml_file import validate
 from hnn_vi_ros.yaml_text import parse_mapping
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -174,6 +173,19 @@ class RecordedRun:
         except RecordingError:
             return None
 
+    @property
+    def spacing(self) -> int | None:
+        """Return the time from sample to sample that was asked for [ns]; None if not told."""
+        try:
+            text = self.reader.attachment('parameters.yaml')
+        except RecordingError:
+            return None
+        where = f'{self.reader.path}: its parameters'
+        rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')
+        if not (isinstance(rate, float | int) and rate > 0):
+            raise RecordingError(f'{where}: publish_rate is no rate')
+        return round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+
     def stamp_of(self, step: int) -> int:
         """Return the stamp of a step [ns]."""
         return self.origin + round(step * self._nanoseconds)
@@ -251,45 +263,6 @@ class RecordedRun:
     def _type_of(self, channel: int) -> str:
         schema = self.reader.schemas.get(self.reader.channels[channel].schema_id)
         return '' if schema is None else schema.name
-
-
-def described_scene(text: bytes | str, where: str, trust_code: bool = False
-                    ) -> tuple[Scene, dict[str, Any]]:
-    """
-    Return the scene that a log or ~/scene describes, and all that is told with it.
-
-    Whoever wrote it chooses none of what is run, or opened, here: code that it names is refused
-    unless it is trusted, and then comes from the path of Python's modules alone; model files are
-    those that the digests told with it belong to.
-
-    Parameters
-    ----------
-    text : bytes or str
-        YAML.
-    where : str
-        What describes it, for errors.
-    trust_code : bool, optional
-        Whether Python code that it names may be run.
-
-    Raises
-    ------
-    RecordingError
-        It is no scene, or names code; one line.
-
-    """
-    described, places = parse_mapping(text, where, RecordingError)
-    fields = {name: value for name, value in described.items() if name in Scene.model_fields}
-    scene = validate(fields, places, Scene, RecordingError, trust_code=trust_code)
-    if isinstance(scene.integrator, AutoChoice):
-        raise RecordingError(f'{places.place("integrator")}: does not say what auto chose')
-    # Where models beside the scene are found again.
-    source = str(described.get('source', 'scene'))
-    files = described.get('model_files', {})
-    digests = [described.get('model_sha256'), *(files.values() if isinstance(files, dict) else ())]
-    scene._origin = Origin(
-        Path(source if source.isprintable() else 'scene'), places,
-        digests=frozenset(digest for digest in digests if isinstance(digest, str)))
-    return scene, described
 
 
 def resume(bag: str | Path, trust_code: bool = False) -> Resumption:

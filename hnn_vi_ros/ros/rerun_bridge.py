@@ -13,12 +13,13 @@ from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
+from hnn_vi_ros.ros.described_scene import described_scene
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
-from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun
+from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.ros.topics import LATCHED
 from hnn_vi_ros.sinks.rerun_stream import Target

@@ -26,6 +26,11 @@ def stamp_of(step: int, step_size: float, origin: int = 0) -> int:
     return origin + round(step * _nanoseconds(step_size))
 
 
+def steps_between(rate: float, step_size: float) -> int:
+    """Return the steps from sample to sample at a rate [Hz] and a step size [s]."""
+    return max(1, round(1.0 / (rate * step_size)))
+
+
 class Sampler:
     """
     Take samples of a simulation.
@@ -64,7 +69,7 @@ class Sampler:
             raise ParameterError(
                 f'parameter step_size: {exact:.3g} steps from sample to sample are too many, at '
                 f'most {_MOST_STEPS:.0e}; use a larger step_size or publish_rate')
-        self.every = max(1, round(exact))
+        self.every = steps_between(rate, h)
         self.tick = self.every * h
         self.deviation = '' if abs(exact - self.every) <= 1e-9 * exact else (
             f'publish_rate {rate:g} Hz is not a whole number of steps of {h:g} s: publishing '

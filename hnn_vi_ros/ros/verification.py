@@ -104,7 +104,7 @@ def _missing(run: RecordedRun, begin: int) -> str:
     if run.own:
         # Others may begin in the middle of a run; the simulator itself records all from here on.
         stamps.append(run.stamp_of(begin))
-    if gaps := missing_stamps(stamps):
+    if gaps := missing_stamps(stamps, run.spacing):
         first = gaps[0]
         told = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
                 f'the first from t = {first.after * 1e-9:.9g} s to {first.before * 1e-9:.9g} s')

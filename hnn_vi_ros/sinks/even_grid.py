@@ -31,9 +31,9 @@ class Missing(NamedTuple):
     count: int
 
 
-def missing_stamps(stamps: Sequence[int]) -> list[Missing]:
+def missing_stamps(stamps: Sequence[int], spacing: int | None = None) -> list[Missing]:
     """
-    Return the gaps in a grid, whose spacing is the most frequent difference.
+    Return the gaps in a grid, whose spacing is the most frequent difference if none is given.
 
     Stamps in between, as of single steps in a pause, are not asked for and no harm. Stamps of
     which less than half are evenly spaced have no gaps.
@@ -42,19 +42,27 @@ def missing_stamps(stamps: Sequence[int]) -> list[Missing]:
     ----------
     stamps : sequence of int
         In any order [ns].
+    spacing : int, optional
+        What lies between two of them at most [ns].
 
     """
     t = np.unique(np.asarray(stamps, dtype=np.uint64))
     differences = np.diff(t).astype(np.float64)
-    if len(differences) < _LEAST:
-        return []
-    values, counts = np.unique(differences, return_counts=True)
-    spacing = values[np.argmax(counts)]
-    even = np.abs(differences - spacing) <= _ROUNDING
-    if even.sum() < max(_LEAST, _SHARE * len(differences)):
+    spacing = spacing or _frequent(differences)
+    if spacing is None:
         return []
     return [Missing(int(t[i]), int(t[i + 1]), round(differences[i] / spacing) - 1)
             for i in np.flatnonzero(differences > 1.5 * spacing)]
+
+
+def _frequent(differences: np.ndarray) -> float | None:
+    """Return the most frequent difference; None where less than half are that."""
+    if len(differences) < _LEAST:
+        return None
+    values, counts = np.unique(differences, return_counts=True)
+    spacing = float(values[np.argmax(counts)])
+    even = np.abs(differences - spacing) <= _ROUNDING
+    return spacing if even.sum() >= max(_LEAST, _SHARE * len(differences)) else None
 
 
 def missing_in_all(topics: Sequence[Sequence[int]]) -> list[Missing]:

@@ -181,7 +181,10 @@ def test_bag_with_an_unreadable_chunk_is_not_verified(many_chunks, tmp_path):
     assert '1 damaged parts' in verdict.text and str(bag / 'bag_0.mcap') in verdict.text
 
 
-def test_bag_that_lacks_samples_is_not_verified(tmp_path):
+@pytest.mark.parametrize('lost, there', [
+    (lambda tick: 30 <= tick < 50, 80), (lambda tick: tick % 2, 50), (lambda tick: tick < 99, 2)],
+    ids=['some', 'every second', 'all but two'])
+def test_bag_that_lacks_samples_is_not_verified(tmp_path, lost, there):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100)
     thinned = tmp_path / 'thinned.mcap'
     reader = BagReader(bag)
@@ -189,15 +192,17 @@ def test_bag_that_lacks_samples_is_not_verified(tmp_path):
         writer = McapWriter(stream)
         writer.start('ros2')
         writer.add_attachment(0, 0, 'scene.yaml', '', reader.attachment('scene.yaml'))
+        writer.add_attachment(0, 0, 'parameters.yaml', '', b'publish_rate: 100.0')
         channels = {n: writer.register_channel(c.topic, 'cdr', writer.register_schema(
             reader.schemas[c.schema_id].name, 'ros2msg', b'')) for n, c in reader.channels.items()}
         for message in reader.messages():
-            if not 3 * 10**8 <= message.time < 5 * 10**8:
+            if not lost(message.time // 10**7):
                 writer.add_message(channels[message.channel], message.time, message.data, 0)
         writer.finish()
     verdict = verify(thinned)
     assert not verdict.good
-    assert '80 samples agree' in verdict.text and 'BUT 20 samples are missing' in verdict.text
+    assert f'of {there} samples agree' in verdict.text
+    assert f'BUT {100 - there} samples are missing' in verdict.text
 
 
 def test_verify_of_a_damaged_bag_ends_non_zero_and_others_warn(many_chunks, tmp_path, caplog):

@@ -15,8 +15,9 @@ from hnn_vi_ros import load_scene, yaml_text
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
 from hnn_vi_ros.named_code import trusting
 from hnn_vi_ros.resources import shipped_file
+from hnn_vi_ros.ros.described_scene import described_scene
 from hnn_vi_ros.ros.messages import TICK_TOPICS
-from hnn_vi_ros.ros.recorded_run import described_scene, RecordedRun, resume
+from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay_node import find_type
 from hnn_vi_ros.ros.replay_node import main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
