@@ -118,8 +118,11 @@ def test_bridge_shows_alarms_and_timing_of_a_running_simulator_and_the_alarms_of
     assert finish(bridge, 20.0)[0] == 0
     again = start_bridge(tmp_path / 'bag', *to_file(tmp_path / 'again.rrd'))
     assert finish(again)[0] == 0
+    # A busy machine may have added alarms of overruns.
     alarms = [(stamp, 'WARN', f'under-resolved: {message.status[0].message}')
-              for stamp, message in read_bag(tmp_path / 'bag')['/diagnostics']]
+              for stamp, message in read_bag(tmp_path / 'bag')['/diagnostics']
+              if ('alarm', 'under-resolved') in (
+                  (item.key, item.value) for item in message.status[0].values)]
     shown = [event for event in events_of(tmp_path / 'again.rrd')
              if event[2].startswith('under-resolved')]
     assert shown == alarms != []
