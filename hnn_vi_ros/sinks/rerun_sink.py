@@ -24,7 +24,7 @@ MOST_PORTRAITS = 8
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
 GATHER_SHARE, GATHER_MOST = 0.1, 30.0
 # More samples than this are sent at once: a run that no clock holds back hands out many.
-MOST_PENDING = 4096
+MOST_PENDING = 1024
 
 
 @final

@@ -203,8 +203,10 @@ def test_get_state_during_all_this_is_answered_by_every_node_of_two_namespaces(f
 
             def is_active(client=client) -> bool:
                 future = client.call_async(GetState.Request())
-                other.spin_until(future.done)
-                return future.result().current_state.label == 'active'
+                # Asked again where the answer was sent before its way back was there.
+                until = time.monotonic() + 5.0
+                other.spin_until(lambda: future.done() or time.monotonic() > until)
+                return future.done() and future.result().current_state.label == 'active'
             other.spin_until(is_active)
         received: dict[str, list] = {'one': [], 'two': []}
         for name, messages in received.items():

@@ -95,7 +95,7 @@ class Log:
 @pytest.mark.parametrize('text', NAMED, ids=range(len(NAMED)))
 def test_yaml_that_exhausted_the_machine_is_refused_in_one_line(ways, way, text):
     said = ways[way](text)
-    place = {'file': 'mine.yaml:', 'attachment': 'its scene.yaml:', 'topic': '~/scene:'}[way]
+    place = {'file': 'mine.yaml:', 'attachment': 'its scene:', 'topic': '~/scene:'}[way]
     assert place in said and '\n' not in said and len(said) < 2000
 
 
