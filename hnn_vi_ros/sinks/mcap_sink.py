@@ -63,7 +63,7 @@ class McapSink:
         self._first, self._last = NEVER, 0
         self._path = Path(folder) / f'{Path(folder).name}_0.mcap'
         origin = identity()
-        hidden = self._path.with_name(f'.{self._path.name}')
+        hidden = self._path.with_name(f'.{self._path.name}.tmp')
         self._stream: BinaryIO | None = _create(hidden)
         try:
             self._writer = Writer(
