@@ -11,7 +11,6 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.pacing import LONGEST_CALL
 from hnn_vi_ros.ros.run import Run
-from hnn_vi_ros.ros.topics import Topics
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
@@ -42,8 +41,8 @@ class Control:
         The simulator.
     run : Run
         What is driven.
-    topics : Topics
-        Whose subscribers the first step waits for.
+    discovery : Discovery
+        What the first step waits for.
     values : dict
         The node's parameters.
 
@@ -57,16 +56,14 @@ class Control:
 
     """
 
-    def __init__(self, node: Node, run: Run, topics: Topics, values: dict):
-        self._node, self._run, self._topics = node, run, topics
+    def __init__(self, node: Node, run: Run, discovery: Discovery, values: dict):
+        self._node, self._run, self._discovery = node, run, discovery
         # Timers on ROS time would stall in a pause of /clock, or when it jumps back.
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._discovery_time = values['discovery_time']
         self.active, self.paused, self.stopped = False, values['start_paused'], True
         self._run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None
-        self._discovery: Discovery | None = None
         # Steps of the request that is being worked on, and who waits for its end.
         self._left, self._asked, self._waiting = 0, 0, None
         self._progress: Callable[[int, int], None] | None = None
@@ -81,9 +78,7 @@ class Control:
         self.active, self.stopped = True, False
         if self.paused:
             self._run.tell('paused until ~/set_pause ends it', 'INFO')
-        if self._timer is None and self._discovery is None:
-            self._discovery = Discovery(
-                lambda: self._topics.subscribers, self._discovery_time)
+        if not self._timers:
             self._add_timer(DISCOVERY_PERIOD, self._start_when_discovered)
         self._schedule()
 

@@ -32,6 +32,8 @@ class Discovery:
     """
     Wait for subscribers that are there already: DDS takes some 1.5 s to find a node.
 
+    The wait begins here, when the publishers are made, whatever else is done meanwhile.
+
     Parameters
     ----------
     subscribers : callable

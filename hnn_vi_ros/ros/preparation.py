@@ -3,11 +3,13 @@
 """What takes long before a run can begin, for a thread beside the one that serves."""
 
 from collections.abc import Callable
+import time
 from typing import Any, NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.choosing import Event, resolve
+from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.sampling import Sampler
@@ -58,10 +60,13 @@ class Prepared(NamedTuple):
     origin: int
 
 
-def prepare(values: dict, topics: BagTopics, logger: RcutilsLogger,
+def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: RcutilsLogger,
             begin: Callable[[str], None]) -> Prepared:
     """
     Load the scene, compile it, look at how it moves, and open the files.
+
+    A run that starts by itself has no files before its first step is due: a process that is
+    killed then leaves as much behind as its bag is old.
 
     Parameters
     ----------
@@ -69,6 +74,8 @@ def prepare(values: dict, topics: BagTopics, logger: RcutilsLogger,
         The node's parameters.
     topics : BagTopics
         What the bag holds.
+    discovery : Discovery
+        What the first step waits for.
     logger : RcutilsLogger
         Told of what is done.
     begin : callable
@@ -103,6 +110,10 @@ def prepare(values: dict, topics: BagTopics, logger: RcutilsLogger,
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
     report = scene_report(scene, simulation, origin, cost, values['explain'])
+    if values['autostart']:
+        while not discovery.over:
+            begin('waiting for subscribers')
+            time.sleep(DISCOVERY_PERIOD)
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, values, topics, box, report, sampler)

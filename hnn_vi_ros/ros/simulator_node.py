@@ -13,6 +13,7 @@ from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Control
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.graph import Discovery
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
 from hnn_vi_ros.ros.log import log
@@ -104,8 +105,9 @@ class SimulatorNode(ManagedNode):
         try:
             # There from now on, so that other nodes find them while the kernel is compiled.
             self.topics = Topics(self, values['publish_accuracy'], values['publish_clock'])
-            descriptions = self.topics.descriptions
-            await self.in_thread(lambda: self._prepare(values, descriptions))
+            topics, discovery = self.topics.descriptions, Discovery(
+                self.topics.count_subscribers, values['discovery_time'])
+            await self.in_thread(lambda: self._prepare(values, topics, discovery))
             self.run = Run(self, self.topics, self._prepared, values, self.stop)
             self.topics.hear('~/initial_state', JointState, self._on_initial_state)
         except HnnViRosError:
@@ -114,7 +116,7 @@ class SimulatorNode(ManagedNode):
             raise
         finally:
             self.destroy_timer(progress)
-        self.control = Control(self, self.run, self.topics, values)
+        self.control = Control(self, self.run, discovery, values)
         # Those that were changed meanwhile count as well.
         self._settings.run = self
         self.apply(self.values)
@@ -170,9 +172,9 @@ class SimulatorNode(ManagedNode):
         self.run.apply(values)
         self.control.set_period()
 
-    def _prepare(self, values: dict, descriptions: list[Topic]) -> None:
+    def _prepare(self, values: dict, topics: list[Topic], discovery: Discovery) -> None:
         """Keep what is prepared: the node may be stopped before it can take it."""
-        self._prepared = prepare(values, descriptions, self.get_logger(), self._set_stage)
+        self._prepared = prepare(values, topics, discovery, self.get_logger(), self._set_stage)
 
     def _close_prepared(self) -> None:
         """Close the files of a run that has not begun, those as well that are being opened."""

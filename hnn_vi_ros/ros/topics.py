@@ -185,8 +185,7 @@ class Topics:
              in zip(self._publishers, self._tick_topics, strict=True)],
             describe_topic(self._scene.topic_name, String, self._scene.qos_profile))
 
-    @property
-    def subscribers(self) -> int:
+    def count_subscribers(self) -> int:
         """Return the number of subscribers to the topics of every tick."""
         return sum(publisher.get_subscription_count() for publisher in self._publishers)
 

@@ -47,6 +47,11 @@ def finish(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, 
     return process.returncode, out, error
 
 
+def standard_error(process: subprocess.Popen) -> str:
+    """Return what a process that runs has written to standard error."""
+    return Path(f'/proc/{process.pid}/fd/2').read_text()
+
+
 def wait_until(condition, timeout: float = 30.0) -> None:
     """Wait until the condition holds."""
     deadline = time.monotonic() + timeout

@@ -8,6 +8,7 @@ import math
 from types import SimpleNamespace
 
 from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.graph import Discovery
 import numpy as np
 import pytest
 
@@ -75,8 +76,7 @@ class Timers:
 def control() -> Control:
     """Return a Control that was activated, in a pause."""
     node, run = Timers(), Steps()
-    made = Control(node, run, SimpleNamespace(subscribers=0),
-                   {'discovery_time': 0.0, 'start_paused': True})
+    made = Control(node, run, Discovery(lambda: 0, 0.0), {'start_paused': True})
     assert made.stopped
     made.activate()
     # Discovery is over at once.

@@ -15,7 +15,7 @@ from hnn_vi_ros.ros.topics import LATCHED
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_recovery import recover
 from peer import Peer, peer
-from processes import finish, read_bag, start
+from processes import finish, read_bag, standard_error, start, wait_until
 import pytest
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -88,6 +88,17 @@ def test_simulator_killed_before_its_first_step_leaves_a_bag_with_its_scene(
     assert RecordedRun(bag).scene.step_size == 0.01
     ((stamp, message),) = read_bag(bag)['/hnn_simulator/scene']
     assert stamp == 0 and message.data.encode() == BagReader(bag).attachment('scene.yaml')
+
+
+def test_bag_of_a_run_that_starts_by_itself_is_begun_when_its_first_step_is_due(tmp_path: Path):
+    """Not before the wait for subscribers: the bag's age is then that of its first sample."""
+    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    process = start(tmp_path, discovery_time=60, record_path='bag', rerun_sink='none')
+    wait_until(lambda: 'configuring: waiting for subscribers' in standard_error(process))
+    assert not (tmp_path / 'bag').exists()
+    with peer() as other:
+        other.spin_until(lambda: other.states)
+    assert (tmp_path / 'bag' / 'bag_0.mcap').exists()
 
 
 def listen(other: Peer, told: list[str]) -> None:
