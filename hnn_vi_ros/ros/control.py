@@ -3,12 +3,13 @@
 """When a run goes on: start, halt, pause, steps by number, reset; all between two steps."""
 
 from collections.abc import Callable
+import gc
 import json
 import time
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
+from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.pacing import LONGEST_CALL
 from hnn_vi_ros.ros.run import Run
 from rclpy.clock import Clock, ClockType
@@ -190,7 +191,8 @@ class Control:
         """Start once discovery is over."""
         if self._discovery.over:
             self._node.destroy_timer(self._timers.pop())
-            freeze_memory()
+            # What was made since the preparation has frozen the rest.
+            gc.freeze()
             self._run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self._run.publish_diagnostics)
             self._timer = self._add_timer(self._run.pacer.timer_period, self._on_timer)

@@ -9,7 +9,7 @@ import warnings
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.choosing import Event, resolve
-from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
+from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.sampling import Sampler
@@ -114,6 +114,8 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
         while not discovery.over:
             begin('waiting for subscribers')
             time.sleep(DISCOVERY_PERIOD)
+    # Here, since it takes a while: from now on there are files, which are to hold all that follows.
+    freeze_memory()
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, values, topics, box, report, sampler)

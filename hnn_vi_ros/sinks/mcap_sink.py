@@ -20,8 +20,9 @@ from hnn_vi_ros.yaml_text import dump_yaml
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
 CHUNK_SIZE = 256 * 1024
-# Half the second that an interruption may cost: the ticks that a busy machine delays still fit in.
-FLUSH_INTERVAL = 0.5
+# A quarter of the second that an interruption may cost: the ticks that a busy machine delays, and
+# the first step of a run, still fit in.
+FLUSH_INTERVAL = 0.25
 # Room for all that comes before the first message [bytes].
 _BUFFER = 2**20
 
@@ -146,7 +147,7 @@ class McapSink:
 
     def flush(self) -> None:
         """
-        Hand everything to the operating system; `write` does so once a second by itself.
+        Hand everything to the operating system; `write` does so each FLUSH_INTERVAL.
 
         Call it where no `write` follows for a while, as in a pause.
 
