@@ -48,13 +48,14 @@ def secular_change(values: np.ndarray) -> float:
     return float(x @ values / (x @ x))
 
 
-def energy_scale(energy: float, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-                 dH_dp: np.ndarray) -> float:
+def rounding_scale(energy: float, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                   dH_dp: np.ndarray) -> float:
     """
-    Return the size of the energies in play [J], which is not zero where H happens to be.
+    Return the size of the numbers that H is made of at a state, by which it is rounded [J].
 
     That is the larger of abs(H) and sum_i (abs(q_i H_qi) + abs(p_i H_pi)) / 2: what H changes by
-    when each entry of the state changes by half of itself.
+    when each entry of the state changes by half of itself. A constant in H counts here, as it
+    does in rounding; what does not is an EnergyScale.
     """
     return max(abs(energy), 0.5 * float(np.abs(q * dH_dq).sum() + np.abs(p * dH_dp).sum()))
 

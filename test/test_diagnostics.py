@@ -4,7 +4,7 @@
 
 from helpers import GENERIC, Method, Uncompiled
 from hnn_vi_ros.diagnostics import (
-    block_maxima, energy_band, energy_scale, observed_order, reversal_defect, rounding_walk,
+    block_maxima, energy_band, observed_order, reversal_defect, rounding_scale, rounding_walk,
     secular_change, stationary_energy, symplectic_defect, take_step, two_form)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -190,11 +190,11 @@ def test_stationary_energy_says_that_there_is_none():
         stationary_energy(Falling(HAMILTONIANS['free_particle']()), [0.0], [0.0])
 
 
-def test_energy_scale_is_not_zero_where_h_is():
+def test_rounding_scale_is_not_zero_where_h_is():
     """On the parabola of the Kepler problem H = 0, while both of its parts are 1 / r."""
     q, p = np.array([1.0, 0.0]), np.array([0.0, np.sqrt(2.0)])
     dH_dq, dH_dp = HAMILTONIANS['kepler']().gradient(q, p)
-    assert energy_scale(0.0, q, p, dH_dq, dH_dp) == pytest.approx(1.5)
+    assert rounding_scale(0.0, q, p, dH_dq, dH_dp) == pytest.approx(1.5)
 
 
 def test_rounding_walk_grows_with_the_root_of_the_steps():

@@ -5,7 +5,7 @@
 import math
 import time
 
-from hnn_vi_ros.diagnostics import energy_scale
+from hnn_vi_ros.diagnostics import rounding_scale
 from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import accounted_energy, Guard
 from hnn_vi_ros.guards.box import BoxGuard
@@ -66,7 +66,7 @@ def test_resolution_guard_names_a_step_that_resolves_the_motion():
     """At the step that it names, Kepler's e = 0.9 raises no alarm; at five times it, it does."""
     q, p = np.array([1.9, 0.0]), np.array([0.0, 0.22941573387056177])
     hamiltonian = HAMILTONIANS['kepler']()
-    scale = energy_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
+    scale = rounding_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
 
     def watch(h: float) -> list:
         guard = ResolutionGuard(0.05, scale, h, order=2)

@@ -4,7 +4,7 @@
 
 from collections.abc import Iterator
 
-from hnn_vi_ros.diagnostics import energy_scale
+from hnn_vi_ros.diagnostics import rounding_scale
 from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import Guard
 from hnn_vi_ros.guards.box import BoxGuard
@@ -50,6 +50,6 @@ def make_guards(simulation: Simulation, band_limit: float, change_limit: float,
 
 
 def energies_in_play(simulation: Simulation, q: np.ndarray, p: np.ndarray) -> float:
-    """Return the size of the energies in play at a state [J]; see ``energy_scale``."""
+    """Return the size of the energies in play at a state [J]; see ``rounding_scale``."""
     hamiltonian = simulation.hamiltonian
-    return energy_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
+    return rounding_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))

@@ -17,7 +17,7 @@ class ResolutionGuard(BandGuard):
     share : float
         The band that is allowed, over the scale.
     scale : float
-        Of the energies in play [J]; see ``diagnostics.energy_scale``.
+        Of the energies in play [J]; see ``diagnostics.rounding_scale``.
     step_size : float
         h [s].
     order : int

@@ -1,0 +1,127 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The size of the energies in play along a path, which no constant in H changes."""
+
+import math
+
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+import numpy as np
+
+# Of the state, over which H is differenced where (q, p) is not canonical: truncation and rounding
+# are some 1e-6 both.
+_SPACING = 1e-5
+
+
+class EnergyScale:
+    """
+    Follow the energy scale of a path, sample by sample.
+
+    The virial p . H_p is twice the kinetic energy. Of a bounded motion its mean over time is that
+    of (q - c) . H_q about any c as well, so it measures kinetic and potential energy alike, and
+    neither a constant in H nor an offset of q changes it. The scale is
+
+        E_s(t) = (1 / t) integral over the path so far of abs(p . H_p)
+
+    from when p . H_p has fallen, from its largest value, by its mean: energy has been turned over
+    once. Before, a start at rest would have no scale. Until then it is the largest value so far
+    of (abs((q - c) . H_q) + abs(p . H_p)) / 2 with c the middle of the training box, 0 where
+    there is none; angles count modulo a turn about c.
+
+    A mean over the path keeps a motion that rests near a saddle from having the scale of that
+    rest, which a minimum over short blocks would take; and a close encounter at the start weighs
+    by the time that it takes.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of d coordinates.
+
+    Attributes
+    ----------
+    value : float
+        E_s as of the last sample [J]; 0 as long as neither q nor p has any.
+
+    References
+    ----------
+    H. Goldstein, Classical Mechanics, 1980, section 3.4 (the virial theorem).
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian):
+        self._hamiltonian, self.value = hamiltonian, 0.0
+        box = hamiltonian.box
+        middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
+        angles = np.array([c.q_unit == 'rad' for c in hamiltonian.coordinates])
+        # What costs nothing where there is nothing to do.
+        self._middle = middle if middle.any() else None
+        self._angles = angles if angles.any() else None
+        self._sum, self._count, self._largest, self._first = 0.0, 0, 0.0, 0.0
+        self._turned = False
+
+    def add(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray) -> float:
+        """
+        Take the next sample, all of them equally far apart in time; return the scale [J].
+
+        Parameters
+        ----------
+        q, p : np.ndarray, shape (d,)
+            The state.
+        dH_dq, dH_dp : np.ndarray, shape (d,)
+            -p' and q' there.
+
+        """
+        if self._turned:
+            virial = self._virial(q, p, dH_dp)
+        else:
+            potential, virial = self._both(q, p, dH_dq, dH_dp)
+            self._first = max(self._first, 0.5 * (potential + virial))
+        # What is not finite is not in play; the energy itself tells.
+        if math.isfinite(virial):
+            self._sum += virial
+            self._count += 1
+            self._largest = max(self._largest, virial)
+            mean = self._sum / self._count
+            self._turned = self._turned or self._largest - virial >= mean > 0.0
+            self.value = mean if self._turned else self._first
+        return self.value
+
+    def _virial(self, q: np.ndarray, p: np.ndarray, dH_dp: np.ndarray) -> float:
+        """Return abs(p . H_p) [J]."""
+        if self._hamiltonian.canonical:
+            return abs(float(p @ dH_dp))
+        return abs(self._slope(q, p, np.zeros_like(q), p))
+
+    def _both(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
+              ) -> tuple[float, float]:
+        """Return abs((q - c) . H_q) and abs(p . H_p) [J]."""
+        x = q if self._middle is None else q - self._middle
+        if self._angles is not None:
+            x = np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
+        if self._hamiltonian.canonical:
+            return abs(float(x @ dH_dq)), self._virial(q, p, dH_dp)
+        return abs(self._slope(q, p, x, np.zeros_like(p))), self._virial(q, p, dH_dp)
+
+    def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> float:
+        """Return H' (v_q, v_p), where what stands for the gradient of H is none."""
+        ahead, behind = self._hamiltonian.energy(
+            np.array([q + _SPACING * v_q, q - _SPACING * v_q]),
+            np.array([p + _SPACING * v_p, p - _SPACING * v_p]))
+        return float(ahead - behind) / (2.0 * _SPACING)
+
+
+def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> float:
+    """
+    Return the energy scale of a path [J]; see EnergyScale.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of d coordinates.
+    q, p : np.ndarray, shape (N, d)
+        States at equal distances in time.
+
+    """
+    scale = EnergyScale(hamiltonian)
+    for sample in zip(q, p, *hamiltonian.gradient(q, p), strict=True):
+        scale.add(*sample)
+    return scale.value

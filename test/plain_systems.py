@@ -1,0 +1,179 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hamiltonians that are not shipped, in plain Python: nothing of them is compiled."""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import NamedTuple
+
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+_SPACING = 1e-5
+
+
+class Plain(Hamiltonian):
+    """
+    A Hamiltonian of two functions.
+
+    Parameters
+    ----------
+    energy, gradient : callable
+        Of q and p, each of shape (d,); the second returns (H_q, H_p).
+    dimension : int
+        d.
+    q_unit : str, optional
+        Of all coordinates.
+    separable : bool, optional
+        Whether H = T(p) + V(q).
+
+    """
+
+    def __init__(self, energy: Callable, gradient: Callable, dimension: int, q_unit: str = 'm',
+                 separable: bool = True):
+        self._functions = energy, gradient
+        self.coordinates = tuple(Coordinate(f'x{i}', q_unit) for i in range(dimension))
+        self.separable = separable
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions, uncompiled; second derivatives are differences."""
+        H, slope = self._functions
+
+        def energy(parameters, q, p):
+            return float(H(q, p))
+
+        def gradient(parameters, q, p, dH_dq, dH_dp):
+            d = self.dimension
+            for a in range(0, q.size, d):
+                dH_dq[a:a + d], dH_dp[a:a + d] = slope(q[a:a + d], p[a:a + d])
+
+        def hessian_vector(parameters, q, p, v_q, v_p, product_q, product_p):
+            sides = np.empty((2, 2, q.size))
+            for side, sign in zip(sides, (1.0, -1.0), strict=True):
+                gradient(parameters, q + sign * _SPACING * v_q, p + sign * _SPACING * v_p, *side)
+            product_q[:], product_p[:] = (sides[0] - sides[1]) / (2.0 * _SPACING)
+
+        return Kernel(energy, gradient, hessian_vector, (), self.dimension, (0.0, 0.0), False)
+
+
+class Motion(NamedTuple):
+    """A system, an initial state, and its period, or a time like one [s]."""
+
+    hamiltonian: Plain
+    q: np.ndarray
+    p: np.ndarray
+    period: float
+
+
+def kepler(eccentricity: float, end: str, constant: float = 0.0) -> Motion:
+    """Return an orbit of semi-major axis 1 m around mu = 1 m^3/s^2, from one of its ends."""
+    def energy(q, p):
+        return 0.5 * p @ p - 1.0 / np.hypot(*q) + constant
+
+    def gradient(q, p):
+        return q / np.hypot(*q) ** 3, p
+
+    r = 1.0 - eccentricity if end == 'pericentre' else 1.0 + eccentricity
+    return Motion(Plain(energy, gradient, 2), np.array([r, 0.0]),
+                  np.array([0.0, np.sqrt(2.0 / r - 1.0)]), 2.0 * np.pi)
+
+
+def pendulum(q: float, p: float, period: float, constant: float = 0.0) -> Motion:
+    """Return H = p^2 / 2 + 1 - cos q and a constant."""
+    return Motion(Plain(lambda q, p: 0.5 * p[0] ** 2 + 1.0 - np.cos(q[0]) + constant,
+                        lambda q, p: (np.sin(q), p), 1, 'rad'), np.array([q]), np.array([p]),
+                  period)
+
+
+def toda() -> Motion:
+    """Return three particles on a ring with exponential springs."""
+    def energy(q, p):
+        return 0.5 * p @ p + np.sum(np.exp(q - np.roll(q, -1)) - 1.0)
+
+    def gradient(q, p):
+        force = np.exp(q - np.roll(q, -1))
+        return force - np.roll(force, 1), p
+
+    return Motion(Plain(energy, gradient, 3), np.array([1.0, -0.5, -0.5]),
+                  np.array([0.3, 0.5, -0.8]), 4.0)
+
+
+def figure_eight(offset: float = 0.0) -> Motion:
+    """Return three equal masses that chase each other on an eight (Chenciner, Montgomery)."""
+    pairs = [(0, 1), (0, 2), (1, 2)]
+
+    def energy(q, p):
+        x = q.reshape(3, 2)
+        return 0.5 * p @ p - sum(1.0 / np.hypot(*(x[i] - x[j])) for i, j in pairs)
+
+    def gradient(q, p):
+        x, slope = q.reshape(3, 2), np.zeros((3, 2))
+        for i, j in pairs:
+            pull = (x[i] - x[j]) / np.hypot(*(x[i] - x[j])) ** 3
+            slope[i] += pull
+            slope[j] -= pull
+        return slope.ravel(), p
+
+    x, v = np.array([0.97000436, -0.24308753]), np.array([-0.93240737, -0.86473146])
+    return Motion(Plain(energy, gradient, 6), offset + np.concatenate([x, -x, 0.0 * x]),
+                  np.concatenate([-0.5 * v, -0.5 * v, v]), 6.3259)
+
+
+def spring_pendulum() -> Motion:
+    """Return 1 kg on a spring of 1 m and 1000 N/m, let go from the side."""
+    def energy(q, p):
+        return 0.5 * p @ p + 500.0 * (np.hypot(*q) - 1.0) ** 2 + 9.81 * q[1]
+
+    def gradient(q, p):
+        r = np.hypot(*q)
+        return 1000.0 * (1.0 - 1.0 / r) * q + np.array([0.0, 9.81]), p
+
+    return Motion(Plain(energy, gradient, 2), np.array([1.0, 0.0]), np.zeros(2), 2.3)
+
+
+def network(seed: int, gain: float, state: tuple[float, float]) -> Motion:
+    """Return a random 2-32-32-1 network in a harmonic well."""
+    rng = np.random.default_rng(seed)
+    first, bias = gain / np.sqrt(2.0) * rng.normal(size=(32, 2)), 0.1 * rng.normal(size=32)
+    second, last = gain / np.sqrt(32.0) * rng.normal(size=(32, 32)), rng.normal(size=32) / 6.0
+
+    def energy(q, p):
+        z = np.concatenate([q, p])
+        return last @ np.tanh(second @ np.tanh(first @ z + bias)) + 0.5 * z @ z
+
+    def gradient(q, p):
+        z = np.concatenate([q, p])
+        a = np.tanh(first @ z + bias)
+        b = np.tanh(second @ a)
+        slope = z + first.T @ ((1.0 - a * a) * (second.T @ ((1.0 - b * b) * last)))
+        return slope[:1], slope[1:]
+
+    return Motion(Plain(energy, gradient, 1, separable=False), *np.array(state)[:, None], 8.0)
+
+
+def double_well(q: float, p: float) -> Motion:
+    """Return H = p^2 / 2 - q^2 / 2 + q^4 / 4, whose saddle is the origin."""
+    return Motion(Plain(lambda q, p: float(0.5 * p @ p - 0.5 * q @ q + 0.25 * np.sum(q ** 4)),
+                        lambda q, p: (q ** 3 - q, p), 1), np.array([q]), np.array([p]), 20.0)
+
+
+MOTIONS = {
+    'kepler 0.9, pericentre': kepler(0.9, 'pericentre'),
+    'kepler 0.9, apocentre': kepler(0.9, 'apocentre'),
+    'kepler 0.99, pericentre': kepler(0.99, 'pericentre'),
+    'kepler 0.99, apocentre': kepler(0.99, 'apocentre'),
+    'kepler 0.1': kepler(0.1, 'pericentre'),
+    'pendulum': pendulum(2.0, 0.0, 8.3),
+    'pendulum, plus 1000 J': pendulum(2.0, 0.0, 8.3, 1000.0),
+    'pendulum from its saddle': pendulum(3.1, 0.0, 17.0),
+    'pendulum around': pendulum(0.0, 3.0, 2.5),
+    'toda': toda(),
+    'figure eight': figure_eight(),
+    'spring pendulum': spring_pendulum(),
+    'network': network(1, 1.0, (1.0, 0.0)),
+    'steep network': network(2, 2.0, (0.5, 0.5)),
+    'out of a saddle': double_well(1e-3, 0.0),
+    'into a saddle': double_well(-0.1, 0.1),
+}

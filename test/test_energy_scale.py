@@ -1,0 +1,128 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The energy scale of a path is that of its energies, wherever H is zero and the path starts."""
+
+from hnn_vi_ros.energy_scale import energy_scale, EnergyScale
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+import numpy as np
+from plain_systems import (
+    double_well, figure_eight, kepler, Motion, MOTIONS, pendulum, Plain)
+import pytest
+
+_SAMPLES = 2000
+
+
+def path(motion: Motion, periods: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and p at equal distances in time, by many small steps of Störmer and Verlet."""
+    gradient, q, p = motion.hamiltonian.kernel.gradient, motion.q.copy(), motion.p.copy()
+    steps = round(periods * _SAMPLES)
+    h, H_q, H_p = motion.period / _SAMPLES, np.empty_like(q), np.empty_like(q)
+    states = np.empty((steps + 1, 2, q.size))
+    gradient((), q, p, H_q, H_p)
+    for state in states:
+        state[:] = q, p
+        p -= 0.5 * h * H_q
+        gradient((), q, p, H_q, H_p)
+        q += h * H_p
+        gradient((), q, p, H_q, H_p)
+        p -= 0.5 * h * H_q
+    return states[:, 0], states[:, 1]
+
+
+def orbit(eccentricity: float, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the exact orbit of kepler() between two mean anomalies, by Kepler's equation."""
+    mean = np.linspace(start, end, 4001)
+    E = mean + eccentricity * np.sin(mean)
+    for _ in range(50):
+        E -= (E - eccentricity * np.sin(E) - mean) / (1.0 - eccentricity * np.cos(E))
+    minor, rate = np.sqrt(1.0 - eccentricity ** 2), 1.0 / (1.0 - eccentricity * np.cos(E))
+    return (np.stack([np.cos(E) - eccentricity, minor * np.sin(E)], axis=1),
+            np.stack([-np.sin(E) * rate, minor * np.cos(E) * rate], axis=1))
+
+
+@pytest.mark.parametrize('eccentricity', [0.0, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize('start', [0.0, np.pi, 2.0])
+def test_energy_scale_of_an_orbit_does_not_depend_on_where_it_starts(eccentricity, start):
+    """The virial theorem makes it 2 abs(H) = 1 J over whole periods."""
+    scale = energy_scale(HAMILTONIANS['kepler'](), *orbit(
+        eccentricity, start, start + 6.0 * np.pi))
+    # A circle never turns energy over, so that its potential counts too: the largest value of
+    # (1 / r + v^2) / 2 = 1. Else the mean leaves out up to a sample of 1.3 ms at a pericentre
+    # where v^2 is 199.
+    assert scale == pytest.approx(1.0, abs=0.3 if eccentricity == 0.99 else 0.03)
+
+
+def test_energy_scale_is_of_a_period_after_one_period():
+    """From the pericentre, where abs(q . H_q) + abs(p . H_p) is 29 J, it comes down in time."""
+    scale = energy_scale(HAMILTONIANS['kepler'](), *orbit(0.9, 0.0, 2.0 * np.pi))
+    assert scale == pytest.approx(1.0, abs=0.03)
+
+
+def test_energy_scale_of_an_unbound_path_comes_down_to_its_kinetic_energy():
+    """What leaves along a hyperbola turns energy over only once: it falls to p . H_p = 1 J."""
+    t = np.linspace(0.0, 100.0, 2001)[:, None]
+    free = Plain(lambda q, p: 0.5 * p @ p, lambda q, p: (0.0 * q, p), 1)
+    scale = energy_scale(free, t, 1.0 + 4.0 * np.exp(-t))
+    # The mean of (1 + 4 e^-t)^2 is 1 + (8 + 8) / 100.
+    assert scale == pytest.approx(1.16, rel=0.01)
+
+
+@pytest.mark.parametrize('motion, moved', [
+    (pendulum(2.0, 0.0, 8.3), pendulum(2.0, 0.0, 8.3, constant=1e3)),
+    (figure_eight(), figure_eight(offset=1e3))], ids=['of H', 'of q'])
+def test_energy_scale_is_changed_by_no_constant(motion, moved):
+    # Along one path, so that only the scale is compared: it is rounded by q, 1e3 eps.
+    q, p = path(motion, 1.1)
+    offset = moved.q[0] - motion.q[0]
+    assert energy_scale(moved.hamiltonian, q + offset, p) == pytest.approx(
+        energy_scale(motion.hamiltonian, q, p), rel=1e-9)
+
+
+@pytest.mark.parametrize('motion', [
+    double_well(1e-3, 0.0), double_well(-0.1, 0.1), pendulum(3.1415, 0.0, 40.0)])
+def test_energy_scale_of_a_motion_that_rests_near_a_saddle_is_not_that_of_its_rest(motion):
+    # A swing between saddles takes the 2 J or 0.25 J to the well's floor; it lasts a third of
+    # the time here at least.
+    depth = np.ptp(motion.hamiltonian.energy(*path(motion, 0.0))) or 0.25
+    q, p = path(motion, 2.0)
+    scale = EnergyScale(motion.hamiltonian)
+    values = np.array([scale.add(*z) for z in zip(
+        q, p, *motion.hamiltonian.gradient(q, p), strict=True)])
+    assert values[len(values) // 2:].min() > 0.1 * depth
+
+
+@pytest.mark.parametrize('name', MOTIONS)
+def test_energy_scale_is_proportional_to_the_mass(name):
+    """In units of another mass every energy is multiplied by the same factor."""
+    motion = MOTIONS[name]
+    q, p = path(motion._replace(period=0.3 * motion.period), 0.5)
+    H_q, H_p = motion.hamiltonian.gradient(q, p)
+    one, other = EnergyScale(motion.hamiltonian), EnergyScale(motion.hamiltonian)
+    for sample in zip(q, p, H_q, H_p, strict=True):
+        one.add(*sample)
+        other.add(sample[0], 8.0 * sample[1], 8.0 * sample[2], sample[3])
+    assert other.value == 8.0 * one.value > 0.0
+
+
+def test_energy_scale_of_an_angle_does_not_grow_with_its_turns():
+    motion = pendulum(0.0, 5.0, 1.3)
+    q, p = path(motion, 4.0)
+    many = q + 2.0 * np.pi * 1e4
+    assert energy_scale(motion.hamiltonian, many, p) == pytest.approx(
+        energy_scale(motion.hamiltonian, q, p), rel=1e-9)
+
+
+def test_energy_scale_where_states_are_not_canonical_is_that_of_the_energy():
+    """With velocities for momenta, v . q' lacks the mass of 3 kg, which H holds."""
+    class Velocities(Plain):
+        canonical = False
+
+    u = Velocities(lambda q, v: 1.5 * float(v @ v + q @ q), lambda q, v: (q, v), 1)
+    t = np.linspace(0.0, 4.0 * np.pi, 2001)[:, None]
+    # The mean of m v^2 = 3 sin^2 t.
+    assert energy_scale(u, np.cos(t), -np.sin(t)) == pytest.approx(1.5, rel=1e-2)
+
+
+def test_energy_scale_at_rest_is_zero():
+    rest = np.zeros((10, 1))
+    assert energy_scale(HAMILTONIANS['pendulum'](), rest, rest) == 0.0
