@@ -40,6 +40,8 @@ class EnergyScale:
     ----------
     value : float
         E_s as of the last sample [J]; 0 as long as neither q nor p has any.
+    turned : bool
+        Whether energy has been turned over.
 
     References
     ----------
@@ -56,7 +58,7 @@ class EnergyScale:
         self._middle = middle if middle.any() else None
         self._angles = angles if angles.any() else None
         self._sum, self._count, self._largest, self._first = 0.0, 0, 0.0, 0.0
-        self._turned = False
+        self.turned = False
 
     def add(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray) -> float:
         """
@@ -70,7 +72,7 @@ class EnergyScale:
             -p' and q' there.
 
         """
-        if self._turned:
+        if self.turned:
             virial = self._virial(q, p, dH_dp)
         else:
             potential, virial = self._both(q, p, dH_dq, dH_dp)
@@ -81,8 +83,8 @@ class EnergyScale:
             self._count += 1
             self._largest = max(self._largest, virial)
             mean = self._sum / self._count
-            self._turned = self._turned or self._largest - virial >= mean > 0.0
-            self.value = mean if self._turned else self._first
+            self.turned = self.turned or self._largest - virial >= mean > 0.0
+            self.value = mean if self.turned else self._first
         return self.value
 
     def _virial(self, q: np.ndarray, p: np.ndarray, dH_dp: np.ndarray) -> float:

@@ -82,7 +82,7 @@ def kepler(eccentricity: float, end: str, constant: float = 0.0) -> Motion:
 
 def pendulum(q: float, p: float, period: float, constant: float = 0.0) -> Motion:
     """Return H = p^2 / 2 + 1 - cos q and a constant."""
-    return Motion(Plain(lambda q, p: 0.5 * p[0] ** 2 + 1.0 - np.cos(q[0]) + constant,
+    return Motion(Plain(lambda q, p: 0.5 * p[0] ** 2 + 2.0 * np.sin(0.5 * q[0]) ** 2 + constant,
                         lambda q, p: (np.sin(q), p), 1, 'rad'), np.array([q]), np.array([p]),
                   period)
 

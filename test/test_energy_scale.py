@@ -6,7 +6,7 @@ from hnn_vi_ros.energy_scale import energy_scale, EnergyScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 import numpy as np
 from plain_systems import (
-    double_well, figure_eight, kepler, Motion, MOTIONS, pendulum, Plain)
+    double_well, figure_eight, Motion, MOTIONS, pendulum, Plain)
 import pytest
 
 _SAMPLES = 2000

@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards say what is wrong, once, at the first sample that shows it, and cost next to nothing."""
 
+from dataclasses import replace
 import math
 import time
 
-from hnn_vi_ros.diagnostics import rounding_scale
 from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import accounted_energy, Guard
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
+from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.sinks.sample import Sample
@@ -26,6 +27,11 @@ def sample(step: int = 0, q: tuple = (0.0, 1.0), p: tuple = (0.0, 0.0), energy: 
     nothing = np.empty(0)
     return Sample(step, 0, np.array(q), np.array(p), nothing, nothing, energy, modified_energy,
                   0.0, work)
+
+
+def one_joule(look: Sample) -> float:
+    """Return a scale that is the same at all samples [J]."""
+    return 1.0
 
 
 def alarms(guard: Guard, energies: np.ndarray) -> list:
@@ -66,16 +72,17 @@ def test_resolution_guard_names_a_step_that_resolves_the_motion():
     """At the step that it names, Kepler's e = 0.9 raises no alarm; at five times it, it does."""
     q, p = np.array([1.9, 0.0]), np.array([0.0, 0.22941573387056177])
     hamiltonian = HAMILTONIANS['kepler']()
-    scale = rounding_scale(float(hamiltonian.energy(q, p)), q, p, *hamiltonian.gradient(q, p))
 
     def watch(h: float) -> list:
-        guard = ResolutionGuard(0.05, scale, h, order=2)
+        guard = ResolutionGuard(0.05, SampledScale(hamiltonian), h, order=2)
         z, found = np.concatenate([q, p]), []
         for step in range(round(7.0 / h)):
             dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])
             energy = float(hamiltonian.energy(z[:2], z[2:]))
             modified = INTEGRATORS['variational_euler'].modified_energy(h, energy, dH_dq, dH_dp)
-            alarm = guard.update(sample(step, energy=energy, modified_energy=float(modified)))
+            alarm = guard.update(replace(
+                sample(step, z[:2].copy(), z[2:].copy(), energy, float(modified)),
+                dH_dq=dH_dq, dH_dp=dH_dp))
             found += [] if alarm is None else [alarm]
             z[:2] += h * dH_dp
             z[2:] -= h * hamiltonian.gradient(z[:2], z[2:])[0]
@@ -105,13 +112,13 @@ def test_energy_guard_is_silent_while_the_energy_oscillates():
     t = np.arange(20_000)
     for period in (3.0, 50.0, 600.0):
         for oscillation in (np.sin(t / period), 1.0 - np.cos(t / period)):
-            assert alarms(EnergyGuard(0.02, 1.0), 1.0 + 0.5 * oscillation) == []
+            assert alarms(EnergyGuard(0.02, one_joule), 1.0 + 0.5 * oscillation) == []
 
 
 @pytest.mark.parametrize('rate', [1e-5, -1e-5])
 def test_energy_guard_says_that_the_energy_drifts(rate: float):
     t = np.arange(40_000)
-    found = alarms(EnergyGuard(0.02, 1.0), 1.0 + rate * t + 0.01 * np.sin(t))
+    found = alarms(EnergyGuard(0.02, one_joule), 1.0 + rate * t + 0.01 * np.sin(t))
     assert [alarm.kind for alarm in found] == ['energy not accounted for']
     # The last third is beyond 0.02 when 2 / 3 of 1e-5 n is 0.03; that must last for five times.
     assert found[0].step == pytest.approx(5 * 4500, rel=0.05)
@@ -119,32 +126,32 @@ def test_energy_guard_says_that_the_energy_drifts(rate: float):
 
 def test_energy_guard_says_that_energy_was_lost_once_and_for_all():
     t = np.arange(20_000)
-    found = alarms(EnergyGuard(0.02, 1.0), 1.0 - 0.6 * np.minimum(t / 500.0, 1.0))
+    found = alarms(EnergyGuard(0.02, one_joule), 1.0 - 0.6 * np.minimum(t / 500.0, 1.0))
     assert [alarm.kind for alarm in found] == ['energy not accounted for']
     assert found[0].value == pytest.approx(0.6)
 
 
 def test_energy_guard_says_at_once_that_the_energy_jumps():
-    found = alarms(EnergyGuard(0.02, 1.0), np.array([1.0, 2.0, 11.5, 20.0]))
+    found = alarms(EnergyGuard(0.02, one_joule), np.array([1.0, 2.0, 11.5, 20.0]))
     assert [alarm.step for alarm in found] == [2]
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
 def test_energy_guard_takes_an_energy_that_is_not_finite_for_a_jump(value: float):
-    assert [alarm.step for alarm in alarms(EnergyGuard(0.02, 1.0),
+    assert [alarm.step for alarm in alarms(EnergyGuard(0.02, one_joule),
                                            np.array([1.0, value]))] == [1]
 
 
 def test_energy_guard_leaves_out_the_work_that_was_done():
-    guard = EnergyGuard(0.02, 1.0)
+    guard = EnergyGuard(0.02, one_joule)
     assert all(guard.update(sample(i, energy=1.0 + 0.1 * i, work=0.1 * i)) is None
                for i in range(3000))
 
 
 def test_guards_cost_less_than_a_few_microseconds_a_sample():
     """Two per cent of a tick of 1 ms; ten times what they take on an idle machine."""
-    guards = [BoxGuard(BOX), ResolutionGuard(0.05, 1.0, 0.01, 2), EnergyGuard(0.02, 1.0),
-              BarrierGuard('separatrix', 1.0)]
+    guards = [BoxGuard(BOX), ResolutionGuard(0.05, one_joule, 0.01, 2),
+              EnergyGuard(0.02, one_joule), BarrierGuard('separatrix', 1.0)]
     looks = [sample(i, energy=1.0 + 0.01 * (i % 7)) for i in range(1000)]
     times = []
     for _ in range(20):

@@ -11,8 +11,8 @@ from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
 class BandGuard(Guard):
     """What two guards share: the range of the accounted energy since the start."""
 
-    def __init__(self, limit: float):
-        self.limit, self.raised = limit, False
+    def __init__(self):
+        self.raised = False
         self._low, self._high = math.inf, -math.inf
 
     @property
@@ -27,15 +27,20 @@ class BandGuard(Guard):
             self._low = energy
         if energy > self._high:
             self._high = energy
-        if self.raised or self._high - self._low < self.limit:
+        limit = self._limit(sample)
+        if self.raised or self.band <= limit:
             return None
         self.raised = True
-        return self._alarm(sample.step)
+        return self._alarm(sample.step, limit)
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
-        return self._alarm(sample.step)
+        return self._alarm(sample.step, self._limit(sample))
 
     @abstractmethod
-    def _alarm(self, step: int) -> Alarm:
-        """Return what to say of a band that has reached the limit."""
+    def _limit(self, sample: Observed) -> float:
+        """Return the band that is allowed as of a sample [J]."""
+
+    @abstractmethod
+    def _alarm(self, step: int, limit: float) -> Alarm:
+        """Return what to say of a band that is beyond the limit."""

@@ -3,7 +3,7 @@
 """Whether the energy is kept well enough to tell on which side of a barrier the motion is."""
 
 from hnn_vi_ros.guards.band import BandGuard
-from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.base import Alarm, Observed
 
 
 class BarrierGuard(BandGuard):
@@ -22,10 +22,13 @@ class BarrierGuard(BandGuard):
     kind = 'not resolved'
 
     def __init__(self, name: str, gap: float):
-        super().__init__(abs(gap))
-        self.kind, self._name = f'{name} not resolved', name
+        super().__init__()
+        self.kind, self._name, self._gap = f'{name} not resolved', name, abs(gap)
 
-    def _alarm(self, step: int) -> Alarm:
-        return Alarm(self.kind, step, self.band, self.limit,
+    def _limit(self, sample: Observed) -> float:
+        return self._gap
+
+    def _alarm(self, step: int, limit: float) -> Alarm:
+        return Alarm(self.kind, step, self.band, limit,
                      f'the energy is kept only to {self.band:.2g} J, but the {self._name} is '
-                     f'{self.limit:.2g} J away: {self.kind}; use a smaller step_size')
+                     f'{limit:.2g} J away: {self.kind}; use a smaller step_size')

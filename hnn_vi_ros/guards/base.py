@@ -15,9 +15,24 @@ class Observed(Protocol):
     step: int
     q: np.ndarray
     p: np.ndarray
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
     energy: float
     modified_energy: float
     work: float
+
+
+class Look(NamedTuple):
+    """The state of a run after so many steps, and its energies; see Sample."""
+
+    step: int
+    q: np.ndarray
+    p: np.ndarray
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
+    energy: float
+    modified_energy: float
+    work: float = 0.0
 
 
 class Alarm(NamedTuple):

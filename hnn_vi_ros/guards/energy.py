@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The account of energy and work as a bound."""
 
+from collections.abc import Callable
 import math
 
 from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
@@ -21,23 +22,23 @@ class EnergyGuard(Guard):
     It counts as lost or gained when, in the whole last third of the run, it is on one side of
     where it started by more than a share of the scale, and stays so while the run grows to five
     times its length; or at once, by ten times the scale. An oscillation comes back before. Where
-    effects have turned over more work than the scale, in and out together, the shares are of
-    that.
+    effects have turned over more work than the energy scale, in and out together, the shares are
+    of that.
 
     Parameters
     ----------
     share : float
         The lasting change that is allowed, over the scale.
-    scale : float
-        Of the energies in play [J].
+    scale : callable
+        Returns the energy scale as of a sample [J]; see SampledScale.
 
     """
 
     kind = 'energy not accounted for'
 
-    def __init__(self, share: float, scale: float):
+    def __init__(self, share: float, scale: Callable[[Observed], float]):
         self.raised, self._how = False, (share, '')
-        self._share, self._scale = share, scale
+        self._share, self._scale_at, self._scale = share, scale, 0.0
         self._work, self._turnover = 0.0, 0.0
         self._start: float | None = None
         self._low: list[float] = []
@@ -57,7 +58,8 @@ class EnergyGuard(Guard):
             self._start = energy
         if sample.work != self._work:
             self._turnover += abs(sample.work - self._work)
-            self._work, self._scale = sample.work, max(self._scale, self._turnover)
+            self._work = sample.work
+        self._scale = max(self._scale_at(sample), self._turnover)
         change = energy - self._start
         if change < self._lowest:
             self._lowest = change
@@ -79,6 +81,7 @@ class EnergyGuard(Guard):
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
         change = abs(accounted_energy(sample) - self._start)
+        self._scale = max(self._scale_at(sample), self._turnover)
         return self._alarm(sample.step, change, *self._how)
 
     def _end_block(self) -> float:
@@ -105,6 +108,6 @@ class EnergyGuard(Guard):
     def _alarm(self, step: int, value: float, share: float, how: str) -> Alarm:
         self.raised, self._how = True, (share, how)
         return Alarm(self.kind, step, value, share * self._scale,
-                     f'the energy has {how} by {value:.2g} J, {value / self._scale:.2g} of its '
-                     'size, beyond the work that was done: take a symplectic method or a smaller '
-                     'step_size')
+                     f'the energy has {how} by {value:.2g} J, {value / self._scale:.2g} of the '
+                     'energies in play, beyond the work that was done: take a symplectic method '
+                     'or a smaller step_size')

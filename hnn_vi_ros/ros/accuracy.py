@@ -14,7 +14,7 @@ ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)
 ENTRIES = (
     'H', 'modified_H', 'energy_error', 'work', 'energy_budget', 'residual', 'iterations',
     'modified_energy_band', 'drift_per_hour', 'microseconds_per_step_median',
-    'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor')
+    'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale')
 
 
 class AccuracyEncoder:
@@ -23,7 +23,8 @@ class AccuracyEncoder:
 
     ``energy_budget`` is H - H0 - W [J]; ``residual`` is the relative one of the last implicit
     step; ``iterations`` are the gradients that each step since the sample before took, on average.
-    What follows them is evaluated now and then; see EnergyRecord and Figures.
+    What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
+    the size of the energies in play [J], by which an error is judged; see EnergyScale.
 
     Parameters
     ----------
@@ -51,5 +52,6 @@ class AccuracyEncoder:
             sample.energy - self._energy0 - sample.work, self._simulation.residual,
             spent / taken if taken else 0.0, record.band, record.drift_per_hour,
             figures.microseconds_per_step_median, figures.microseconds_per_step_p99,
-            figures.gradients_per_step, figures.largest_real_time_factor)
+            figures.gradients_per_step, figures.largest_real_time_factor,
+            self._monitor.energy_scale)
         return self._message.serialized()

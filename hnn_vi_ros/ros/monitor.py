@@ -3,9 +3,11 @@
 """What is measured and watched of a run: its timing, its energy, its budget of error, guards."""
 
 from collections.abc import Callable, Iterable
+import math
 import time
 
 from hnn_vi_ros.guards.base import Alarm, Guard
+from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.energy_record import EnergyRecord
 from hnn_vi_ros.ros.timing import Timing
 from hnn_vi_ros.simulation import Simulation
@@ -35,6 +37,8 @@ class Monitor:
         the first time.
     guards : iterable of Guard, optional
         What must hold.
+    scale : SampledScale, optional
+        By which those measure energies.
 
     Attributes
     ----------
@@ -51,10 +55,11 @@ class Monitor:
 
     def __init__(self, simulation: Simulation, every: int, tick: float,
                  budget: Budget | None, warn: Callable[[str, bool], None],
-                 guards: Iterable[Guard] = ()):
+                 guards: Iterable[Guard] = (), scale: SampledScale | None = None):
         self.timing = Timing(every, tick)
         self.energy = EnergyRecord(simulation, tick, budget)
         self.newest: Sample | None = None
+        self._scale = scale or SampledScale(simulation.hamiltonian)
         self.guards = list(guards)
         self._simulation, self._warn = simulation, warn
         self._warned, self._due = False, 0.0
@@ -77,6 +82,11 @@ class Monitor:
             if alarm is not None:
                 alarms.append(alarm)
         return alarms
+
+    @property
+    def energy_scale(self) -> float:
+        """Return the size of the energies in play as of the newest sample [J]."""
+        return math.nan if self.newest is None else self._scale(self.newest)
 
     def add(self, sample: Sample) -> bool:
         """Look at the next sample; tell whether the figures were evaluated anew."""

@@ -12,6 +12,7 @@ from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
+from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.log import log
@@ -56,8 +57,8 @@ class Run:
     def __init__(self, node: Node, topics: Topics, prepared: Prepared, values: dict,
                  stop: Callable[[int, str], None]):
         self._node, self._topics, self._stop, self._values = node, topics, stop, values
-        self._scene, self._box = prepared.scene, prepared.box
-        self.simulation, self.recording = prepared.simulation, prepared.recording
+        self._scene, self.recording = prepared.scene, prepared.recording
+        self.simulation = prepared.simulation
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step = 1, math.inf
@@ -67,7 +68,7 @@ class Run:
             node, topics.diagnostics, self._scene.name)
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
-        topics.open(self.simulation, monitor, self._scene.mechanism, self._box,
+        topics.open(self.simulation, monitor, self._scene.mechanism, prepared.box,
                     values['frame_id'], self._record_heard)
         self._begin(monitor)
         self._tell_scene(prepared.report)
@@ -78,14 +79,14 @@ class Run:
 
     def _make_monitor(self) -> Monitor:
         scene, sampler, values = self._scene, self.sampler, self._values
-        guards = [*make_guards(self.simulation, values['energy_band_limit'],
-                               values['energy_change_limit'],
-                               self.simulation.hamiltonian.barrier, self._box)]
+        scale = SampledScale(hamiltonian := self.simulation.hamiltonian)
+        guards = [*make_guards(self.simulation, scale, values['energy_band_limit'],
+                               values['energy_change_limit'], hamiltonian.barrier)]
         if values['real_time_factor']:
             guards.append(OverrunGuard(self.pacer))
         return Monitor(
             self.simulation, sampler.every, sampler.tick, scene.chosen and scene.chosen[0],
-            lambda text, first: self.tell(text, 'WARN', first), guards)
+            lambda text, first: self.tell(text, 'WARN', first), guards, scale)
 
     def _begin(self, monitor: Monitor) -> None:
         """Watch and record from an initial state on."""

@@ -110,7 +110,8 @@ class RunStatus:
             if record.spent > budget.error:
                 level, message = WARN, self._monitor.over_budget()
         return Status('energy', level, message, {
-            **_energies(sample), f'energy_error [{record.unit}]': _of(sample, 'energy_error'),
+            **_energies(sample), 'energy_scale [J]': self._monitor.energy_scale,
+            f'energy_error [{record.unit}]': _of(sample, 'energy_error'),
             'modified_energy_band [J]': record.band,
             f'drift_per_hour [{record.unit}/h]': record.drift_per_hour, **allowed})
 

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 import math
 
 from hnn_vi_ros.diagnostics import (
-    block_maxima, energy_band, reversal_defect, rounding_walk, secular_change,
-    stationary_energy, symplectic_defect)
+    block_maxima, energy_band, reversal_defect, rounding_scale, rounding_walk,
+    secular_change, stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import energies_in_play, make_guards
 from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.studies.hard_cases_gates import Measured
 from hnn_vi_ros.studies.hard_cases_plan import Job
 import numpy as np
@@ -27,34 +26,6 @@ _JUDGED = 2
 _RESCUED = 'steps in parts'
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
-
-
-class Watch:
-    """
-    The guards of one run, and the first alarm of each.
-
-    Parameters
-    ----------
-    job : Job
-        Whose limits they have.
-    simulation : Simulation
-        In its initial state.
-
-    """
-
-    def __init__(self, job: Job, simulation: Simulation):
-        self.alarms = []
-        self._guards = list(make_guards(
-            simulation, job.guards.under_resolved, job.guards.drift, _barrier(job, simulation)))
-        self._heard: set[str] = set()
-
-    def update(self, sample: Sample) -> None:
-        """Show a sample to all guards."""
-        for guard in self._guards:
-            alarm = guard.update(sample)
-            if alarm is not None and alarm.kind not in self._heard:
-                self._heard.add(alarm.kind)
-                self.alarms.append(alarm)
 
 
 def run_motion(job: Job) -> Measured:
@@ -77,13 +48,13 @@ def run_motion(job: Job) -> Measured:
 
 def _run_first(job: Job, simulation: Simulation, measured: Measured) -> None:
     """Take the first steps one by one, under the eyes of the guards."""
-    watch, start = Watch(job, simulation), simulation.energy
-    watch.update(observe(simulation))
+    watch, start = _watch(job, simulation), simulation.energy
+    watch.update(look(simulation))
     errors = [0.0]
     try:
         for _ in range(min(FIRST, job.steps)):
             simulation.advance(1)
-            sample = observe(simulation)
+            sample = look(simulation)
             watch.update(sample)
             errors.append(sample.energy - start)
             measured.residual = max(measured.residual, simulation.residual)
@@ -99,17 +70,18 @@ def _run_first(job: Job, simulation: Simulation, measured: Measured) -> None:
 
 def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
     """Take all steps in blocks, and measure energies over the whole run."""
-    watch = Watch(job, simulation)
+    watch = _watch(job, simulation)
     start, modified_start = simulation.energy, simulation.modified_energy
     scale = scale_of(simulation)
     energies, modified, seen = [], [], []
     try:
         for q, p in blocks(job, simulation):
             _hear_of_rescue(simulation, measured)
-            energy, others = _energies(simulation, q, p)
+            energy, others = energies_of(simulation, q, p)
             energies.append(energy - start)
             modified.append(others)
-            _show(watch, simulation, (q, p), stride(job), energy, others)
+            steps = simulation.steps - stride(job) * np.arange(len(q) - 1, -1, -1)
+            watch.show(simulation, steps, (q, p), (energy, others), _WATCHED)
             measured.residual = max(measured.residual, simulation.residual)
             measured.largest = max(measured.largest, float(np.abs([q, p]).max()))
             _look(job, q, measured)
@@ -150,17 +122,16 @@ def stride(job: Job) -> int:
     return max(1, job.steps // _STATES)
 
 
-def observe(simulation: Simulation) -> Sample:
-    """Return the present state as a sample."""
-    energy, modified = simulation.energy, simulation.modified_energy
-    return Sample(simulation.steps, 0, simulation.q, simulation.p, simulation.dH_dq,
-                  simulation.dH_dp, energy, math.nan if modified is None else modified, 0.0,
-                  simulation.work)
-
-
 def scale_of(simulation: Simulation) -> float:
-    """Return the size of the energies in play [J]; see guards."""
-    return energies_in_play(simulation, simulation.q, simulation.p)
+    """Return by what the energy of the present state is rounded [J]."""
+    return rounding_scale(simulation.energy, simulation.q, simulation.p, simulation.dH_dq,
+                          simulation.dH_dp)
+
+
+def _watch(job: Job, simulation: Simulation) -> Watch:
+    """Return the guards of one run, with the limits of the job."""
+    return Watch(simulation, _barrier(job, simulation), job.guards.under_resolved,
+                 job.guards.drift)
 
 
 def _barrier(job: Job, simulation: Simulation) -> tuple[str, float] | None:
@@ -171,33 +142,6 @@ def _barrier(job: Job, simulation: Simulation) -> tuple[str, float] | None:
     d = hamiltonian.dimension
     return job.case.barrier, min(
         stationary_energy(hamiltonian, z[:d], z[d:]) for z in job.set_up.saddles)
-
-
-def _energies(simulation: Simulation, q: np.ndarray, p: np.ndarray
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """Return H and H~ of states; H~ is NaN where there is none."""
-    hamiltonian = simulation.hamiltonian
-    energy = hamiltonian.energy(q, p)
-    if simulation.modified_energy is None:
-        return energy, np.full(energy.shape, math.nan)
-    return energy, simulation.integrator.modified_energy(
-        simulation.step_size, energy, *hamiltonian.gradient(q, p))
-
-
-def _show(watch: Watch, simulation: Simulation, states: tuple[np.ndarray, np.ndarray],
-          every: int, energy: np.ndarray, modified: np.ndarray) -> None:
-    """Show a block to the guards: states at equal distances, extremes, the first outside."""
-    (q, p), n, box = states, energy.size, simulation.hamiltonian.box
-    judged = energy if np.isnan(modified).any() else modified
-    chosen = {*range(0, n, max(1, n // _WATCHED)), int(judged.argmin()), int(judged.argmax())}
-    if box is not None:
-        low, high = np.concatenate(box).T
-        z = np.hstack([q, p])
-        chosen.add(int(((z < low) | (z > high)).any(axis=1).argmax()))
-    nothing = np.empty(0)
-    for i in sorted(chosen):
-        watch.update(Sample(simulation.steps - (n - 1 - i) * every, 0, q[i], p[i], nothing,
-                            nothing, float(energy[i]), float(modified[i]), 0.0))
 
 
 def _look(job: Job, q: np.ndarray, measured: Measured) -> None:

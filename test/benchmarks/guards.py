@@ -9,6 +9,7 @@ import time
 
 from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
@@ -78,8 +79,10 @@ def _make_tick(node: Node, folder: Path
     simulation = Simulation.from_scene(scene)
     box = look_ahead(simulation, 1.0).box
     sampler, topics = Sampler(simulation, 1.0 / simulation.step_size), Topics(node, False)
+    scale = SampledScale(simulation.hamiltonian)
     monitor = Monitor(simulation, sampler.every, sampler.tick, None, lambda text, first: None,
-                      make_guards(simulation, *_LIMITS, simulation.hamiltonian.barrier, box))
+                      make_guards(simulation, scale, *_LIMITS, simulation.hamiltonian.barrier),
+                      scale)
     topics.open(simulation, monitor, None, box, 'world', lambda topic, payload: None)
     recording = Recording(
         node.get_logger(), scene, simulation,

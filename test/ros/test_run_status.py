@@ -116,7 +116,8 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     told = {key.partition(' ')[0]: float(value) for status in (timing, integrator, energy)
             for key, value in status.items() if key.partition(' ')[0] in figures}
     assert told.keys() == {
-        'H', 'modified_H', 'work', 'energy_error', 'residual', 'modified_energy_band',
+        'H', 'modified_H', 'work', 'energy_error', 'energy_scale', 'residual',
+        'modified_energy_band',
         'drift_per_hour', 'microseconds_per_step_median', 'microseconds_per_step_p99',
         'gradients_per_step', 'largest_real_time_factor'}
     assert told == pytest.approx({name: figures[name] for name in told}, rel=1e-5)

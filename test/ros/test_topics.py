@@ -148,6 +148,7 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
             'iterations': (simulation.gradients - gradients) / 10,
             'microseconds_per_step_median': figures.microseconds_per_step_median,
             'microseconds_per_step_p99': figures.microseconds_per_step_p99,
+            'energy_scale': monitor.energy_scale,
             'gradients_per_step': figures.gradients_per_step}
         assert figures.microseconds_per_step_p99 > 0.0
 
