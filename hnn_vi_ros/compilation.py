@@ -20,7 +20,8 @@ called = register_jitable
 
 _PACKAGE = __name__.partition('.')[0]
 # Modules beside those in the folders of `sources`: compiled as well, or by which it is composed.
-_MODULES = ('compilation', 'linear_algebra', 'loops', 'rescue', 'simulation', 'system')
+_MODULES = ('compilation', 'dense_output', 'linear_algebra', 'loops', 'rescue', 'simulation',
+            'system')
 
 
 @cache

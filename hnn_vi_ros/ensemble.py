@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.checks import check_count, check_seconds
+from hnn_vi_ros.dense_step import record_at, whole_steps
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -29,7 +30,8 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
              integrator: str | None = None,
              initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
              effects: Sequence[Mapping[str, Any]] | None = None,
-             commands: Commands | None = None, every: int = 1) -> Trajectory:
+             commands: Commands | None = None, every: int = 1,
+             times: Sequence[float] | None = None) -> Trajectory:
     """
     Simulate a scene without ROS.
 
@@ -38,7 +40,7 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     scene : Scene, str or Path
         From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
     duration : float
-        Simulated time [s]; rounded to a whole number of samples.
+        Simulated time [s], which the last sample is at; see DenseStep for a time between steps.
     step_size : float, optional
         h [s], in place of the scene's.
     integrator : str, optional
@@ -52,11 +54,14 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
         or a row for each sample, which holds until the next.
     every : int, optional
         Steps from one sample to the next.
+    times : sequence of float, optional
+        Of the samples in place of every, rising, from 0 to the duration [s]; they need not be
+        whole steps. Not with commands, which are held from sample to sample.
 
     Returns
     -------
     Trajectory
-        The first sample is the initial state.
+        The first sample is the initial state, unless times says otherwise.
 
     Raises
     ------
@@ -72,14 +77,29 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     check_count('every', every)
     simulation = Simulation.from_scene(_scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
-    samples = _count_samples(duration, simulation.step_size * every, simulation.q.size)
-    q0, p0 = simulation.q.copy(), simulation.p.copy()
-    if commands is None:
-        q, p = simulation.record(samples, every)
-    else:
-        q, p = _record_commanded(simulation, samples, every, commands)
-    q, p = np.vstack([q0, q]), np.vstack([p0, p])
+    if times is not None:
+        if commands is not None:
+            raise ValueError('times and commands cannot both be given: use every with commands')
+        t = _check_times(times, duration)
+        q, p = record_at(simulation, t)
+        return Trajectory(t, q, p, simulation.hamiltonian.energy(q, p))
+    interval = simulation.step_size * every
+    _check_memory(duration, interval, simulation.q.size)
+    samples, share = whole_steps(duration, interval)
+    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
     t = np.arange(samples + 1) * every * simulation.step_size
+    if commands is None:
+        parts.append(simulation.record(samples, every))
+    else:
+        commands = _check_commands(commands, samples + bool(share))
+        parts.append(_record_commanded(simulation, samples, every, commands))
+    if share:
+        t = np.append(t, duration)
+        if commands is not None:
+            _advance_commanded(simulation, int(share * every), commands, samples)
+            simulation.set_command(_command(commands, simulation.time, samples))
+        parts.append(record_at(simulation, t[-1:]))
+    q, p = (np.vstack(halves) for halves in zip(*parts, strict=True))
     return Trajectory(t, q, p, simulation.hamiltonian.energy(q, p))
 
 
@@ -109,32 +129,58 @@ def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
     return list(effects) if isinstance(effects, tuple) else effects
 
 
-def _count_samples(duration: float, interval: float, dimension: int) -> int:
-    """Return the samples of a run; ValueError if they do not fit into memory."""
+def _check_times(times: Sequence[float], duration: float) -> np.ndarray:
+    """Return times of samples as an array, or raise."""
+    t = np.array(times, dtype=np.float64)
+    if t.ndim != 1 or t.size == 0:
+        raise ValueError(f'times has shape {t.shape}, expected (N,): a list of at least one time')
+    if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all() and t[0] >= 0.0
+            and t[-1] <= duration):
+        raise ValueError(f'times must rise from 0 s at least to the duration, {duration:g} s, at '
+                         'most')
+    return t
+
+
+def _check_memory(duration: float, interval: float, dimension: int) -> None:
+    """Raise ValueError if the samples of a run do not fit into memory."""
     samples = duration / interval
     if samples * dimension > _MOST_NUMBERS:
         raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
                          f'{interval:g} s: more than memory holds; take a larger every')
-    return round(samples)
+
+
+def _check_commands(commands: Commands, samples: int) -> Commands:
+    """Return rows of commands as an array, or raise if there are too few."""
+    if callable(commands):
+        return commands
+    rows = np.array(commands, dtype=np.float64)
+    if rows.ndim != 2 or len(rows) < samples:
+        raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
+                         'for each sample but the last; or give a function of the time')
+    return rows
 
 
 def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands
                       ) -> tuple[np.ndarray, np.ndarray]:
     """Take samples times every steps, with a command before each step."""
-    if not callable(commands):
-        rows = np.array(commands, dtype=np.float64)
-        if rows.ndim != 2 or len(rows) < samples:
-            raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
-                             'for each sample but the last; or give a function of the time')
     q, p = np.empty((2, samples, simulation.q.size))
     for sample in range(samples):
-        for _ in range(every):
-            # Before each step: none ends by the effect's time-out.
-            simulation.set_command(commands(simulation.time) if callable(commands)
-                                   else rows[sample])
-            simulation.advance(1)
+        _advance_commanded(simulation, every, commands, sample)
         q[sample], p[sample] = simulation.q, simulation.p
     return q, p
+
+
+def _advance_commanded(simulation: Simulation, steps: int, commands: Commands, sample: int
+                       ) -> None:
+    """Take steps after a sample, with a command before each: none ends by the time-out."""
+    for _ in range(steps):
+        simulation.set_command(_command(commands, simulation.time, sample))
+        simulation.advance(1)
+
+
+def _command(commands: Commands, time: float, sample: int) -> Sequence[float]:
+    """Return the command at a time, which lies after a sample."""
+    return commands(time) if callable(commands) else commands[sample]
 
 
 def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
@@ -155,9 +201,9 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     q, p : sequence, shape (m, d)
         Initial states.
     duration : float
-        Simulated time [s], rounded to a whole number of steps between samples.
+        Simulated time [s].
     samples : int, optional
-        Samples after the initial one, evenly spaced.
+        Samples after the initial one, evenly spaced; see DenseStep for times between steps.
     threads : int, optional
         By default as many as there are processors.
 
@@ -194,7 +240,9 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     if q0.size * samples > _MOST_NUMBERS:
         raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
                          'holds; take fewer at a time')
-    every = max(1, round(duration / (samples * scene.step_size)))
+    interval = duration / samples
+    every, share = whole_steps(interval, scene.step_size)
+    t = np.arange(samples + 1) * (interval if share else every * scene.step_size)
 
     def start(block: slice) -> Simulation:
         return Simulation(hamiltonian.twin(), integrator, scene.step_size, q0[block], p0[block],
@@ -206,21 +254,21 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     with ThreadPoolExecutor(workers) as pool:
         # Taken from the iterator, so that a failure of one worker is raised here.
         list(pool.map(lambda worker: _fill(
-            start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all),
-            range(workers)))
-    t = np.arange(samples + 1) * every * scene.step_size
+            start, range(worker * size, len(q0), workers * size), size,
+            t[1:] if share else every, q_all, p_all), range(workers)))
     return Trajectory(t, q_all, p_all, system.hamiltonian.energy(q_all, p_all))
 
 
-def _fill(start: Callable[[slice], Simulation], firsts: range, size: int, every: int,
-          q_all: np.ndarray, p_all: np.ndarray) -> None:
-    """Simulate the blocks that begin at these trajectories, one after another."""
+def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
+          every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray) -> None:
+    """Simulate the blocks that begin at these trajectories; every: steps, or samples' times."""
     samples, d = len(q_all) - 1, q_all.shape[2]
     simulation = start(slice(firsts[0], firsts[0] + size))
     for first in firsts:
         block = slice(first, first + size)
         # Each trajectory has noise of its own.
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
-        q_block, p_block = simulation.record(samples, every)
+        q_block, p_block = (simulation.record(samples, every) if isinstance(every, int)
+                            else record_at(simulation, every))
         q_all[1:, block] = q_block.reshape(samples, -1, d)
         p_all[1:, block] = p_block.reshape(samples, -1, d)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import warnings
 
 from hnn_vi_ros.compilation import entry_point
+from hnn_vi_ros.dense_step import DenseStep
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -82,10 +83,9 @@ class Simulation:
                  on_failure: str = 'substep'):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
-        self._system = System(hamiltonian, effects, integrator)
-        self.hamiltonian, self.integrator = self._system.hamiltonian, integrator
-        self.conservative, self.takes_commands = (
-            self._system.conservative, self._system.takes_commands)
+        self._system = system = System(hamiltonian, effects, integrator)
+        self.hamiltonian, self.integrator = system.hamiltonian, integrator
+        self.conservative, self.takes_commands = system.conservative, system.takes_commands
         self.step_size = float(step_size)
         self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
         if not self._kernel.compiled:
@@ -154,8 +154,6 @@ class Simulation:
     def energy(self) -> float:
         """Return H(q, p) [J], the sum of those of several trajectories."""
         kernel, z, d = self._kernel, self._z, self._kernel.dimension
-        if z.q.size == d:
-            return float(kernel.energy(kernel.parameters, z.q, z.p))
         return sum(float(kernel.energy(kernel.parameters, z.q[a:a + d], z.p[a:a + d]))
                    for a in range(0, z.q.size, d))
 
@@ -229,6 +227,11 @@ class Simulation:
         """Take n steps, or raise StepFailure; see ``record``."""
         self.record(1, n)
 
+    def dense_step(self) -> DenseStep:
+        """Take one step, and return it with the states inside of it, or raise StepFailure."""
+        return DenseStep(self, self._system.integrator is self.integrator
+                         and self._kernel.channels == 0)
+
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
         Take samples times every steps.
@@ -274,10 +277,8 @@ class Simulation:
         if self._way not in self._entries:
             self._entries[self._way] = entry_point(loop, *arguments)
         outcome, now, gradients, self.residual, spent = self._entries[self._way](*arguments)
-        self.steps += now - done
-        self.gradients += gradients
-        if self._way != 0:
-            self.rescued += now - done
+        self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
+        self.rescued += (now - done) * (self._way != 0)
         return outcome, now, self.residual, spent
 
     def _change_way(self) -> None:

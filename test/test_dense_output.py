@@ -1,0 +1,144 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""States between steps against a fine reference, on the pendulum."""
+
+from functools import cache
+
+from helpers import Uncompiled
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.ensemble import simulate, simulate_many
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
+THETAS = np.array([0.1, 0.25, 0.4, 0.6, 0.85])
+
+
+# At none of all at once is a derivative of the path small.
+STARTS = [(1.5, 2.0), (0.4, -1.0), (2.5, 0.7), (-1.0, 4.0)]
+
+
+def pendulum(method: str, h: float, *effects, start: tuple[float, float] = STARTS[0]
+             ) -> Simulation:
+    """Return a pendulum that swings widely."""
+    return Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS[method](), h,
+                      start[:1], start[1:], effects)
+
+
+@cache
+def exact(t: float, start: tuple[float, float] = STARTS[0]) -> tuple[float, float]:
+    """Return (q, p) at a time: two steps of order 16 and at most 0.1 s err by less than 1e-15."""
+    simulation = pendulum('gauss16', t / 2.0, start=start)
+    simulation.advance(2)
+    return float(simulation.q[0]), float(simulation.p[0])
+
+
+def worst(method: str, h: float) -> float:
+    """Return the largest deviation of the polynomial in steps of h."""
+    steps = [(start, pendulum(method, h, start=start).dense_step()) for start in STARTS]
+    return max(np.abs(np.ravel(dense.polynomial(theta)) - exact(theta * h, start)).max()
+               for start, dense in steps for theta in THETAS)
+
+
+# Of the polynomial: of cubic Hermite 3, of quintic 5, of s stages s, of a method p: the local
+# error of each is of one order more, and that of the step's end as well.
+@pytest.mark.parametrize('method, order, largest', [
+    ('stormer_verlet', 2, 0.1), ('rk4', 4, 0.1), ('gauss6', 5, 0.05), ('gauss10', 5, 0.05),
+    ('gauss14', 7, 0.1), ('gauss16', 8, 0.1)])
+def test_polynomial_converges_with_its_order_or_that_of_the_method(method, order, largest):
+    h = largest * np.array([1.0, 0.7, 0.5])
+    errors = [worst(method, step) for step in h]
+    # The plateau, a few roundings of 2 rad, is left out.
+    above = np.array(errors) > 1e-14
+    assert above.sum() >= 2
+    slope = np.polyfit(np.log(h[above]), np.log(np.array(errors)[above]), 1)[0]
+    assert slope >= order + 1 - 0.35
+
+
+@pytest.mark.parametrize('method', ['gauss10', 'gauss14'])
+def test_collocation_polynomial_meets_the_conditions_at_its_nodes(method):
+    """Its slope there is that of Hamilton's equations, and its end that of the step."""
+    simulation = pendulum(method, 0.2)
+    dense = simulation.dense_step()
+    polynomial, stages = dense.polynomial, simulation.integrator.stages
+    assert polynomial.order == stages
+    nodes = 0.5 * (np.polynomial.legendre.leggauss(stages)[0] + 1.0)
+    q, p = polynomial(nodes)
+    H_q, H_p = simulation.hamiltonian.gradient(q, p)
+    # The derivative of the interpolant through the nodes and the start, of the same degree.
+    fitted = np.polynomial.Polynomial.fit(np.append(nodes, 0.0), np.vstack(
+        [np.hstack([q, p]), np.hstack(polynomial(0.0))])[:, 0], stages).deriv()(nodes) / 0.2
+    # Differentiation multiplies rounding by the degree squared over h.
+    assert np.abs(fitted - H_p[:, 0]).max() < 1e-15 * 10 * stages ** 2 / 0.2
+    assert H_q.shape == (stages, 1)
+    end = np.ravel(polynomial(1.0))
+    assert np.abs(end - [simulation.q[0], simulation.p[0]]).max() < 1e-14
+
+
+@pytest.mark.parametrize('method', ['stormer_verlet', 'generalized_leapfrog', 'gauss16'])
+def test_states_between_steps_are_as_accurate_as_the_method(method):
+    """No worse than twice the local error of a whole step, and no worse than rounding."""
+    h = 0.1
+    simulation = pendulum(method, h)
+    dense = simulation.dense_step()
+    local = np.abs(np.ravel([simulation.q, simulation.p]) - exact(h)).max()
+    for theta in THETAS:
+        error = np.abs(np.ravel(dense.state(theta)) - exact(theta * h)).max()
+        assert error < 2.0 * local + 1e-14
+    assert np.array_equal(np.ravel(dense.state(1.0)), np.ravel([simulation.q, simulation.p]))
+    assert np.ravel(dense.state(0.0)).tolist() == [1.5, 2.0]
+
+
+def test_looking_between_steps_changes_no_later_step():
+    effects = [EFFECTS['thermostat'](0.5, 1.0), EFFECTS['impact']('angle', 0.0, restitution=0.9)]
+    seen, plain = (pendulum('stormer_verlet', 0.05, *effects) for _ in range(2))
+    for _ in range(20):
+        seen.dense_step().state(0.3)
+    plain.advance(20)
+    assert np.array_equal([seen.q, seen.p], [plain.q, plain.p])
+    assert (seen.works, seen.gradients, seen.time) == (plain.works, plain.gradients, plain.time)
+
+
+def test_states_between_steps_keep_rods_and_walls():
+    rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['x', 'z'])),
+        INTEGRATORS['stormer_verlet'](), 0.1, [1.0, 0.0], [0.0, -1.0], [rod])
+    q, _ = simulation.dense_step().state(0.37)
+    # RATTLE's own tolerance.
+    assert np.hypot(*q) == pytest.approx(1.0, abs=1e-10)
+    wall = Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
+        1.0, [0.3], [-1.0], [EFFECTS['impact']('x')])
+    dense = wall.dense_step()
+    # It turns at 0.3 s.
+    assert [float(dense.state(theta)[0][0]) for theta in (0.1, 0.3, 0.8)] == pytest.approx(
+        [0.2, 0.0, 0.5], abs=1e-15)
+
+
+def test_duration_and_times_that_are_no_multiple_of_the_step_are_met():
+    scene = load_scene('exact_pendulum').with_overrides(0.05, 'gauss8')
+    run = simulate(scene, 0.33, every=2)
+    assert run.t.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.33])
+    times = [0.0, 0.01, 0.02, 0.1, 0.33]
+    listed = simulate(scene, 0.4, times=times)
+    assert listed.t.tolist() == times
+    assert np.array_equal(listed.q[-1], run.q[-1])
+    assert np.array_equal(listed.q[3], run.q[1])
+    fine = simulate(scene, 0.33, step_size=0.01, every=1)
+    # gauss8 errs by (0.05 s / 0.3 s)^9 / 1e4 a step.
+    assert np.abs(listed.q - fine.q[[0, 1, 2, 10, 33]]).max() < 1e-10
+    many = simulate_many(scene, [run.q[0]] * 2, [run.p[0]] * 2, 0.33, samples=3)
+    assert many.t[-1] == 0.33
+    assert np.abs(many.q[1:, 1] - fine.q[[11, 22, 33]]).max() < 1e-10
+
+
+@pytest.mark.parametrize('times', [[], [[0.1]], [0.2, 0.1], [-0.1], [1.1], [np.nan]])
+def test_times_that_cannot_be_sampled_are_refused(times):
+    with pytest.raises(ValueError, match='times'):
+        simulate('exact_pendulum', 1.0, times=times)
