@@ -30,6 +30,8 @@ class Live(NamedTuple):
     gauge : np.ndarray, shape (d, d)
         The vector potential of all magnetic fields is linear: c A(q) = gauge q. The momentum that
         belongs to the velocity, M v, is p - gauge q.
+    resting : np.ndarray, shape (K,)
+        1 where the effect is a wall on which its coordinate rests.
 
     """
 
@@ -39,17 +41,19 @@ class Live(NamedTuple):
     command: np.ndarray
     draws: np.ndarray
     gauge: np.ndarray
+    resting: np.ndarray
 
     @classmethod
     def empty(cls, effects: int, dimension: int) -> 'Live':
         """Return the state before the first step."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
-                   np.zeros((dimension, dimension)))
+                   np.zeros((dimension, dimension)), np.zeros(effects))
 
     def reset(self, stream: int) -> None:
         """Go back to before the first step, on a stream of random numbers."""
-        for array in (self.clock, self.work, self.pending, self.command, self.draws):
+        for array in (self.clock, self.work, self.pending, self.command, self.draws,
+                      self.resting):
             array[...] = 0
         self.draws[2] = stream
 

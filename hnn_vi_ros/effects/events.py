@@ -5,6 +5,8 @@
 from collections.abc import Callable
 
 from hnn_vi_ros.compilation import called, inlined
+from hnn_vi_ros.effects.base import Live
+from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of, scratch
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point
@@ -12,64 +14,151 @@ from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Impacts in one step before a body is taken to rest, or the step for too long.
-_IMPACTS = 8
+# Impacts in one step before it is given up.
+_MOST_IMPACTS = 10_000
+# Of the step: flights shorter than this are no longer followed one by one, where the geometric
+# series of all that are left ends within the step. Their height is below 2e-11 times the way
+# that the same force makes in the step.
+_SHORTEST_FLIGHT = 1e-5
 _NEWTON_ITERATIONS = 50
 
 
-def bounce(step: Callable) -> Callable:
-    """Return a step for one trajectory that turns a velocity at a wall; see Impact."""
+def bounce(step: Callable, high: bool) -> Callable:
+    """
+    Return a step for one trajectory that turns a velocity at a wall; see Impact.
+
+    Parameters
+    ----------
+    step : callable
+        Of the method; parts of a step are steps of another length.
+    high : bool
+        Whether steps may be so long that the path turns round more than once in one: its
+        polynomial then takes the acceleration into account as well.
+
+    """
     @inlined
     def bouncing(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
                  memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, (c, position, sign, restitution, pending), live, effect = options
-        start, resting = scratch(memory), memory[len(memory) - 1].count
+        inner, (c, position, sign, restitution, search, kept), live, effect = options
+        start, space = scratch(memory), memory[len(memory) - 1]
         copy_point(z, start)
-        pending[:] = live.pending
-        draws, impacts, total = live.draws[1], 0, 0
-        # A part of the step that ends in front of the wall, and one that does not.
-        rest, low, high = h, 0.0, np.inf
-        part = rest
+        kept[2] = live.resting
+        draws, impacts, total = _keep(live, kept), 0, 0
+        rest, part, rounding = h, h, 0.0
+        # Settled: what comes next is known, and the trial was taken for its state alone.
+        action, wanted, settled = TRY, h, False
+        speed, bend = _motion(kernel, start, c, space, high)
+        begin(search, sign * (start.q[c] - position), sign * speed, sign * bend)
         while True:
             outcome, residual, gradients = step(kernel, part, inner, start, z1, memory[:-1])
             total += gradients
             if outcome != OK:
+                live.resting[:] = kept[2]
                 return outcome, residual, total
-            free = sign * (z1.q[c] - position) >= 0.0
-            if part == rest and free:
-                resting[0] = 0
-                return OK, residual, total
-            if impacts == _IMPACTS and restitution == 1.0:
-                return NO_CONVERGENCE, residual, total
-            if resting[0] == 1 or impacts == _IMPACTS:
-                # Here the part is all that is left of the step.
-                resting[0] = 1
+            distance = sign * (z1.q[c] - position)
+            if live.resting[effect] > 0.0:
+                if distance >= 0.0:
+                    live.resting[effect] = 0.0
+                    return OK, residual, total
+                # What pulls it into the wall at the end held it there all the time.
                 work = _turn(kernel, z1, c, position, 0.0)
                 live.pending[effect] += work
                 return NO_CONVERGENCE if np.isnan(work) else OK, residual, total
-            if high - low <= _EPS * h:
-                # As near to the wall as time resolves.
-                work = _turn(kernel, z1, c, position, restitution)
+            if not settled:
+                total += 1
+                rounding = max(rounding, 4.0 * _EPS * max(abs(position), abs(z1.q[c])))
+                speed, bend = _motion(kernel, z1, c, space, high)
+                add(search, part, distance, sign * speed, sign * bend, rounding, high)
+                action, wanted = seek(search, h, rounding, high)
+                if action == FREE:
+                    wanted = rest
+            if action == LOST or impacts > _MOST_IMPACTS:
+                live.resting[:] = kept[2]
+                return NO_CONVERGENCE, residual, total
+            if action == TRY or part != wanted and wanted > 0.0:
+                part, settled = wanted, action != TRY
+                _put_back(live, kept, draws)
+            elif action == FREE:
+                return OK, residual, total
+            else:
+                if wanted == 0.0:
+                    copy_point(start, z1)
+                    _put_back(live, kept, draws)
+                rest -= wanted
+                work, rests = _meet(kernel, z1, c, position, sign, restitution, space,
+                                    rest, h, rounding)
                 if np.isnan(work):
+                    live.resting[:] = kept[2]
                     return NO_CONVERGENCE, residual, total
                 live.pending[effect] += work
-                copy_point(z1, start)
-                pending[:] = live.pending
-                draws, impacts = live.draws[1], impacts + 1
-                rest, low, high = rest - part, 0.0, np.inf
-                part = rest
+                live.resting[effect] = 1.0 if rests else 0.0
                 if rest <= 0.0:
                     return OK, residual, total
-            else:
-                low, high = (part, high) if free else (low, part)
-                part = 0.5 * (low + high)
-            live.pending[:] = pending
-            live.draws[1] = draws
+                impacts += 1
+                copy_point(z1, start)
+                draws = _keep(live, kept)
+                speed, bend = _motion(kernel, start, c, space, high)
+                begin(search, 0.0, max(0.0, sign * speed), sign * bend)
+                part, settled = rest, False
             for k in range(len(memory) - 1):
                 # Steps of other lengths are no guide to the next start.
                 memory[k].count[0] = 0
     return bouncing
+
+
+@called
+def _keep(live: Live, kept: np.ndarray) -> int:
+    """Keep what the effects have done in the step so far; return the random numbers drawn."""
+    kept[0], kept[1] = live.pending, live.resting
+    return live.draws[1]
+
+
+@called
+def _put_back(live: Live, kept: np.ndarray, draws: int) -> None:
+    """Forget what the effects did in a trial."""
+    live.pending[:], live.resting[:] = kept[0], kept[1]
+    live.draws[1] = draws
+
+
+@called
+def _motion(kernel: Kernel, z: Point, c: int, space: Memory, high: bool) -> tuple[float, float]:
+    """Return the velocity of a coordinate, and its acceleration or 0 if that is not asked for."""
+    dH_dq, dH_dp = space.basis[0], space.basis[1]
+    product_q, product_p = space.basis[2], space.basis[3]
+    kernel.gradient(kernel.parameters, z.q, z.p, dH_dq, dH_dp)
+    if not high:
+        return dH_dp[c], 0.0
+    speed = dH_dp[c]
+    for i in range(z.q.size):
+        dH_dq[i] = -dH_dq[i]
+    # H_p changes by H'' (q', p').
+    kernel.hessian_vector(kernel.parameters, z.q, z.p, dH_dp, dH_dq, product_q, product_p)
+    return speed, product_p[c]
+
+
+@called
+def _meet(kernel: Kernel, z: Point, c: int, position: float, sign: float, restitution: float,
+          space: Memory, rest: float, h: float, rounding: float) -> tuple[float, bool]:
+    """
+    Turn the velocity at the wall; return the work [J], NaN where that fails, and if it rests.
+
+    After a bounce with speed v, against the acceleration a, flights of 2 v / a, 2 e v / a, ...
+    follow: they end after 2 v / (a (1 - e)). Where that is within the rest of the step, and
+    the flights are too short to be followed, or lower than rounding, the body comes to rest.
+    """
+    work = _turn(kernel, z, c, position, restitution)
+    if np.isnan(work):
+        return work, False
+    speed, bend = _motion(kernel, z, c, space, True)
+    speed, pull = max(0.0, sign * speed), -sign * bend
+    if not pull > 0.0:
+        return work, False
+    flight = 2.0 * speed / pull
+    ends = flight <= _SHORTEST_FLIGHT * h and flight <= (1.0 - restitution) * rest
+    if not (ends or 0.25 * speed * flight <= rounding):
+        return work, False
+    return work + _turn(kernel, z, c, position, 0.0), True
 
 
 @called

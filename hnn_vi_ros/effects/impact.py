@@ -7,6 +7,7 @@ from functools import cache
 from typing import Literal
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, StepEffect
+from hnn_vi_ros.effects.crossings import Search
 from hnn_vi_ros.effects.events import bounce
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.integrators.base import Integrator
@@ -18,9 +19,11 @@ class Impact(StepEffect):
     """
     A rigid wall at q_c = a: where the coordinate meets it, its velocity v turns into -e v.
 
-    The time of impact is found to round-off by bisection inside the step; before and after it
-    are steps of the method, symplectic if the method is. The momentum p_c alone jumps. A body
-    that bounces no higher than rounding rests on the wall until it is pulled away. Energy
+    Each impact in a step is found, on the polynomial through the step and then by steps of the
+    method that end on the wall to round-off; so are those of a path that leaves the wall again
+    within the step. Between impacts are steps of the method, symplectic if the method is. The
+    momentum p_c alone jumps. With e < 1 a body comes to rest where the geometric series of its
+    flights ends, until it is pulled away. A step whose impacts cannot be resolved fails. Energy
     account: the change of H in the jump, none for e = 1 where H is quadratic in p.
 
     Parameters
@@ -63,7 +66,7 @@ class Impact(StepEffect):
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""
         return (coordinate_index(coordinates, self.coordinate), self.position, self.sign,
-                self.restitution, np.zeros_like(live.pending))
+                self.restitution, Search.empty(), np.zeros((3, live.pending.size)))
 
     def check_state(self, parameters: tuple, q: np.ndarray) -> None:
         """Raise ValueError if q, shape (d,), is behind the wall."""
@@ -73,7 +76,12 @@ class Impact(StepEffect):
                              f'of an impact at {position!r}')
 
     @staticmethod
+    def inner_step(integrator: Integrator) -> tuple[Callable, bool]:
+        """Return the method's step, and whether it is good for steps of more than a turn."""
+        return integrator.step, integrator.order > 2
+
+    @staticmethod
     @cache
-    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+    def wrap(step: tuple[Callable, bool], keeps_gradient: bool) -> Callable:
         """Return the step in the parts that impacts cut it into; see StepEffect."""
-        return bounce(step)
+        return bounce(*step)
