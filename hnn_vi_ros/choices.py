@@ -4,12 +4,11 @@
 
 from collections.abc import Mapping
 from inspect import cleandoc, Parameter, signature
-import sys
 from typing import Annotated, Any, Literal, Union
 
 from hnn_vi_ros.errors import HnnViRosError, SceneError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.named_code import import_named, NAMES_CODE
+from hnn_vi_ros.named_code import find_beside, import_named, NAMES_CODE
 from hnn_vi_ros.trials import Budget
 from hnn_vi_ros.yaml_file import StrictModel
 from pydantic import BaseModel, create_model, Field, model_validator
@@ -148,8 +147,7 @@ def call_factory(factory: str, place: str, folder: str | None) -> Hamiltonian:
 
     """
     place = f'{place}: {factory}'
-    if folder is not None and folder not in sys.path:
-        sys.path.append(folder)
+    find_beside(folder)
     try:
         hamiltonian = import_named(factory)()
     except HnnViRosError:

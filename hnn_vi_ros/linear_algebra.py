@@ -5,6 +5,9 @@
 from hnn_vi_ros.compilation import inlined
 import numpy as np
 
+# Share of the diagonal below which a pivot is rounding.
+DEPENDENT = 1e-12
+
 
 @inlined
 def solve_linear(matrix: np.ndarray, right: np.ndarray) -> bool:
@@ -21,16 +24,56 @@ def solve_linear(matrix: np.ndarray, right: np.ndarray) -> bool:
             right[k], right[pivot] = right[pivot], right[k]
             for j in range(k, n):
                 matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-        for i in range(k + 1, n):
-            factor = matrix[i, k] / matrix[k, k]
-            right[i] -= factor * right[k]
-            for j in range(k, n):
-                matrix[i, j] -= factor * matrix[k, j]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
+        _clear_column(matrix, right, k)
+    _substitute_back(matrix, right)
+    return True
+
+
+@inlined
+def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) -> int:
+    """
+    Solve in place by elimination without exchanges, for a matrix near a positive definite one.
+
+    Parameters
+    ----------
+    matrix : np.ndarray, shape (n, n)
+        Holds pivots on its diagonal afterwards.
+    right, diagonal : np.ndarray, shape (n,)
+        The right-hand side; and space for the diagonal of the matrix.
+
+    Returns
+    -------
+    int
+        -1, or the first row whose pivot is negative or vanishes beside its diagonal.
+
+    """
+    for k in range(right.size):
+        diagonal[k] = matrix[k, k]
+    for k in range(right.size):
+        if not matrix[k, k] > DEPENDENT * abs(diagonal[k]):
+            return k
+        _clear_column(matrix, right, k)
+    _substitute_back(matrix, right)
+    return -1
+
+
+@inlined
+def _clear_column(matrix: np.ndarray, right: np.ndarray, k: int) -> None:
+    """Take row k from those below it so that their column k vanishes."""
+    for i in range(k + 1, right.size):
+        factor = matrix[i, k] / matrix[k, k]
+        right[i] -= factor * right[k]
+        for j in range(k, right.size):
+            matrix[i, j] -= factor * matrix[k, j]
+
+
+@inlined
+def _substitute_back(matrix: np.ndarray, right: np.ndarray) -> None:
+    """Solve with the upper triangle."""
+    for k in range(right.size - 1, -1, -1):
+        for j in range(k + 1, right.size):
             right[k] -= matrix[k, j] * right[j]
         right[k] /= matrix[k, k]
-    return True
 
 
 @inlined

@@ -8,6 +8,7 @@ the data says that it is trusted, as is done for files that the user names and f
 """
 
 from importlib import import_module
+import sys
 from typing import Any
 
 from pydantic import AfterValidator, ValidationInfo
@@ -29,6 +30,12 @@ def _check(name: str | None, info: ValidationInfo) -> str | None:
 
 
 NAMES_CODE = AfterValidator(_check)
+
+
+def find_beside(folder: str | None) -> None:
+    """Let Python's modules be found in a folder too, that of a scene file; None for none."""
+    if folder is not None and folder not in sys.path:
+        sys.path.append(folder)
 
 
 def import_named(name: str) -> Any:

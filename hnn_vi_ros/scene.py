@@ -224,6 +224,7 @@ class Scene(StrictModel):
     def _construct(self, classes: Mapping[str, type], choice: BaseModel, *key: str | int) -> Any:
         arguments = choice.model_dump()
         kind = arguments.pop('kind')
+        self._origin.find_code(arguments)
         if arguments.get('model'):
             arguments['model'] = self._origin.model_file(arguments['model'], *key)
         with self.placed(*key):

@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a scene comes from, and with that what it finds: its models, and Python code beside it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 import os
 from pathlib import Path
+from typing import Any
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.checkpoint import file_digest
+from hnn_vi_ros.named_code import find_beside
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.yaml_text import Places
 
@@ -45,6 +48,11 @@ class Origin:
         if self.places is not None and key[0] not in self.replaced:
             return self.places.place(*key)
         return f'{self.path}: {".".join(map(str, key))}'
+
+    def find_code(self, arguments: Mapping[str, Any]) -> None:
+        """Let the Python code that arguments of the scene name be found beside it too."""
+        if arguments.get('factory') or arguments.get('discrete_lagrangian'):
+            find_beside(self.code_folder)
 
     def model_file(self, model: str, *key: str | int) -> Path:
         """

@@ -264,7 +264,8 @@ class Simulation:
                     q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
         self._update_gradient()
         if outcome != OK:
-            raise StepFailure(REASONS[outcome], self.time, self.step_size, residual, spent)
+            reason = self._system.reason(outcome)
+            raise StepFailure(reason, self.time, self.step_size, residual, spent)
         keep = self._state(np.arange(self._z.q.size)).ravel()
         return (q_out[:, keep], p_out[:, keep]) if self._kernel.channels else (q_out, p_out)
 

@@ -14,13 +14,13 @@ from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
 from hnn_vi_ros.effects.impact import Impact
 from hnn_vi_ros.effects.kernels import add_forces, join_magnetic_field, join_potential
 from hnn_vi_ros.effects.magnetic_field import MagneticField
-from hnn_vi_ros.effects.rattle import Rods, stack
+from hnn_vi_ros.effects.manifold import Manifold
 from hnn_vi_ros.effects.thermostat import Thermostat
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.base import Integrator, REASONS, REDUNDANT
 from hnn_vi_ros.integrators.composition import Composition
 import numpy as np
 
@@ -135,10 +135,6 @@ class System:
         if not hamiltonian.canonical:
             self._check_coordinates(hamiltonian, integrator)
         self._check(integrator)
-        rods = self._all(HolonomicConstraint)
-        if len(rods) > hamiltonian.dimension:
-            raise EffectError(rods[-1], f'{len(rods)} rods leave {hamiltonian.dimension} '
-                                        'coordinates no freedom; leave some out')
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
         joined = [(effects[i], self._parameters[i]) for i in self._all(Potential, MagneticField)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
@@ -148,8 +144,9 @@ class System:
                 'the gradient of H jumps, as that of every relu network does: no method keeps its '
                 'order there, and implicit steps may find no solution; train with another '
                 'activation', stacklevel=3)
-        split = [i for i in self._all(StepEffect) if i not in self._forces(integrator)]
-        self._assemble(integrator, self._forces(integrator), split)
+        forces = self._forces(integrator)
+        self._assemble(integrator, forces, [
+            i for i in self._all(StepEffect, HolonomicConstraint) if i not in forces])
 
     @property
     def takes_commands(self) -> bool:
@@ -177,9 +174,13 @@ class System:
             self._effects[index].check_state(self.hamiltonian, q)
         for index in self._all(Impact):
             self._effects[index].check_state(self._parameters[index], q)
-        for index in self._all(HolonomicConstraint):
-            _, velocity = self.hamiltonian.gradient(q, p)
-            self._effects[index].check_state(self._parameters[index], q, velocity)
+        if self._manifold is not None:
+            self._manifold.check_state(q, p)
+
+    def reason(self, outcome: int) -> str:
+        """Return why a step failed."""
+        return f'{self._manifold.dependent}: {REASONS[outcome]}' if outcome == REDUNDANT else \
+            REASONS[outcome]
 
     def _all(self, *kinds: type[Effect]) -> list[int]:
         return [i for i, effect in enumerate(self._effects) if isinstance(effect, kinds)]
@@ -196,7 +197,8 @@ class System:
         if self._all(HolonomicConstraint):
             for index in self._all(Thermostat, Impact):
                 raise EffectError(index, f'{_KINDS[type(self._effects[index])]} does not combine '
-                                         'with holonomic_constraint; leave one of them out')
+                                         'with holonomic_constraint, off which its impulses would '
+                                         'lead; leave one of them out')
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
                 name = _name(integrator)
@@ -249,6 +251,10 @@ class System:
         if forces:
             self.kernel = add_forces(self.kernel, [self._effects[i] for i in forces],
                                      [self._parameters[i] for i in forces], self.live)
+        rods = self._all(HolonomicConstraint)
+        self._manifold = Manifold(
+            [(i, self.labels[i], self._parameters[i]) for i in rods], self.kernel,
+            len(self._effects)) if rods else None
         self.integrator = self._wrapped(integrator)
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
@@ -262,9 +268,9 @@ class System:
 
         for i in self._all(Thermostat) + flows:
             wrap(i, self._parameters[i])
-        if rods:
-            stacked = stack([self._parameters[i] for i in rods])
-            wrap(rods[0], Rods.of(stacked, self.kernel.dimension, len(self._effects)))
+        if self._manifold is not None:
+            integrator = Wrapped(integrator, self._manifold.kind,
+                                 (self._manifold.constraints, self.live, rods[0]))
         for i in walls:
             wrap(i, self._parameters[i])
         if self._taken or self._around:

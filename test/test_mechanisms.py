@@ -121,6 +121,11 @@ def test_cartesian_pendulum_is_drawn_as_the_pendulum_at_the_same_place():
     np.testing.assert_array_equal(cartesian['rod'].points, polar['rod'].points)
 
 
+def test_cartesian_pendulum_in_space_has_its_bob_where_it_is():
+    q = np.array([[0.1, 0.2, -0.3], [0.0, -0.5, 0.4]])
+    np.testing.assert_array_equal(MECHANISMS['cartesian_pendulum'](q, 1.0)['bob'].center, q)
+
+
 @pytest.mark.parametrize('name, body', [
     ('kepler', 'body'), ('henon_heiles', 'star'), ('charged_particle', 'particle')])
 def test_body_is_drawn_where_it_is_in_the_plane(name: str, body: str):

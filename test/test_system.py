@@ -115,7 +115,7 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'base', 'crossings', 'events', 'input_map', 'kernels', 'masses', 'noise',
+SHARED = {'base', 'constraints', 'crossings', 'events', 'input_map', 'kernels', 'masses', 'noise',
           'ornstein_uhlenbeck', 'points', 'rattle', 'splitting', 'wrapped'}
 
 

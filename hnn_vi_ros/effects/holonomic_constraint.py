@@ -1,44 +1,52 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A rod: two points, or a point and a fixed place, that keep their distance."""
+"""A holonomic constraint: rods, planes, circles, spheres, or an equation of the user's."""
 
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
-from hnn_vi_ros.effects.base import Live, StepEffect
-from hnn_vi_ros.effects.points import distance, resolve_pair, separation
-from hnn_vi_ros.effects.rattle import rattle
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.effects.base import Effect, Live
+from hnn_vi_ros.effects.constraints import Row
+from hnn_vi_ros.effects.shapes import check_keys, function_row, rows_of
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.named_code import NAMES_CODE
 from hnn_vi_ros.phase_space import Coordinate
-import numpy as np
-
-# Relative error of an initial state; a step takes away what it leaves.
-_TOLERANCE = 1e-9
 
 
-class HolonomicConstraint(StepEffect):
+class HolonomicConstraint(Effect):
     """
-    A massless rod, g(q) = r - l = 0, with r the distance of its ends, by RATTLE.
+    A holonomic constraint g(q) = 0, without friction, by RATTLE: a rod, unless form says else.
 
-    Rods that a scene lists are solved together. H(q, p) is that without rods; q and p must keep
-    to them. Energy account: the rods' forces do no work.
+    Constraints that a scene lists are solved together. H(q, p) is that without them; the initial
+    q and p must keep to them, g(q) = 0 and g' H_p = 0. Energy account: their forces do no work.
 
     Parameters
     ----------
-    point : list of str
-        Names of the coordinates of one end [m].
+    form : str
+        ``rod``: g = r - l, with r the distance of two points, or of a point and a fixed place;
+        ``plane``: g = n . (x - a); ``sphere``: g = abs(x - a) - R; ``circle``: a sphere, cut by
+        a plane if there are three coordinates; ``python``: what a factory returns.
+    point : list of str, optional
+        Names of the coordinates of a point x [m].
     other : list of str, optional
-        Names of the coordinates of the other end (a distance kept), or
+        Names of the coordinates of the other end of a rod.
     anchor : list of float, optional
-        the fixed place of the other end [m] (a rod from a pivot).
-    length : float
-        l > 0 [m].
+        The fixed place of the other end of a rod, the centre of a circle or a sphere, or a place
+        in a plane [m].
+    length : float, optional
+        l > 0 of a rod [m]; 1 where it is not given.
+    radius : float, optional
+        R > 0 of a circle or a sphere [m].
+    normal : list of float, optional
+        n of a plane or of a circle in space [1], of any length but zero.
+    factory : str, optional
+        package.module:function; called without arguments, returns a function g(q, gradient) that
+        fills the gradient and returns g, arrays of shape (d,); plain Python in numba's subset.
 
     Raises
     ------
     ValueError
-        The length is not positive.
+        A value is out of its range, missing, or not one of the form; the factory fails.
 
     References
     ----------
@@ -48,37 +56,24 @@ class HolonomicConstraint(StepEffect):
 
     conservative = True
 
-    def __init__(self, point: list[str], other: list[str] | None = None,
-                 anchor: list[float] | None = None, length: float = 1.0):
-        check_positive(length=length)
-        self.ends, self.length = (point, other, anchor), float(length)
+    def __init__(self, point: list[str] | None = None, other: list[str] | None = None,
+                 anchor: list[float] | None = None, length: float | None = None,
+                 form: Literal['rod', 'plane', 'circle', 'sphere', 'python'] = 'rod',
+                 radius: float | None = None, normal: list[float] | None = None,
+                 factory: Annotated[str | None, NAMES_CODE] = None):
+        self.form = form
+        self._given = check_keys(form, {
+            'point': point, 'other': other, 'anchor': anchor, 'length': length, 'radius': radius,
+            'normal': normal, 'factory': factory})
+        self._function = function_row(factory) if form == 'python' else None
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method is symmetric and of order 2, which RATTLE keeps."""
         return integrator.symmetric and integrator.symplectic and integrator.order == 2 and \
             integrator.uses_hamiltonian
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
-        """Return the two ends, the anchor and the length [m]."""
-        return (*resolve_pair(coordinates, *self.ends), self.length)
-
-    def check_state(self, parameters: tuple, q: np.ndarray, velocity: np.ndarray) -> None:
-        """Raise ValueError if q is not as long as the rod, or its velocity is along it."""
-        *ends, length = parameters
-        r = float(distance(*ends, q))
-        if abs(r - length) > _TOLERANCE * length:
-            raise ValueError(f'a holonomic_constraint asks for a distance of {length!r} m, but '
-                             f'the initial q has {r!r} m, {abs(r - length):.3g} m off')
-        # The anchor, in place of a second point, does not move.
-        still = (*ends[:2], np.zeros_like(ends[2]))
-        along = sum(separation(*ends, q, k) * separation(*still, velocity, k)
-                    for k in range(ends[0].size)) / r
-        if abs(along) > _TOLERANCE * np.abs(velocity).max():
-            raise ValueError(f'a holonomic_constraint keeps a distance, but the initial p changes '
-                             f'it by {float(along):.3g} m/s; choose p across the rod')
-
-    @staticmethod
-    @cache
-    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
-        """Return the step between two impulses of the rods; see StepEffect."""
-        return rattle(step)
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[Row, ...]:
+        """Return the equations, of which a circle in space has two."""
+        if self._function is not None:
+            return (self._function,)
+        return rows_of(self.form, self._given, coordinates)

@@ -1,103 +1,57 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""RATTLE: impulses around a step that keep a system of rods in shape."""
+"""RATTLE: impulses around a step that keep a system to its holonomic constraints."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import cache
 
-from hnn_vi_ros.compilation import called, inlined
-from hnn_vi_ros.effects.points import add_along, distance, separation
+from hnn_vi_ros.compilation import called, inlined, is_own
+from hnn_vi_ros.effects.constraints import Constraints, evaluator
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest, plus
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point
-from hnn_vi_ros.linear_algebra import solve_linear
+from hnn_vi_ros.integrators.base import (
+    Integrator, Memory, NO_CONVERGENCE, OK, Point, REDUNDANT)
+from hnn_vi_ros.linear_algebra import DEPENDENT, solve_in_order
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
 _ITERATIONS = 50
 # Rounding of a step's coordinates and of a distance, in units of eps and of their size.
 _ROUNDING = 64
+# How well the variational equation is solved, as far as its iteration goes; and how slowly
+# Newton's method may converge before the equation is made anew.
+_VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
 
 
-class Rods(NamedTuple):
-    """
-    K rods between points of n coordinates at most, and the space to solve for their impulses.
+class Rattle:
+    """RATTLE with distances and planes, for Wrapped; see ``rattle``."""
 
-    Parameters
-    ----------
-    first, second, anchor : np.ndarray, shape (K, n)
-        See points.resolve_pair.
-    sizes : np.ndarray, shape (K,)
-        The number of coordinates of each.
-    lengths : np.ndarray, shape (K,)
-        Their lengths [m].
-    old, new, inverse_mass : np.ndarray, shape (K, D)
-        The gradient G of g at the start and at the end, and H_pp G^T.
-    matrix : np.ndarray, shape (K, K)
-        The linear system.
-    right, defect, pending : np.ndarray, shape (K,), (K,) and that of Live.pending
-        Its right-hand side, g(q), and the effects' work before the step.
+    functions: tuple[Callable, ...] = ()
 
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    anchor: np.ndarray
-    sizes: np.ndarray
-    lengths: np.ndarray
-    old: np.ndarray
-    new: np.ndarray
-    inverse_mass: np.ndarray
-    matrix: np.ndarray
-    right: np.ndarray
-    defect: np.ndarray
-    pending: np.ndarray
+    @staticmethod
+    def inner_step(integrator: Integrator) -> Callable:
+        """Return the step of the method."""
+        return integrator.step
 
     @classmethod
-    def of(cls, stacked: tuple[np.ndarray, ...], dimension: int, effects: int) -> 'Rods':
-        """Return rods with their space, for a kernel of dimension D."""
-        count = stacked[4].size
-        return cls(*stacked, *np.zeros((3, count, dimension)), np.zeros((count, count)),
-                   *np.zeros((2, count)), np.zeros(effects))
+    def wrap(cls, step: Callable, keeps_gradient: bool) -> Callable:
+        """Return the step between two impulses of the constraints."""
+        return rattle(step, cls.functions)
 
 
-def stack(rods: Sequence[tuple]) -> tuple[np.ndarray, ...]:
-    """
-    Return rods together: ends and anchors of shape (K, n), sizes and lengths of shape (K,).
-
-    Parameters
-    ----------
-    rods : sequence of tuple
-        What ``resolve`` gave for each of the K rods.
-
-    """
-    n = max(rod[0].size for rod in rods)
-    first, second = np.full((2, len(rods), n), -1)
-    anchor = np.zeros((len(rods), n))
-    for k, rod in enumerate(rods):
-        for target, part in zip((first, second, anchor), rod, strict=False):
-            target[k, :part.size] = part
-    sizes = np.array([rod[0].size for rod in rods])
-    return first, second, anchor, sizes, np.array([rod[3] for rod in rods])
+@cache
+def rattle_kind(functions: tuple[Callable, ...]) -> type[Rattle]:
+    """Return Rattle with functions of the user's, which nothing on disk is to know."""
+    if not functions:
+        return Rattle
+    foreign = [function.__module__ for function in functions if not is_own(function.__module__)]
+    return type('Rattle', (Rattle,), {
+        'functions': functions, '__module__': str([*foreign, 'constraint'][0])})
 
 
-@called
-def constrain(rods: Rods, q: np.ndarray, gradient: np.ndarray) -> float:
-    """Fill g(q) and its gradient; return the largest abs(g) [m], NaN included."""
-    gradient[:] = 0.0
-    for k in range(rods.lengths.size):
-        n = rods.sizes[k]
-        first, second, anchor = rods.first[k, :n], rods.second[k, :n], rods.anchor[k, :n]
-        r = distance(first, second, anchor, q)
-        rods.defect[k] = r - rods.lengths[k]
-        for j in range(n):
-            along = separation(first, second, anchor, q, j)
-            add_along(first, second, j, along / r if r != 0.0 else 0.0, gradient[k])
-    return largest(rods.defect)
-
-
-def rattle(step: Callable) -> Callable:
+@cache
+def rattle(step: Callable, functions: tuple[Callable, ...] = ()) -> Callable:
     """
     Return a step that keeps g(q) = 0 and G(q) q' = 0, G = g'.
 
@@ -105,7 +59,10 @@ def rattle(step: Callable) -> Callable:
         p_(n+1) = p- - (h/2) G(q_(n+1))^T mu,  G(q_(n+1)) H_p(q_(n+1), p_(n+1)) = 0
 
     Symplectic on the constraint manifold and symmetric, as the step is, and of order 2. lambda
-    is found by Newton's method, with the derivative -(h^2/2) G(q_(n+1)) H_pp G(q_n)^T of g.
+    is found by Newton's method. The derivative of q_(n+1) by an impulse is that of the
+    variational equation, with H_pp, H_qp and H_qq half-way, by the midpoint rule.
+    The solution that goes to zero with h is taken: there all leading minors of the Jacobian are
+    positive.
 
     References
     ----------
@@ -113,95 +70,140 @@ def rattle(step: Callable) -> Callable:
     E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VII.1.
 
     """
+    evaluate = evaluator(functions)
+
     @inlined
     def constrained(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
                     memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, rods, live, _ = options
+        inner, constraints, live, _ = options
         start, space = scratch(memory), memory[len(memory) - 1]
-        count = rods.lengths.size
         # The last step's solution is the first guess.
-        multipliers = space.newton[:count]
-        constrain(rods, z.q, rods.old)
-        _apply_inverse_mass(kernel, rods, rods.old, z, space)
-        rods.pending[:] = live.pending
-        size = largest(z.q) + largest(rods.lengths)
+        multipliers = space.newton[:constraints.defect.size]
+        evaluate(constraints, z.q, constraints.old)
+        constraints.pending[:] = live.pending
+        size = largest(z.q) + largest(constraints.lengths)
         previous, residual, spent = np.inf, np.inf, 0
-        for _ in range(_ITERATIONS):
+        for iteration in range(_ITERATIONS):
             copy_point(z, start)
-            live.pending[:] = rods.pending
-            _kick(rods.old, multipliers, 0.5 * h, start)
+            live.pending[:] = constraints.pending
+            _kick(constraints.old, multipliers, 0.5 * h, start)
             for k in range(len(memory) - 1):
                 # Trials of one step are no guide to the next start.
                 memory[k].count[0] = 0
             outcome, residual, gradients = step(kernel, h, inner, start, z1, memory[:-1])
             spent += gradients
             if outcome != OK:
-                multipliers[:] = 0.0
-                return outcome, residual, spent
-            error = constrain(rods, z1.q, rods.new) / size
+                break
+            error = evaluate(constraints, z1.q, constraints.new) / size
+            if iteration == 0 or error > _SLOW * previous:
+                spent += _respond(kernel, h, constraints, start, z1)
+            if iteration == 0:
+                constraints.right[:] = 0.0
+                outcome = _solve(constraints, constraints.old, h)
+                if outcome != OK:
+                    break
+            constraints.right[:] = constraints.defect
+            outcome = _solve(constraints, constraints.new, 0.5 * h)
+            if outcome != OK:
+                break
+            outcome = NO_CONVERGENCE
+            if not error < np.inf:
+                break
             if error <= _EPS or (error >= previous and error <= _ROUNDING * _EPS):
-                more = _end(kernel, h, rods, z1, space)
+                more = _end(kernel, h, constraints, z1)
                 if more < 0:
-                    return NO_CONVERGENCE, residual, spent
+                    break
                 return OK, residual, spent + more
             previous = error
-            rods.right[:] = rods.defect
-            _fill_matrix(rods, 0.5 * h * h)
-            if not (error < np.inf and solve_linear(rods.matrix, rods.right)):
-                break
-            for k in range(count):
-                multipliers[k] += rods.right[k]
+            for k in range(multipliers.size):
+                multipliers[k] += constraints.right[k]
         multipliers[:] = 0.0
-        return NO_CONVERGENCE, previous, spent
+        return outcome, residual, spent
     return constrained
 
 
 @called
-def _end(kernel: Kernel, h: float, rods: Rods, z: Point, space: Memory) -> int:
-    """Take the velocity along the rods away; return the gradients it took, -1 if in vain."""
-    _apply_inverse_mass(kernel, rods, rods.new, z, space)
-    previous = np.inf
-    for spent in range(1, _ITERATIONS):
+def _end(kernel: Kernel, h: float, constraints: Constraints, z: Point) -> int:
+    """Take the velocity off the constraints away; return what it took, -1 if in vain."""
+    count, previous, spent = constraints.defect.size, np.inf, 0
+    for _ in range(_ITERATIONS):
         kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
-        speed = largest(z.dH_dp[:kernel.dimension - kernel.channels])
-        for k in range(rods.right.size):
-            rods.right[k] = 0.0
+        spent += 1
+        speed, error = largest(z.dH_dp[:kernel.dimension - kernel.channels]), 0.0
+        for k in range(count):
+            constraints.right[k] = 0.0
             for i in range(z.q.size):
-                rods.right[k] += rods.new[k, i] * z.dH_dp[i]
-        error = largest(rods.right)
+                constraints.right[k] += constraints.new[k, i] * z.dH_dp[i]
+            error = max(error, abs(constraints.right[k]) / largest(constraints.new[k]))
         if error <= _EPS * speed or (error >= previous and error <= _ROUNDING * _EPS * speed):
             return spent
         previous = error
-        _fill_matrix(rods, 0.5 * h)
-        if not (error < np.inf and solve_linear(rods.matrix, rods.right)):
+        variation = constraints.variation
+        variation[0] = 0.0
+        for k in range(count):
+            kernel.hessian_vector(kernel.parameters, z.q, z.p, variation[0], constraints.new[k],
+                                  variation[2], constraints.response[k])
+        spent += count
+        if not error < np.inf or _solve(constraints, constraints.new, 1.0) != OK:
             break
-        _kick(rods.new, rods.right, 0.5 * h, z)
+        _kick(constraints.new, constraints.right, 1.0, z)
     return -1
 
 
 @called
-def _apply_inverse_mass(kernel: Kernel, rods: Rods, gradient: np.ndarray, z: Point, space: Memory
-                        ) -> None:
-    """Fill H_pp G^T, one row for each rod."""
-    zero, rest = space.basis[0], space.basis[1]
-    for i in range(zero.size):
-        zero[i] = 0.0
-    for k in range(rods.lengths.size):
-        kernel.hessian_vector(kernel.parameters, z.q, z.p, zero, gradient[k], rest,
-                              rods.inverse_mass[k])
+def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: Point) -> int:
+    """Fill how q at the end answers to an impulse along each G at the start; return the cost."""
+    q, p = constraints.middle
+    for i in range(q.size):
+        q[i], p[i] = 0.5 * (z.q[i] + z1.q[i]), 0.5 * (z.p[i] + z1.p[i])
+    v_q, v_p, product_q, product_p = constraints.variation
+    spent = 0
+    for k in range(constraints.defect.size):
+        v_q[:] = 0.0
+        v_p[:] = constraints.old[k]
+        response = constraints.response[k]
+        response[:] = 0.0
+        for _ in range(_VARIATIONS):
+            kernel.hessian_vector(kernel.parameters, q, p, v_q, v_p, product_q, product_p)
+            spent += 1
+            change = 0.0
+            for i in range(q.size):
+                change = max(change, abs(h * product_p[i] - response[i]))
+                response[i] = h * product_p[i]
+                v_q[i] = 0.5 * response[i]
+                v_p[i] = constraints.old[k, i] - 0.5 * h * product_q[i]
+            if change <= _CLOSE * largest(response):
+                break
+    return spent
 
 
 @called
-def _fill_matrix(rods: Rods, factor: float) -> None:
-    """Fill factor G H_pp G^T, from G at the end and H_pp G^T as it was filled."""
-    count = rods.lengths.size
+def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int:
+    """
+    Solve factor G R x = right in place, R the response, with G at the start or at the end.
+
+    Returns
+    -------
+    int
+        OK; REDUNDANT, and which is noted, where one row depends on those before it; else
+        NO_CONVERGENCE, where a step is too long, or no number comes out.
+
+    """
+    matrix, count = constraints.matrix, constraints.defect.size
     for k in range(count):
         for m in range(count):
             total = 0.0
-            for i in range(rods.new.shape[1]):
-                total += rods.new[k, i] * rods.inverse_mass[m, i]
-            rods.matrix[k, m] = factor * total
+            for i in range(gradient.shape[1]):
+                total += gradient[k, i] * constraints.response[m, i]
+            matrix[k, m] = factor * total
+    row = solve_in_order(matrix, constraints.right, constraints.scale)
+    if row < 0:
+        return OK
+    if not abs(matrix[row, row]) <= DEPENDENT * constraints.scale[row]:
+        return NO_CONVERGENCE
+    constraints.dependent[0] = row
+    return REDUNDANT
 
 
 @called

@@ -11,10 +11,11 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.
-OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS = 0, 1, 2, 3, 4
+OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT = 0, 1, 2, 3, 4, 5
 REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            BEYOND: 'beyond the limit of stability',
-           NO_MASS: 'H_pp is not positive definite, so that there are no masses'}
+           NO_MASS: 'H_pp is not positive definite, so that there are no masses',
+           REDUNDANT: 'it depends on the constraints before it; leave it out'}
 
 
 class Point(NamedTuple):

@@ -29,7 +29,7 @@ MECHANISMS: dict[str, Mechanism] = {
 # The numbers of coordinates that each of them draws.
 COORDINATES: dict[str, Sequence[int]] = {
     'bouncing_mass': (1,),
-    'cartesian_pendulum': (2,),
+    'cartesian_pendulum': (2, 3),
     'charged_particle': (2,),
     'double_pendulum': (2,),
     'henon_heiles': (2,),

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bobs on rods, which swing in the plane y = 0."""
+"""Bobs on rods, which swing in the plane y = 0 or in space."""
 
 from hnn_vi_ros.mechanisms.parts import (
     AMBER, Box, CIRCLE_CORNERS, Line, Part, place, SILVER, STEEL)
@@ -50,12 +50,12 @@ def double_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a bob by its place in the plane y = 0, on a rod from the origin.
+    Draw a bob by its place, on a rod from the origin.
 
     Parameters
     ----------
-    q : np.ndarray, shape (..., 2)
-        x and z of the bob [m].
+    q : np.ndarray, shape (..., 2) or (..., 3)
+        x and z of the bob in the plane y = 0, or its x, y and z [m].
     reach : float
         Largest coordinate that the drawing leaves room for [m]; it sets every other length.
 
@@ -66,7 +66,7 @@ def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     """
     q = np.asarray(q, dtype=np.float64)
-    bob = place(q[..., 0], 0.0, q[..., 1])
+    bob = place(q[..., 0], q[..., 1] if q.shape[-1] == 3 else 0.0, q[..., -1])
     return {
         'pivot': Box(np.zeros(3), (0.06 * reach,) * 3, STEEL),
         'rod': Line(np.stack([np.zeros_like(bob), bob], axis=-2), 0.02 * reach, SILVER),
