@@ -302,6 +302,24 @@ def test_file_of_an_hour_is_sent_in_few_pieces_and_none_waits_long(tmp_path, mon
     assert max(sizes) <= 301
 
 
+@pytest.mark.parametrize('call', ['event', 'timing'])
+def test_what_comes_without_a_sample_is_sent_when_it_is_time_and_takes_the_rest_along(
+        tmp_path, monkeypatch, call):
+    clock, path = [0.0], tmp_path / 'recording.rrd'
+    monkeypatch.setattr(rerun_sink, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
+    sink = open_sink(path, interval=1)
+    for sample in oscillate(3):
+        sink.write(sample)
+    for due in (False, True):
+        clock[0] = (1.1 if due else 0.5) * rerun_sink.GATHER_FILE
+        sink.event('alarm') if call == 'event' else sink.timing((1.0, 2.0), 1.0)
+        sink._stream.recording.flush()
+        entity = {'event': '/events', 'timing': '/timing/real_time_factor'}[call]
+        assert [len(read(path).get(name, {'step': []})['step'])
+                for name in ('/state/q', entity)] == ([3, 2] if due else [0, 0])
+    sink.close()
+
+
 def test_samples_that_no_clock_holds_back_do_not_pile_up(tmp_path, monkeypatch):
     path = tmp_path / 'recording.rrd'
     monkeypatch.setattr(rerun_sink, 'time', SimpleNamespace(monotonic=lambda: 0.0))

@@ -157,12 +157,7 @@ class Recording:
             except RecordingError as problem:
                 self._bag_sink = None
                 self._give_up(problem)
-        if self._picture_sink is not None:
-            try:
-                self._picture_sink.write(sample)
-            except RecordingError as problem:
-                self._picture_sink = None
-                self._give_up(problem)
+        self._show('write', sample)
 
     def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
         """Record a message that does not come with each sample."""
@@ -175,15 +170,12 @@ class Recording:
 
     def event(self, text: str, level: str) -> None:
         """Show an event beside the samples; level is INFO, WARN or ERROR."""
-        if self._picture_sink is not None:
-            self._picture_sink.event(text, level)
+        self._show('event', text, level)
 
     def timing(self, figures: Figures) -> None:
         """Show what steps cost lately, and the pace, at the newest sample."""
-        if self._picture_sink is not None:
-            self._picture_sink.timing(
-                (figures.microseconds_per_step_median, figures.microseconds_per_step_p99),
-                figures.real_time_factor)
+        self._show('timing', (figures.microseconds_per_step_median,
+                              figures.microseconds_per_step_p99), figures.real_time_factor)
 
     @property
     def targets(self) -> dict[str, str]:
@@ -208,6 +200,15 @@ class Recording:
     def report(self) -> None:
         """Print where the files are, and the command that opens each."""
         tell_files(self._bags, self._picture)
+
+    def _show(self, what: str, *values: Any) -> None:
+        """Call the picture's method of a name, if there is a picture."""
+        if self._picture_sink is not None:
+            try:
+                getattr(self._picture_sink, what)(*values)
+            except RecordingError as problem:
+                self._picture_sink = None
+                self._give_up(problem)
 
     def _choose_files(self, scene: Scene, report: dict[str, Any], sampler: Sampler) -> None:
         """Choose names; the first ones as they were asked for, later ones with a number."""

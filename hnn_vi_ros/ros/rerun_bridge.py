@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show a running simulator, or a bag, in rerun without a hand in the simulation's process."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 import time
 from typing import Any
@@ -26,7 +27,7 @@ from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.state_message import decode_state, State
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -38,6 +39,8 @@ from std_msgs.msg import String
 _QUEUE = QoSProfile(depth=1000)
 # Ticks of which not all messages are there yet.
 _MOST_OPEN = 1000
+# What showing may take that is held when it ends [s].
+_LONGEST_END = 3.0
 # By the last part of their names: the topics that tell of a sample in parts, and all their types.
 _TICK = {name.rpartition('/')[2]: name for name, _ in (*TICK_TOPICS[1:], ACCURACY_TOPIC)}
 _KINDS = {name.rpartition('/')[2]: kind
@@ -167,14 +170,12 @@ class RerunBridge(Node):
             # Anybody may have sent it: what is shown goes on.
             self.get_logger().error(str(problem))
             return
-        try:
+        with self._end_if_lost():
             self.close()
             self._scenes += 1
             self._picture = BridgePicture(scene, self._next_target(), 'bridge')
             shown = f'port {self.target}' if isinstance(self.target, int) else self.target
             self.get_logger().info(f'showing {self._values["simulator"]} on {shown}')
-        except HnnViRosError as problem:
-            self.problem = problem
 
     def _next_target(self) -> Target:
         target = self.target
@@ -217,21 +218,26 @@ class RerunBridge(Node):
 
     def _show(self, state: State) -> None:
         if self._picture is not None:
-            try:
+            with self._end_if_lost():
                 self._picture.show(state)
-            except HnnViRosError as problem:
-                self.problem = problem
 
     def _show_tick(self, tick: dict[str, Any]) -> None:
         if self._picture is not None and NEEDED <= tick.keys():
-            try:
+            with self._end_if_lost():
                 self._picture.show_tick(tick)
-            except HnnViRosError as problem:
-                self.problem = problem
 
     def _tell(self, message: DiagnosticArray, simulator: str) -> None:
         if self._picture is not None:
-            self._picture.tell(message, simulator)
+            with self._end_if_lost():
+                self._picture.tell(message, simulator)
+
+    @contextmanager
+    def _end_if_lost(self) -> Iterator[None]:
+        """Note why nothing can be shown any more."""
+        try:
+            yield
+        except HnnViRosError as problem:
+            self.problem = problem
 
 
 def main(argv: list[str]) -> int:
@@ -261,6 +267,24 @@ def _show_simulator(node: RerunBridge, received: list[int]) -> None:
     node.listen()
     while not received and node.problem is None:
         executor.spin_once(timeout_sec=0.1)
+    # What had come by the end is shown, unless that takes long or another signal comes.
+    deadline, signals = time.monotonic() + _LONGEST_END, len(received)
+    while len(received) == signals and node.problem is None and time.monotonic() < deadline:
+        if not _take_once(executor):
+            return
+
+
+def _take_once(executor: SingleThreadedExecutor) -> bool:
+    """Handle a message of each topic that has one; tell whether any had."""
+    taken = False
+    with suppress(TimeoutException):
+        while True:
+            handler, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
+            handler()
+            # Raises what its callback has raised.
+            handler.result()
+            taken = True
+    return taken
 
 
 def _show_bag(node: RerunBridge, bag: Path, received: list[int]) -> None:

@@ -106,9 +106,10 @@ class RerunSink:
         self._due = (sample.stamp // self._interval + 1) * self._interval
         self._kept = sample
         self._pending.append(sample)
-        if self._sent_at + self._gather() <= time.monotonic() \
-                or len(self._pending) == MOST_PENDING:
+        if len(self._pending) == MOST_PENDING:
             self._send()
+        else:
+            self._send_if_due()
 
     def event(self, text: str, level: str = 'INFO') -> None:
         """Show a line of text at the time of the newest sample; level INFO, WARN or ERROR."""
@@ -118,6 +119,8 @@ class RerunSink:
         self._events.append((stamp, step, text, level))
         if self._stream.live:
             self._send_events()
+        else:
+            self._send_if_due()
 
     def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float
                ) -> None:
@@ -125,6 +128,8 @@ class RerunSink:
         if self._newest is not None and np.isfinite(real_time_factor):
             self._timings.append((self._newest.stamp, self._newest.step,
                                   microseconds_per_step, real_time_factor))
+        # The last to come where no sample follows: it takes what waits along.
+        self._send_if_due()
 
     def close(self) -> None:
         """
@@ -175,6 +180,10 @@ class RerunSink:
             layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
         if parts:
             layout.log_mechanism_styles(recording, parts)
+
+    def _send_if_due(self) -> None:
+        if self._sent_at + self._gather() <= time.monotonic():
+            self._send()
 
     def _send(self) -> None:
         samples, self._pending = self._pending, []

@@ -9,14 +9,23 @@ import time
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import target_of
 from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.topics import LATCHED
+from hnn_vi_ros.sinks.mcap_reader import BagReader
 import numpy as np
 from processes import finish, read_bag, start, start_executable, wait_until
 import pytest
+import rclpy
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from recorded import as_received, record_run
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from test_health import events_of
 from test_rerun_sink import read
 
@@ -63,16 +72,53 @@ def test_bridge_shows_a_bag_that_is_replayed(tmp_path, state):
     bridge = start_bridge(*to_file(recording))
     replay = start_executable('replay', bag, '--discovery-time', 20)
     assert finish(replay)[0] == 0
-    wait_until(lambda: recording.exists() and recording.stat().st_size > 5_000)
-    time.sleep(0.5)
+    # The picture is opened in a moment that the bridge spends compiling; the samples are held.
+    wait_until(recording.exists)
     bridge.send_signal(signal.SIGINT)
     status, _, log = finish(bridge, 20.0)
     assert status == 0 and 'showing /hnn_simulator' in log
     run = {run.step_of(stamp): q[0] for run in [RecordedRun(bag)] for stamp, q, _ in run.samples()}
     entities = read(recording)['/state/q']
-    assert len(entities['step']) > 20
+    assert len(entities['step']) > 20 and entities['step'][-1] == max(run)
     assert [row[0] for row in entities['Scalars:scalars']] == [
         run[step] for step in entities['step']]
+
+
+def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100)
+    reader, words = BagReader(bag), to_file(tmp_path / 'a.rrd')
+    messages = {topic: [message.data for message in reader.messages(numbers)]
+                for topic, numbers in by_topic(reader).items()}
+    rclpy.init(args=words)
+    try:
+        bridge, peer = RerunBridge(words), rclpy.create_node('peer')
+        states = peer.create_publisher(JointState, '/hnn_simulator/state', 1000)
+        scene = peer.create_publisher(String, '/hnn_simulator/scene', LATCHED)
+        scene.publish(messages['/hnn_simulator/scene'][0])
+        executor = SingleThreadedExecutor()
+        executor.add_node(bridge)
+        bridge.listen()
+        deadline = time.monotonic() + 60.0
+        while not (tmp_path / 'a.rrd').exists() and time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=0.1)
+        executor.remove_node(bridge)
+        wait_until(states.get_subscription_count)
+        for data in messages['/hnn_simulator/state']:
+            states.publish(data)
+        assert states.wait_for_all_acked(Duration(seconds=10))
+        rerun_bridge._show_simulator(bridge, [signal.SIGINT])
+        bridge.close()
+        for node in (bridge, peer):
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    # 30 of 1 s, and the last sample.
+    steps = read(tmp_path / 'a.rrd')['/state/q']['step']
+    assert len(steps) >= 30 and steps[-1] == RecordedRun(bag).step_of(reader.last)
+
+
+def by_topic(reader: BagReader) -> dict[str, list[int]]:
+    return {channel.topic: [number] for number, channel in reader.channels.items()}
 
 
 def test_bridge_shows_a_running_simulator_and_leaves_it_alone(tmp_path):
@@ -85,8 +131,7 @@ def test_bridge_shows_a_running_simulator_and_leaves_it_alone(tmp_path):
     simulator = start(tmp_path, duration=3, rerun_sink='none', record='false',
                       discovery_time=20)
     assert finish(simulator)[0] == 0
-    wait_until(lambda: recording.exists() and recording.stat().st_size > 10_000)
-    time.sleep(0.5)
+    wait_until(recording.exists)
     bridge.send_signal(signal.SIGINT)
     status, _, log = finish(bridge, 20.0)
     assert status == 0 and 'showing /hnn_simulator' in log
@@ -112,9 +157,8 @@ def test_bridge_shows_alarms_and_timing_of_a_running_simulator_and_the_alarms_of
     status, _, said = finish(simulator)
     assert status == 0 and 'use step_size <=' in said
     live = tmp_path / 'live.rrd'
-    # The picture of a file is written in pieces; the bridge may still be compiling for it.
-    wait_until(lambda: live.exists() and live.stat().st_size, 120.0)
-    time.sleep(15.0)
+    # The bridge may still be compiling for the picture; what it has received it shows at the end.
+    wait_until(live.exists, 120.0)
     bridge.send_signal(signal.SIGINT)
     assert finish(bridge, 20.0)[0] == 0
     again = start_bridge(tmp_path / 'bag', *to_file(tmp_path / 'again.rrd'))
