@@ -78,7 +78,7 @@ class Recording:
         self._values, self._topics, self._box = values, topics, box
         self.problem = ''
         self._bag_wanted = values['record']
-        self._folder: Path | None = None
+        self._home, self._folder = _working_folder(), None
         self._used: set[Path] = set()
         self._choose_files(scene, report, sampler)
         try:
@@ -114,7 +114,7 @@ class Recording:
         self._tell_bag()
 
     def start_bag(self) -> str:
-        """Begin a new bag and return where it is, or raise RecordingError."""
+        """Begin a new bag and return its absolute path, or raise RecordingError."""
         if self._bag_sink is not None:
             raise RecordingError(f'{self._bags[-1]}: is being recorded already')
         self._bags.append(self._free_bag())
@@ -128,7 +128,7 @@ class Recording:
         return str(self._bags[-1])
 
     def stop_bag(self) -> str:
-        """Complete the bag and return where it is, or raise RecordingError."""
+        """Complete the bag and return its absolute path, or raise RecordingError."""
         if self._bag_sink is None:
             raise RecordingError('no bag is being recorded')
         sink, self._bag_sink, self._bag_wanted = self._bag_sink, None, False
@@ -227,8 +227,8 @@ class Recording:
     def _free(self, asked: str, default: str) -> Path:
         """Return the path asked for or a default one, numbered if it is one of ours already."""
         if not asked and self._folder is None:
-            self._folder = create_run_folder(self._scene.name)
-        first = Path(os.path.expanduser(asked)) if asked else self._folder / default
+            self._folder = create_run_folder(self._scene.name, self._home)
+        first = self._home / os.path.expanduser(asked) if asked else self._folder / default
         path, number = first, 1
         while path in self._used or (number > 1 and path.exists()):
             number += 1
@@ -277,3 +277,11 @@ class Recording:
     def _give_up(self, problem: RecordingError, ended: bool = False) -> None:
         self.problem = str(problem)
         self._logger.error(self.problem if ended else f'{problem}; the simulation goes on')
+
+
+def _working_folder() -> Path:
+    """Return the absolute path that others are relative to; an empty one if it was removed."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError:
+        return Path()

@@ -10,9 +10,9 @@ from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
 
 
-def create_run_folder(scene: str) -> Path:
+def create_run_folder(scene: str, home: Path) -> Path:
     """
-    Create ``runs/<scene>-<UTC time>`` under the working directory, with a number if it is taken.
+    Create ``runs/<scene>-<UTC time>`` in a folder, with a number if it is taken.
 
     Raises
     ------
@@ -21,11 +21,11 @@ def create_run_folder(scene: str) -> Path:
 
     """
     stem = f'{scene}-{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}'
-    folder = Path('runs')
+    runs = folder = home / 'runs'
     try:
         folder.mkdir(exist_ok=True)
         for number in count(1):
-            folder = Path('runs') / (stem if number == 1 else f'{stem}-{number}')
+            folder = runs / (stem if number == 1 else f'{stem}-{number}')
             # Not looked for before: another process may make it in between.
             with suppress(FileExistsError):
                 folder.mkdir()

@@ -3,7 +3,6 @@
 """The services of the simulator beside those of its lifecycle and parameters."""
 
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import Any, Protocol
 
 from hnn_vi_ros.errors import RecordingError
@@ -69,8 +68,6 @@ class Services:
 
     def __init__(self, simulator: Simulator):
         self._simulator = simulator
-        # Looked up now: later it may be gone.
-        self._folder = Path.cwd()
 
     @property
     def _refusal(self) -> Answer:
@@ -111,11 +108,11 @@ class Services:
         if run is None:
             return _fill(response, self._refusal)
         try:
-            path = self._folder / getattr(run.recording, method)()
+            path = getattr(run.recording, method)()
         except RecordingError as problem:
             return _fill(response, Answer(False, str(problem)))
         run.tell(f'{words} {path}', 'INFO')
-        return _fill(response, Answer(True, str(path)))
+        return _fill(response, Answer(True, path))
 
 
 def _fill(response: Any, answer: Answer) -> Any:

@@ -11,9 +11,19 @@ import sys
 
 
 def tell_files(bags: Sequence[Path], picture: Path | None) -> None:
-    """Print where bags and a picture are, and the command that opens each."""
+    """
+    Print where bags and a picture are, and the command that opens each.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        Their folders.
+    picture : Path or None
+        The recording of the viewer, if there is one.
+
+    """
     lines = []
-    for bag in bags:
+    for bag in map(_from_here, bags):
         file = bag / f'{bag.name}_0.mcap'
         lines.append(f'bag        {bag}')
         if not file.exists():
@@ -25,6 +35,7 @@ def tell_files(bags: Sequence[Path], picture: Path | None) -> None:
         if shutil.which('ros2'):
             lines.append(f'  open it  {_command("ros2", "bag", "play", bag)}')
         lines.append(f'  open it  {_command(_rerun(), file)}')
+    picture = picture and _from_here(picture)
     if picture is not None:
         lines.append(f'recording  {picture}')
     if picture is not None and not picture.exists():
@@ -34,6 +45,15 @@ def tell_files(bags: Sequence[Path], picture: Path | None) -> None:
     if lines:
         sys.stdout.write('\n'.join(lines) + '\n')
         sys.stdout.flush()
+
+
+def _from_here(path: Path) -> Path:
+    """Return a path as it is called in the working directory, if it lies there."""
+    try:
+        return path.relative_to(Path.cwd())
+    except (ValueError, FileNotFoundError):
+        # It lies elsewhere, or the working directory was removed.
+        return path
 
 
 def _rerun() -> Path | str:

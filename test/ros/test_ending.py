@@ -109,17 +109,18 @@ def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
         status, _, error = finish(process)
     assert status == 0
     lines = [line.split(']: ', 1)[1] for line in error.splitlines() if '[INFO]' in line]
-    told = ['recording to bag', 'unconfigured -> inactive', 'paused until ~/set_pause ends it',
-            'inactive -> active', 'pause ended', 'paused', 'recording to bag-2', 'reset',
+    bag = tmp_path / 'bag'
+    told = [f'recording to {bag}', 'unconfigured -> inactive', 'paused until ~/set_pause ends it',
+            'inactive -> active', 'pause ended', 'paused', f'recording to {bag}-2', 'reset',
             'active -> inactive', 'stopped by SIGINT']
     assert [line for line in lines if line in told] == told
 
 
 def test_run_folders_of_two_processes_in_one_second_differ(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code = ('import sys; from hnn_vi_ros.ros.run_folder import create_run_folder as create\n'
+    code = ('import sys; from hnn_vi_ros.ros.run_folder import create_run_folder as create, Path\n'
             'print("ready", flush=True); sys.stdin.readline()\n'
-            'print(*[create("a") for _ in range(50)])')
+            'print(*[create("a", Path()) for _ in range(50)])')
     processes = [subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE,
                                   stdout=subprocess.PIPE, text=True) for _ in range(2)]
     for process in processes:
@@ -142,7 +143,7 @@ def test_run_folder_that_another_process_makes_in_between_is_left_to_it(tmp_path
         mkdir(path, **options)
 
     monkeypatch.setattr(Path, 'mkdir', first_the_other)
-    folder = run_folder.create_run_folder('a')
+    folder = run_folder.create_run_folder('a', Path())
     assert folder != made[0] and folder.is_dir()
 
 
@@ -150,12 +151,12 @@ def test_run_folder_beside_a_file_named_runs_is_refused_in_a_line(tmp_path, monk
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'runs').write_text('')
     with pytest.raises(RecordingError, match='runs cannot be created .*; set record_path'):
-        run_folder.create_run_folder('a')
+        run_folder.create_run_folder('a', Path())
 
 
 def test_run_folder_is_named_for_the_scene_and_the_second(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    folder = run_folder.create_run_folder('a')
+    folder = run_folder.create_run_folder('a', Path())
     assert datetime.strptime(folder.name, 'a-%Y%m%dT%H%M%SZ')
 
 

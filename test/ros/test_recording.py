@@ -132,7 +132,8 @@ def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_o
     assert status == 1
     assert error.count('the simulation goes on') == 1 and reason in error
     # Of what is there still, something is left to be done; of what is not, nothing.
-    assert error.count('ros2 run hnn_vi_ros recover_bag bag') == (tmp_path / 'bag').exists()
+    bag = tmp_path / 'bag'
+    assert error.count(f'ros2 run hnn_vi_ros recover_bag {bag}') == bag.exists()
 
 
 def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_path: Path):
@@ -149,7 +150,7 @@ def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_p
     assert 'the simulation goes on' not in error
     # One line for each file, which the node says, and what to do about the bag.
     assert sum('[ERROR]' in line for line in error.splitlines()) == 2
-    assert 'recover_bag bag' in error and 'picture.rrd' in error
+    assert f'recover_bag {tmp_path / "bag"}' in error and 'picture.rrd' in error
     assert all('[hnn_simulator]' in line for line in error.splitlines())
     assert 'is not complete' in out
 
@@ -177,7 +178,7 @@ def test_recording_into_a_folder_that_cannot_be_made_is_refused_and_the_simulati
     with peer() as other:
         other.spin_until(lambda: other.states)
         answer = other.trigger('start_recording')
-        assert not answer.success and 'file' in answer.message, answer.message
+        assert not answer.success and str(tmp_path / 'file') in answer.message, answer.message
         assert '\n' not in answer.message
         count = len(other.states)
         other.spin_until(lambda: len(other.states) > count + 50)

@@ -107,7 +107,7 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     assert abs(float(energy['drift_per_hour [1/h]'])) <= 3600.0 * 24.0 * 5e-3 / (2.0 * 25.0 ** 2)
     assert health['watched'] == ('step failed, under-resolved, energy not accounted for, '
                                  'real-time overrun')
-    assert recorder == {'bag': 'bag', 'samples [1]': '2500'}
+    assert recorder == {'bag': str(tmp_path / 'bag'), 'samples [1]': '2500'}
     assert model['hamiltonian'] == 'harmonic_oscillator' and model['coordinates'] == 'x'
     assert len(accuracy) > 2400
     labels = accuracy[-1].layout.dim[0].label.split(',')

@@ -153,7 +153,8 @@ def test_recording_is_started_and_stopped_by_service(folder):
             answer = other.trigger('start_recording')
             assert (answer.success, answer.message) == (True, str(folder / name))
             again = other.trigger('start_recording')
-            assert not again.success and 'already' in again.message
+            assert not again.success
+            assert again.message == f'{folder / name}: is being recorded already'
             count = len(other.states)
             other.spin_until(lambda: len(other.states) > count + 50)
             answer = other.trigger('stop_recording')
