@@ -150,7 +150,7 @@ def _run(name: str, module: str) -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         # Nothing is to interrupt the end, that of the interpreter included.
         signal.signal(number, signal.SIG_IGN)
-    sys.exit(_with_output(name, status, node=module.startswith('hnn_vi_ros.ros.')))
+    sys.exit(_with_output(name, status))
 
 
 def _call(name: str, module: str) -> int | str | None:
@@ -173,18 +173,20 @@ def _call(name: str, module: str) -> int | str | None:
         return 130
 
 
-def _with_output(name: str, status: int | str | None, node: bool) -> int | str | None:
+def _with_output(name: str, status: int | str | None) -> int | str | None:
     """
     Return the status to exit with when not all that was printed may have arrived.
 
-    Of a node, files and messages are what counts, and its status stays; of a tool, it is what it
-    prints. As other tools it says nothing of a reader that has seen enough: ``| head``.
+    Once a node runs, files and messages are what counts, and its status stays; of anything else,
+    help included, it is what it prints. As other tools it says nothing of a reader that has seen
+    enough: ``| head``.
     """
-    problem = lost_output()
+    problem, matters = lost_output()
     if problem is None or isinstance(status, str):
         return status
-    if isinstance(problem, BrokenPipeError) and not node:
+    if isinstance(problem, BrokenPipeError) and matters:
         return status or 128 + signal.SIGPIPE
     print(f'{name}: standard output: {problem.strerror}: what was printed is lost',
           file=sys.stderr)
-    return status if node else status or 1
+    # None of the statuses by which an executable tells what it found.
+    return status or os.EX_IOERR if matters else status

@@ -18,10 +18,13 @@ class _Lossy(io.FileIO):
     ----------
     problem : OSError or None
         Why something was lost.
+    matters : bool
+        Whether what is printed is what the process is for.
 
     """
 
     problem: OSError | None = None
+    matters = True
 
     def write(self, data: bytes) -> int | None:
         """Write, as long as that works."""
@@ -45,10 +48,17 @@ def guard_streams() -> None:
     sys.stdout, sys.stderr = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
 
 
-def lost_output() -> OSError | None:
-    """Return why something that was printed has not arrived; None if all has."""
+def spare_output() -> None:
+    """Note that the process is for messages or files, whatever becomes of what it prints."""
+    if isinstance(raw := getattr(getattr(sys.stdout, 'buffer', None), 'raw', None), _Lossy):
+        raw.matters = False
+
+
+def lost_output() -> tuple[OSError | None, bool]:
+    """Return why something that was printed has not arrived, None if all has; if it matters."""
     sys.stdout.flush()
-    return sys.stdout.buffer.raw.problem
+    raw = sys.stdout.buffer.raw
+    return raw.problem, raw.matters
 
 
 def _guarded(number: int, stream: TextIO | None) -> TextIO:

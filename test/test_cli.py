@@ -3,6 +3,7 @@
 """The executables: a missing package and an error of the user's are one line each."""
 
 from importlib import import_module
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -62,7 +63,7 @@ def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, pa
 
 
 @pytest.mark.parametrize('redirection, status, reason', [
-    ('>&-', 1, 'Bad file descriptor'), ('> /dev/full', 1, 'No space left on device'),
+    ('>&-', 74, 'Bad file descriptor'), ('> /dev/full', 74, 'No space left on device'),
     # As of any tool that a broken pipe has ended, and as quiet.
     ('> >(true)', 141, ''),
     ('2>&- > /dev/null', 0, ''), ('<&- > /dev/null', 0, '')])
@@ -76,6 +77,17 @@ def test_output_that_does_not_arrive_is_one_line_at_most(words, redirection, sta
     # On a busy machine the reader may be there still.
     assert result.returncode in ({141, 0} if status == 141 else {status})
     assert result.stderr.count('\n') == bool(reason) and reason in result.stderr
+
+
+@pytest.mark.parametrize('executable', EXECUTABLES)
+def test_help_that_does_not_arrive_has_the_status_of_lost_output(executable):
+    code = f'from hnn_vi_ros import cli; cli.{executable}()'
+    with open('/dev/full', 'w') as full:
+        result = subprocess.run([sys.executable, '-c', code, '--help'], stdout=full,
+                                stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    # None by which an executable tells what it found: of recover_bag, 1 is for lost messages.
+    assert result.returncode == os.EX_IOERR
+    assert result.stderr.count('\n') == 1 and result.stderr.startswith(f'{executable}: ')
 
 
 @pytest.mark.parametrize('executable', EXECUTABLES)

@@ -9,6 +9,7 @@ import signal
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.standard_streams import spare_output
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -49,6 +50,7 @@ def init_ros(argv: Sequence[str]) -> None:
         ROS does not understand its arguments; one line.
 
     """
+    spare_output()
     with plain_ros_errors('ROS'):
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
 
