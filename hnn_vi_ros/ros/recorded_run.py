@@ -102,11 +102,17 @@ class RecordedRun:
         self.first_step = self._count('first_step')
         self._nanoseconds = Fraction(repr(self.scene.step_size)) * 10**9
 
-    def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield stamp [ns], q and p of each sample from a log time on."""
+    def told(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+        """
+        Yield the stamp [ns] of each sample from a log time on, and what is told of it, by name.
+
+        That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
+        """
         if self.states:
             for state in map(self.state, self.reader.messages(self.states, first)):
-                yield state.stamp, state.q, state.p
+                yield state.stamp, {
+                    'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
+                    'H': np.array([state.energy]), 'work': np.array([state.work])}
             return
         # A bag of before ~/state: those of one log time belong together.
         names = {self._topics[f'{self.node}/{name}']: name for name in self._names}
@@ -116,7 +122,12 @@ class RecordedRun:
                 stamp, found = message.time, {}
             found[names[message.channel]] = message
             if len(found) == 2:
-                yield stamp, self._array(found['q']), self._array(found['p'])
+                yield stamp, {name: self._array(found[name]) for name in ('q', 'p')}
+
+    def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yield stamp [ns], q and p of each sample from a log time on."""
+        for stamp, told in self.told(first):
+            yield stamp, told['q'], told['p']
 
     @property
     def states(self) -> list[int]:

@@ -231,17 +231,22 @@ def find_type(name: str) -> type:
 def main(argv: list[str]) -> int:
     """Play or verify a bag, until its end or SIGINT or SIGTERM."""
     parser = arguments.replay()
-    options = parser.parse_args(own_arguments(argv))
+    words = own_arguments(argv)
+    options = parser.parse_args(words)
+    given = {item.name: item.check(value) for item in PARAMETERS
+             if (value := getattr(options, item.name)) is not None}
     if options.trust_code and not options.verify:
         parser.error('--trust-code: only --verify runs code')
     if options.verify:
+        if given or len(words) < len(argv):
+            unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
+            parser.error(f'--verify: publishes nothing, so that {unused} would be without effect; '
+                         'leave them out')
         # Imported here: who only plays does not wait for the compiler.
         from hnn_vi_ros.ros.verification import verify
         verdict = verify(options.bag, options.trust_code)
         print(verdict.text, flush=True)
         return 0 if verdict.good else 1
-    given = {item.name: item.check(value) for item in PARAMETERS
-             if (value := getattr(options, item.name)) is not None}
     init_ros(argv)
     received = note_signals()
     sys.setswitchinterval(THREAD_TURN)

@@ -39,16 +39,19 @@ class Difference(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """The largest difference, what round-off explains there, and the stamp [ns]."""
+    """The largest difference, what round-off explains there, the stamp [ns], and of what it is."""
 
     difference: float
     explained: float
     stamp: int
+    name: str
 
 
 def verify(bag: Path, trust_code: bool = False) -> Verdict:
     """
     Simulate what a bag tells of, from its scene and first state, and compare each sample.
+
+    Of a sample that is all that ~/state tells, or q and p of a bag of before ~/state.
 
     Parts of the bag that cannot be read, and samples that are missing from the even grid on which
     they come, are told, and then the log is not confirmed.
@@ -79,20 +82,21 @@ def verify(bag: Path, trust_code: bool = False) -> Verdict:
             else 'of a log that names neither machine nor versions'
     begin = simulation.steps
     samples, difference = _first_difference(run, simulation)
-    told, missing = f'{run.reader.path}: ', _missing(run, begin)
+    missing = _missing(run, begin)
+    told = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
+        f'{samples} samples agree bit by bit, {where}'
     if difference is None:
-        return Verdict(f'{told}q and p of {samples} samples agree bit by bit, {where}{missing}',
-                       bool(samples) and not missing)
+        return Verdict(f'{told}{missing}', bool(samples) and not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
     commands = '; the scene takes commands, and the log does not tell at which step any acted' \
         if simulation.takes_commands and not any(run.commands()) else ''
     return Verdict(
-        f'{told}q and p of {samples} samples agree bit by bit, {where}; then {difference.name} '
-        f'differs at t = {difference.stamp * 1e-9:.9g} s by {size:.3g}: {difference.recorded!r} '
-        f'in the log, {difference.simulated!r} now; the largest difference, '
-        f'{margin.difference:.3g} at t = {margin.stamp * 1e-9:.9g} s, is '
+        f'{told}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
+        f'{size:.3g}: {difference.recorded!r} in the log, {difference.simulated!r} now; the '
+        f'largest difference, {margin.difference:.3g} of {margin.name} at t = '
+        f'{margin.stamp * 1e-9:.9g} s, is '
         f'{"within" if within else "beyond"} what round-off explains, {margin.explained:.3g}'
         f'{commands}{missing}',
         within and bool(others) and not missing)
@@ -130,11 +134,11 @@ def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
 
 
 def _simulated(run: RecordedRun, *simulations: Simulation
-               ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Yield stamp, q and p of each sample, with the simulations advanced to it, as driven."""
+               ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """Yield stamp and values of each sample, with the simulations advanced to it, as driven."""
     commands = run.commands()
     command = next(commands, None)
-    for stamp, q, p in run.samples():
+    for stamp, told in run.told():
         step = run.step_of(stamp)
         # The state of a step is told before what it then hears, which acts on the steps after it.
         while command is not None and command[0] < step:
@@ -144,10 +148,16 @@ def _simulated(run: RecordedRun, *simulations: Simulation
             command = next(commands, None)
         for simulation in simulations:
             _advance(run, simulation, step)
-            if simulation.q.shape != q.shape or simulation.p.shape != p.shape:
+            if simulation.q.shape != told['q'].shape or simulation.p.shape != told['p'].shape:
                 raise RecordingError(f'{run.reader.path}: holds samples of another dimension '
                                      'than its scene')
-        yield stamp, q, p
+        yield stamp, told
+
+
+def _values(simulation: Simulation) -> dict[str, np.ndarray]:
+    """Return what a sample of the state would tell."""
+    return {'q': simulation.q, 'p': simulation.p, 'dp/dt': np.negative(simulation.dH_dq),
+            'H': np.array([simulation.energy]), 'work': np.array([simulation.work])}
 
 
 def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
@@ -169,25 +179,28 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
     """Return how many samples agree, and the first difference after them."""
     count = 0
     names = [coordinate.name for coordinate in simulation.hamiltonian.coordinates]
-    for stamp, q, p in _simulated(run, simulation):
-        for kind, recorded, simulated in (('q', q, simulation.q), ('p', p, simulation.p)):
+    for stamp, told in _simulated(run, simulation):
+        own = _values(simulation)
+        for kind, recorded in told.items():
             # By their bits: -0.0 is not 0.0.
-            different = np.flatnonzero(recorded.view(np.uint64) != np.ascontiguousarray(
-                simulated).view(np.uint64))
+            simulated = np.ascontiguousarray(own[kind])
+            different = np.flatnonzero(recorded.view(np.uint64) != simulated.view(np.uint64))
             if different.size:
                 i = different[0]
-                return count, Difference(stamp, f'{kind} of {names[i]}', float(recorded[i]),
-                                         float(simulated[i]))
+                name = kind if kind in ('H', 'work') else f'{kind} of {names[i]}'
+                return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
         count += 1
     return count, None
 
 
 def _margin(run: RecordedRun) -> Margin:
     """
-    Return the sample whose difference exceeds what round-off explains the most.
+    Return the value whose difference exceeds what round-off explains the most.
 
     Each step rounds; what it rounds is carried on like a change of the initial state, whose
-    growth a second simulation measures.
+    growth a second simulation measures. It changes H by at most that times the largest |dH/dq| +
+    |dH/dp|, the work as much as H or as in the second simulation, and dp/dt as much as there;
+    each of them is rounded by itself besides.
     """
     own = _simulation(run)
     try:
@@ -195,19 +208,32 @@ def _margin(run: RecordedRun) -> Margin:
     except ValueError:
         # A constraint does not let the state be moved; a growth is then not known.
         shaken = _simulation(run)
-    size = max(np.abs(own.q).max(), np.abs(own.p).max())
-    change, growth, worst = _SHAKE * size, 1.0, Margin(0.0, 0.0, 0)
-    for stamp, q, p in _simulated(run, own, shaken):
-        state = np.concatenate([own.q, own.p])
-        size = max(size, float(np.abs(state).max()))
-        moved = np.abs(np.concatenate([shaken.q, shaken.p]) - state).max()
-        growth = max(growth, float(moved) / change)
-        difference = float(np.abs(np.concatenate([q, p]) - state).max())
-        steps = own.steps - run.first_step
-        explained = _PLACES * _EPSILON * size * steps * growth
-        if np.isnan(difference):
-            # The log holds what is no number: round-off explains none.
-            return Margin(difference, explained, stamp)
-        if difference * worst.explained >= worst.difference * explained:
-            worst = Margin(difference, explained, stamp)
+    change = _SHAKE * max(np.abs(own.q).max(), np.abs(own.p).max())
+    sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
+    growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
+    for stamp, told in _simulated(run, own, shaken):
+        here, there = _values(own), _values(shaken)
+        for kind in here:
+            sizes[kind] = max(sizes[kind], _largest(here[kind]))
+            growths[kind] = max(growths[kind], _largest(there[kind] - here[kind]) / change)
+        growth = max(growth, growths['q'], growths['p'])
+        slope = max(slope, float(np.abs(own.dH_dq).sum() + np.abs(own.dH_dp).sum()))
+        rounded = _PLACES * _EPSILON * max(sizes['q'], sizes['p']) * (own.steps - run.first_step)
+        carried = {'q': growth, 'p': growth, 'dp/dt': growths['dp/dt'], 'H': growth * slope,
+                   'work': growth * slope + growths['work']}
+        for kind, recorded in told.items():
+            difference = _largest(recorded - here[kind])
+            explained = rounded * carried[kind]
+            if kind not in ('q', 'p'):
+                explained += _PLACES * _EPSILON * sizes[kind]
+            found = Margin(difference, explained, stamp, kind)
+            if np.isnan(difference):
+                # The log holds what is no number: round-off explains none.
+                return found
+            if difference and difference * worst.explained >= worst.difference * explained:
+                worst = found
     return worst
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.abs(values).max())

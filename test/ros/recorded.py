@@ -28,11 +28,11 @@ EPOCH = 1_700_000_000 * 10**9
 
 
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
-               change: Callable[[Sample], None] = lambda sample: None, close: bool = True,
+               change: Callable[[Sample], Sample] = lambda sample: sample, close: bool = True,
                commands: Mapping[int, Sequence[list[float]]] | None = None, begin: int = 0,
                state: bool = True, **described: object) -> Path:
     """
-    Record a run; `change` may alter a sample before it is recorded.
+    Record a run; `change` returns what is recorded in place of a sample.
 
     Of each step, `commands` are what is heard before it; the bag may begin at a later one. It is
     one of before ~/state without `state`.
@@ -55,8 +55,7 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                                  serialize(Float64MultiArray(data=values)))
         simulation.advance(1)
         if simulation.steps % sampler.every == 0 and sink is not None:
-            sample = sampler.sample()
-            change(sample)
+            sample = change(sampler.sample())
             sink.write(sample.stamp, encoder.encode(sample)[0 if state else 1:])
     sink.close() if close else sink.flush()
     return bag

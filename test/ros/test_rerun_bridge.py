@@ -44,7 +44,7 @@ def to_file(path: Path) -> list[str]:
 def test_bridge_shows_the_very_samples_of_a_bag(tmp_path, kind):
     samples = {}
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300,
-                     change=lambda sample: samples.update({sample.step: sample}),
+                     change=lambda sample: samples.setdefault(sample.step, sample),
                      state=kind != 'before ~/state')
     if kind == 'of another recorder':
         bag = as_received(bag, tmp_path / 'a.mcap')

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag against its own run simulated again, and a run that goes on from a bag."""
 
+from dataclasses import replace
 from pathlib import Path
 import signal
 
@@ -156,6 +157,7 @@ def shift(stamp: int, size: float):
     def change(sample):
         if sample.stamp >= stamp:
             sample.q[-1] += size * max(1.0, abs(sample.q[-1]))
+        return sample
     return change
 
 
@@ -184,6 +186,31 @@ def test_difference_elsewhere_is_good_within_round_off_alone(tmp_path, elsewhere
     assert verdict.good == within
     assert ('is within' if within else 'is beyond') in verdict.text
     assert f'processor is {identity()["processor"]}' in verdict.text
+
+
+@pytest.mark.parametrize('name, change', [
+    ('H', lambda sample: replace(sample, energy=np.nextafter(sample.energy, 9.0))),
+    ('work', lambda sample: replace(sample, work=np.nextafter(sample.work, 9.0))),
+    ('dp/dt of angle', lambda sample: replace(sample, dH_dq=np.nextafter(sample.dH_dq, 9.0)))])
+def test_change_of_the_last_bit_of_what_the_state_tells_beside_q_and_p_is_named(
+        tmp_path, name, change):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_damped_driven_pendulum'), 20,
+                     change=lambda sample: change(sample) if sample.stamp == 10**8 else sample)
+    verdict = verify(bag)
+    assert not verdict.good
+    assert ' 9 samples agree bit by bit, on' in verdict.text
+    assert f'then {name} differs at t = 0.1 s by ' in verdict.text
+
+
+@pytest.mark.parametrize('scene', ['exact_damped_driven_pendulum', 'exact_double_pendulum'])
+@pytest.mark.parametrize('name', ['energy', 'work', 'dH_dq'])
+def test_energy_work_and_force_are_good_elsewhere_within_round_off_alone(
+        tmp_path, elsewhere, scene, name):
+    for size, within in ((1e-14, True), (1e-7, False)):
+        bag = record_run(tmp_path / f'bag{within}', load_scene(scene), 20, change=lambda sample:
+                         replace(sample, **{name: getattr(sample, name) + size}))
+        verdict = verify(bag)
+        assert verdict.good == within, verdict.text
 
 
 def test_sample_that_is_no_number_is_not_explained_by_round_off(tmp_path, elsewhere):
@@ -299,3 +326,12 @@ def test_verify_option_tells_the_verdict_and_its_status(tmp_path):
     status, out, error = finish(start_executable('replay', bag, '--verify'), 120.0)
     assert (status, error) == (0, '')
     assert '20 samples agree bit by bit' in out
+
+
+@pytest.mark.parametrize('words', [
+    ['--rate', '2'], ['--loop'], ['--publish-clock'], ['--ros-args', '-p', 'rate:=2.0']])
+def test_verify_option_refuses_what_only_playing_heeds(tmp_path, words):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5)
+    status, out, error = finish(start_executable('replay', bag, '--verify', *words))
+    assert (status, out, error.count('\n')) == (2, '', 1)
+    assert (words[0] if words[0] != '--ros-args' else 'ROS arguments') in error
