@@ -43,23 +43,23 @@ class Fault:
 
 FAULTS = [
     Fault('implicit solve stopped after three iterations', 'integrators/solvers.py',
-          (('    if residual <= _EPS or (residual <= max(8, x.size) * _EPS\n'
-            '                            and (residual >= previous or is_last)):\n',
-            '    if is_last:\n'),
+          (('    if stage == OWN and residual > bound and not is_last:\n', '    if is_last:\n'
+            '        return OK, residual, stage\n'
+            '    if stage == OWN and residual > bound and not is_last:\n'),
            ('    for k in range(1, max_iterations + 1):\n'
-            '        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect,'
+            '        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,'
             ' previous,\n'
-            '                                   k == max_iterations)\n'
+            '                                         stage, k == max_iterations)\n'
             '        if outcome != _GO_ON:\n'
             '            return outcome, residual, k\n'
-            '        if _is_hopeless(k, residual, previous):\n',
+            '        if stage == COMMON and _is_hopeless(k, residual, previous):\n',
             '    for k in range(1, 4):\n'
-            '        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect,'
+            '        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,'
             ' previous,\n'
-            '                                   k == 3)\n'
+            '                                         stage, k == 3)\n'
             '        if outcome != _GO_ON:\n'
             '            return outcome, residual, k\n'
-            '        if _is_hopeless(k, residual, previous):\n')),
+            '        if stage == COMMON and _is_hopeless(k, residual, previous):\n')),
           'verification/test_symplecticity.py', 'own_two_form and tao and variational_euler'),
     Fault('composition with its factors swapped', 'integrators/composition.py',
           (('fractions = (_w, 1.0 - 2.0 * _w, _w)', 'fractions = (1.0 - 2.0 * _w, _w, _w)'),),

@@ -2,12 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The chain of solvers: what each link does, and that the chain ends in a typed failure."""
 
+from functools import cached_property
+
 from helpers import EPS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Memory, OK
-from hnn_vi_ros.integrators.solvers import anderson, fixed_point, newton, secant
+from hnn_vi_ros.integrators.arithmetic import copy_point
+from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.newton import newton
+from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
@@ -31,6 +37,7 @@ def solve_affine(solve, norm: float, n: int):
     right = rng.normal(size=n)
     memory, x = Memory.empty(n), right.copy()
     memory.scale[:] = np.abs(np.linalg.solve(np.eye(n) - matrix, right)).max()
+    memory.own_scale[:] = memory.scale
     result = solve(affine, affine_tangent, (matrix, right), x, memory, 100)
     return result, np.abs(matrix @ x + right - x).max() / memory.scale[0]
 
@@ -59,7 +66,7 @@ def test_fixed_point_does_not_pass_on_an_iterate_that_has_not_converged(solve):
         value[0], value[1] = 1.0 - 3.0 * x[1] ** 3, 1.0 + 3.0 * x[0] ** 3
 
     memory, x = Memory.empty(2), np.array([0.4, -0.3])
-    memory.scale[:] = 1.0
+    memory.scale[:] = memory.own_scale[:] = 1.0
     outcome, residual, _ = solve(rotation, None, None, x, memory, 100)
     assert outcome != OK
     assert not residual <= 8 * EPS
@@ -116,3 +123,51 @@ def test_angle_of_many_turns_neither_fails_nor_changes_the_energy_band(name):
         assert simulation.rescued == 0
     # Rounding moves the energy by about 50 N m times 1e-10 a step, at random: sqrt(5000) of that.
     assert bands[1] == pytest.approx(bands[0], abs=1e-6)
+
+
+class TwoOfDifferentSizes(Hamiltonian):
+    """
+    The sum of two of Tao's Hamiltonians that do not act on each other, p scaled by R and 1 / R.
+
+    Parameters
+    ----------
+    ratio : float
+        R.
+
+    """
+
+    coordinates, separable = (Coordinate('large'), Coordinate('small')), False
+
+    def __init__(self, ratio: float):
+        self._ratio = ratio
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        def gradient(sizes, q, p, dH_dq, dH_dp):
+            for i in range(q.size):
+                size = sizes[i % 2]
+                y = p[i] / size
+                dH_dq[i], dH_dp[i] = size * q[i] * (y * y + 1.0), (q[i] * q[i] + 1.0) * y
+
+        return Kernel(None, gradient, None, (self._ratio, 1.0 / self._ratio), 2, (0.0, 0.0), False)
+
+
+@pytest.mark.parametrize('name', ['variational_euler', 'generalized_leapfrog',
+                                  'implicit_midpoint', 'gauss4'])
+def test_round_off_of_a_small_momentum_is_relative_to_itself(name):
+    """R is a power of two: alone, the small system takes the same steps at any R."""
+    def small(ratio: float) -> np.ndarray:
+        z, z1 = Point.empty(2), Point.empty(2)
+        z.q[:], z.p[:] = [0.7, 1.0], [0.2 * ratio, -0.5 / ratio]
+        kernel, method = TwoOfDifferentSizes(ratio).kernel, INTEGRATORS[name]()
+        memory = method.memory(2)
+        kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+        for _ in range(100):
+            outcome, _, _ = method.step(kernel, 0.05, method.options(dimension=2), z, z1,
+                                        memory)
+            assert outcome == OK
+            copy_point(z1, z)
+        return np.array([z.q[1], z.p[1] * ratio])
+
+    # Residuals of at most 8 eps a step; relative to the large momentum 2^40 times that.
+    assert small(2.0 ** 20) == pytest.approx(small(1.0), abs=100 * 8 * EPS)

@@ -56,12 +56,14 @@ class Memory(NamedTuple):
         How many earlier solutions ``increments`` holds.
     increments : np.ndarray, shape (3, N)
         Earlier solutions less their starting points, the newest first.
-    scale : np.ndarray, shape (N,)
-        Size of each unknown, to which residuals are relative.
+    scale, own_scale : np.ndarray, shape (N,)
+        Sizes to which residuals are relative: of the largest unknown of its kind, and its own.
     unknowns, base : np.ndarray, shape (N,)
         For methods whose unknowns or starting point are not arrays of the new point.
-    start, newton : np.ndarray, shape (N,)
-        The first guess, and a Newton step.
+    accepted : np.ndarray, shape (N,)
+        The last iterate that was good enough.
+    newton : np.ndarray, shape (N,)
+        A Newton step.
     values, residuals, basis : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their residuals, by Anderson's method.
     triangle : np.ndarray, shape (4, 4)
@@ -74,9 +76,10 @@ class Memory(NamedTuple):
     count: np.ndarray
     increments: np.ndarray
     scale: np.ndarray
+    own_scale: np.ndarray
     unknowns: np.ndarray
     base: np.ndarray
-    start: np.ndarray
+    accepted: np.ndarray
     newton: np.ndarray
     values: np.ndarray
     residuals: np.ndarray
@@ -88,7 +91,7 @@ class Memory(NamedTuple):
     def empty(cls, n: int, largest_matrix: int = 512, dtype: type = np.float64) -> 'Memory':
         """Return the memory of an equation of n unknowns before its first solution."""
         side = n if n <= largest_matrix else 0
-        shapes = [(3, n), *[(n,)] * 5, *[(4, n)] * 3, (4, 4), (side, side)]
+        shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side)]
         return cls(np.zeros(1, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes])
 
 

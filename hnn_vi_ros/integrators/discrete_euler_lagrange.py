@@ -115,15 +115,16 @@ class DiscreteEulerLagrange(Integrator):
         (discrete_lagrangian,) = options
         q1 = z.q + h * z.dH_dp
         previous = np.inf
-        scale = max(np.abs(z.p).max(), h * np.abs(z.dH_dq).max())
+        scale = np.maximum(np.abs(z.p), h * np.abs(z.dH_dq))
         for iteration in range(1, _ITERATIONS + 1):
             d1, d2, mixed = _derivatives(discrete_lagrangian, z.q, q1, h)
             defect = z.p + d1
             if not np.isfinite(defect).all():
                 return NOT_FINITE, np.inf, iteration
             # The rounding of D_1 L_d is that of terms of size D_2 D_1 L_d times q.
-            size = max(scale, np.abs(mixed).max() * np.abs(q1).max())
-            residual = np.abs(defect).max() / size if size > 0.0 else 0.0
+            size = np.maximum(scale, np.abs(mixed) @ np.abs(q1))
+            residual = np.abs(np.divide(defect, size, where=size > 0.0,
+                                        out=np.zeros_like(defect))).max()
             if residual <= _EPS or (residual >= previous
                                     and residual <= max(8, q1.size) * _EPS):
                 z1.q[:], z1.p[:] = q1, d2

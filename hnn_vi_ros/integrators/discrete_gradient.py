@@ -9,7 +9,8 @@ from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import difference, extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 import numpy as np
 
 
@@ -62,6 +63,8 @@ class DiscreteGradient(ImplicitIntegrator):
             store.base[i], store.base[n + i] = z.q[i], z.p[i]
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
         _set_scale(store.scale, kernel, h, z)
+        # The rounding of H, of all coordinates together, enters the equation of each.
+        store.own_scale[:] = store.scale
         if options.extrapolate:
             extrapolate(store, store.base, x)
         problem = _Problem(kernel, h, z, store.basis[3], z1.dH_dq, z1.dH_dp, store.scale,

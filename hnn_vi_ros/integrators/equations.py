@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.integrators.arithmetic import largest, plus
+from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, OK
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 import numpy as np
@@ -62,7 +62,7 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
     """
     for i in range(p.size):
         p1[i] = p[i] - h * guess[i]
-    set_scale(memory.scale, p, guess, h, kernel, 0)
+    set_scale(memory.scale, memory.own_scale, p, guess, h, kernel, 0)
     if options.extrapolate:
         extrapolate(memory, p, p1)
     problem = _Problem(kernel, -h, q, p, p_carry, p1_carry, dH_dq1, dH_dp1,
@@ -102,7 +102,7 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
     """
     for i in range(q.size):
         q1[i] = q[i] + h * guess[i]
-    set_scale(memory.scale, q, guess, h, kernel, 1)
+    set_scale(memory.scale, memory.own_scale, q, guess, h, kernel, 1)
     if options.extrapolate:
         extrapolate(memory, q, q1)
     problem = _Problem(kernel, h, p, q, q_carry, q1_carry, dH_dq1, dH_dp1,
@@ -116,15 +116,17 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
 
 
 @inlined
-def set_scale(scale: np.ndarray, base: np.ndarray, slope: np.ndarray, h: float, kernel: Kernel,
-              which: int) -> None:
+def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope: np.ndarray,
+              h: float, kernel: Kernel, which: int) -> None:
     """
-    Set the scale of each unknown to that of its trajectory: state, change, and rounding.
+    Set the scale of each unknown, and of its trajectory: state, change, and rounding.
 
     Parameters
     ----------
-    scale, base, slope : np.ndarray, shape (n,)
-        Filled; the old state and how it changes.
+    scale, own_scale : np.ndarray, shape (n,)
+        Filled: for the largest unknown of the trajectory, and for each by itself.
+    base, slope : np.ndarray, shape (n,)
+        The old state and how it changes.
     h : float
         Step size, or a part of it [s].
     kernel : Kernel
@@ -136,17 +138,20 @@ def set_scale(scale: np.ndarray, base: np.ndarray, slope: np.ndarray, h: float, 
     for start in range(0, base.size, kernel.dimension):
         end = start + kernel.dimension
         middle = end - kernel.channels
-        size = max(largest(base[start:middle]), abs(h) * largest(slope[start:middle]),
-                   abs(h) * kernel.gradient_scale[which])
-        if 0.0 < size < _LEAST_SCALE:
-            # What friction has brought to rest decays until its digits run out.
-            size = _LEAST_SCALE
+        rounding, size = abs(h) * kernel.gradient_scale[which], 0.0
+        for i in range(start, middle):
+            own = max(abs(base[i]), abs(h) * abs(slope[i]), rounding)
+            if 0.0 < own < _LEAST_SCALE:
+                # What friction has brought to rest decays until its digits run out.
+                own = _LEAST_SCALE
+            own_scale[i], size = own, max(size, own)
         for i in range(start, middle):
             scale[i] = size
         for i in range(middle, end):
             # A channel's time is known; its integral does not act back, so its residual does
             # not count.
             scale[i] = abs(h) if which == 1 else np.inf
+            own_scale[i] = scale[i]
 
 
 @inlined

@@ -116,9 +116,12 @@ class Gauss(ImplicitIntegrator):
         """Take one step; see Integrator."""
         store, n, s = memory[0], z.q.size, options.weights.size
         x, slopes = store.unknowns, store.increments[0]
-        for j in range(s):
-            set_scale(store.scale[j * n:(j + 1) * n], z.q, z.dH_dp, h, kernel, 1)
-            set_scale(store.scale[(s + j) * n:(s + j + 1) * n], z.p, z.dH_dq, h, kernel, 0)
+        scale, own = store.scale, store.own_scale
+        set_scale(scale[:n], own[:n], z.q, z.dH_dp, h, kernel, 1)
+        set_scale(scale[s * n:(s + 1) * n], own[s * n:(s + 1) * n], z.p, z.dH_dq, h, kernel, 0)
+        for i in range(n, s * n):
+            scale[i], own[i] = scale[i - n], own[i - n]
+            scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
         _start(options, store, slopes, z, h, x)
         # The slopes H_q and H_p at the stages stay in the memory for the next start.
         problem = _Problem(kernel, h, options.matrix, z, x[:s * n], x[s * n:],

@@ -3,8 +3,8 @@
 """What the methods that solve an equation in each step have in common."""
 
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.solvers import (
-    anderson, fixed_point, newton, secant, SolverOptions)
+from hnn_vi_ros.integrators.newton import newton
+from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
 
 SOLVERS = ('chain', 'fixed_point')
 _NEWTON_ITERATIONS = 15

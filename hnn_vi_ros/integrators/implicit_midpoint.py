@@ -55,8 +55,8 @@ class ImplicitMidpoint(ImplicitIntegrator):
             store.base[i], store.base[n + i] = z.q[i], z.p[i]
             y[i] = z.q[i] + 0.5 * h * z.dH_dp[i]
             y[n + i] = z.p[i] - 0.5 * h * z.dH_dq[i]
-        set_scale(store.scale[:n], z.q, z.dH_dp, h, kernel, 1)
-        set_scale(store.scale[n:], z.p, z.dH_dq, h, kernel, 0)
+        set_scale(store.scale[:n], store.own_scale[:n], z.q, z.dH_dp, h, kernel, 1)
+        set_scale(store.scale[n:], store.own_scale[n:], z.p, z.dH_dq, h, kernel, 0)
         if options.extrapolate:
             extrapolate(store, store.base, y)
         problem = _Problem(kernel, 0.5 * h, z, z1.dH_dq, z1.dH_dp)

@@ -7,12 +7,15 @@ Each method states its equation as two functions: ``equation(problem, x, value)`
 ``tangent(problem, x, v, product)`` fills G'(x) v; ``problem`` holds whatever they need.
 
 Every solver has the signature ``(equation, tangent, problem, x, memory, max_iterations)``. On
-entry x is a first guess, on return the solution; ``memory.scale`` is read. It returns an outcome,
-the largest relative residual [1] and the number of evaluations of G and of G' v.
+entry x is a first guess, on return the solution; the scales of ``memory`` are read. It returns an
+outcome, the largest relative residual [1] and the number of evaluations of G and of G' v.
 
-Iterates stop when the residual G(x) - x, relative to the scale, is at most eps, or has stopped
-shrinking at no more than max(8, N) eps. G was then evaluated last at the very x that is returned,
-so that what it left in ``problem`` belongs to x.
+Iterates are accepted when the residual G(x) - x, relative to the largest unknown of its kind, is
+at most eps, or has stopped shrinking at no more than max(8, N) eps. An unknown that is much
+smaller may then still be wrong in most of its digits: iterates go on while the residual, relative
+to each unknown's own scale, is above max(8, N) eps and at least halves. It need not get there, as
+where the terms of large unknowns cancel. G was then evaluated last at the very x that is
+returned, so that what it left in ``problem`` belongs to x.
 """
 
 from collections.abc import Callable
@@ -21,14 +24,14 @@ from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NOT_FINITE, OK
-from hnn_vi_ros.linear_algebra import solve_linear
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Of a central difference, relative to what it is about.
-_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _DEPTH = 3
-_GO_ON = -1
+GO_ON = -1
+# What a residual is relative to: at first the scale of the largest unknown, then each one's own;
+# or an iterate that was good enough is gone back to.
+COMMON, OWN, BACK = 0, 1, 2
 
 
 class SolverOptions(NamedTuple):
@@ -55,12 +58,13 @@ class SolverOptions(NamedTuple):
 def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
                 memory: Memory, max_iterations: int) -> tuple[int, float, int]:
     """Iterate x = G(x), as the paper does; see the module."""
-    previous, residual = math.inf, math.inf
+    sizes = memory.scale, memory.own_scale, memory.accepted
+    previous, residual, stage = math.inf, math.inf, COMMON
     value, defect = memory.values[0], memory.residuals[0]
     for k in range(1, max_iterations + 1):
-        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect, previous,
-                                   k == max_iterations)
-        if outcome != _GO_ON:
+        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
+                                         stage, k == max_iterations)
+        if outcome != GO_ON:
             return outcome, residual, k
         previous = residual
         if k < max_iterations:
@@ -72,15 +76,17 @@ def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: n
 def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
            memory: Memory, max_iterations: int) -> tuple[int, float, int]:
     """Solve unknowns that do not depend on each other by the secant method; see the module."""
-    previous, residual = math.inf, math.inf
+    # No rounding of one enters the equation of another.
+    sizes = memory.own_scale, memory.own_scale, memory.accepted
+    previous, residual, stage = math.inf, math.inf, COMMON
     value, defect = memory.values[0], memory.residuals[0]
     old_value, old_defect = memory.values[1], memory.residuals[1]
     for k in range(1, max_iterations + 1):
-        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect, previous,
-                                   k == max_iterations)
-        if outcome != _GO_ON:
+        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
+                                         stage, k == max_iterations)
+        if outcome != GO_ON:
             return outcome, residual, k
-        if _is_hopeless(k, residual, previous):
+        if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
         previous = residual
         if k == max_iterations:
@@ -106,82 +112,26 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     (2011).
 
     """
-    previous, residual, rows = math.inf, math.inf, _DEPTH + 1
+    sizes = memory.scale, memory.own_scale, memory.accepted
+    previous, residual, stage = math.inf, math.inf, COMMON
+    rows, origin, old_stage = _DEPTH + 1, 1, COMMON
     for k in range(1, max_iterations + 1):
         value, defect = memory.values[k % rows], memory.residuals[k % rows]
-        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect, previous,
-                                   k == max_iterations)
-        if outcome != _GO_ON:
+        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
+                                         stage, k == max_iterations)
+        if outcome != GO_ON:
             return outcome, residual, k
-        if _is_hopeless(k, residual, previous):
+        if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
         previous = residual
+        if stage != old_stage:
+            # Residuals relative to something else are not to be combined with these.
+            origin, old_stage = k, stage
         if k < max_iterations:
-            depth = min(k - 1, x.size, _DEPTH)
+            depth = min(k - origin, x.size, _DEPTH)
             used = _project(memory, k, defect, depth)
             _combine(memory, k, value, used, x)
     return NO_CONVERGENCE, residual, max_iterations
-
-
-@inlined
-def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           memory: Memory, max_iterations: int) -> tuple[int, float, int]:
-    """
-    Iterate (I - G'(x)) step = G(x) - x, the matrix built column by column; see the module.
-
-    x_j is rounded to eps abs(x_j), and so G_i is known to eps sum_j abs(G'_ij x_j) at best: the
-    scale of an unknown is that sum where it is larger, as for the momenta beside an angle that
-    has turned over many times.
-    """
-    n = x.size
-    value, defect, unit = memory.values[0], memory.residuals[0], memory.values[1]
-    column, step = memory.values[2], memory.residuals[1]
-    previous, residual, evaluations = math.inf, math.inf, 0
-    for k in range(1, max_iterations + 1):
-        outcome, residual = _judge(equation, problem, x, memory.scale, value, defect, previous,
-                                   k == max_iterations)
-        evaluations += 1
-        if outcome != _GO_ON:
-            return outcome, residual, evaluations
-        if k == max_iterations or memory.matrix.shape[0] != n:
-            break
-        previous = residual
-        known = memory.residuals[2]
-        known[:] = 0.0
-        for j in range(n):
-            unit[:] = 0.0
-            unit[j] = 1.0
-            tangent(problem, x, unit, column)
-            for i in range(n):
-                memory.matrix[i, j] = unit[i] - column[i]
-                known[i] += abs(column[i] * x[j])
-            step[j] = value[j] - x[j]
-        for i in range(n):
-            memory.scale[i] = max(memory.scale[i], known[i])
-        evaluations += n
-        if not solve_linear(memory.matrix, step):
-            break
-        for i in range(n):
-            x[i] += step[i]
-    return NO_CONVERGENCE, residual, evaluations
-
-
-@inlined
-def difference(equation: Callable, problem: NamedTuple, x: np.ndarray, v: np.ndarray,
-               product: np.ndarray) -> None:
-    """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
-    size = 0.0
-    for i in range(x.size):
-        size = max(size, abs(v[i]) * problem.scale[i])
-    spacing = _SPACING * (size if size > 0.0 else 1.0)
-    for i in range(x.size):
-        problem.ahead[i] = x[i] + spacing * v[i]
-    equation(problem, problem.ahead, product)
-    for i in range(x.size):
-        problem.ahead[i] = x[i] - spacing * v[i]
-    equation(problem, problem.ahead, problem.behind)
-    for i in range(x.size):
-        product[i] = (product[i] - problem.behind[i]) / (2.0 * spacing)
 
 
 @inlined
@@ -227,18 +177,32 @@ def _residual(value: np.ndarray, x: np.ndarray, scale: np.ndarray, defect: np.nd
 
 
 @inlined
-def _judge(equation: Callable, problem: NamedTuple, x: np.ndarray, scale: np.ndarray,
-           value: np.ndarray, defect: np.ndarray, previous: float, is_last: bool
-           ) -> tuple[int, float]:
-    """Evaluate G at x; say whether x is good enough, not finite, or to be improved."""
+def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
+          sizes: tuple[np.ndarray, np.ndarray, np.ndarray], value: np.ndarray,
+          defect: np.ndarray, previous: float, stage: int, is_last: bool
+          ) -> tuple[int, float, int]:
+    """Evaluate G at x; say whether x is good enough, not finite, or to be improved, and how."""
+    scale, own_scale, accepted = sizes
     equation(problem, x, value)
-    residual = _residual(value, x, scale, defect)
+    residual, bound = _residual(value, x, scale, defect), max(8, x.size) * _EPS
     if not math.isfinite(residual):
-        return NOT_FINITE, residual
-    if residual <= _EPS or (residual <= max(8, x.size) * _EPS
-                            and (residual >= previous or is_last)):
-        return OK, residual
-    return _GO_ON, residual
+        return NOT_FINITE, residual, stage
+    if stage == OWN and residual > bound and not is_last:
+        # What has led away from an iterate that was good enough is rounding: back to it.
+        for i in range(x.size):
+            value[i], defect[i] = accepted[i], 0.0
+        return GO_ON, residual, BACK
+    if stage == BACK:
+        return OK, residual, stage
+    if stage == COMMON and not (residual <= _EPS or (
+            residual <= bound and (residual >= previous or is_last))):
+        return GO_ON, residual, stage
+    own = _residual(value, x, own_scale, defect)
+    if own <= bound or is_last or (stage == OWN and own > 0.5 * previous):
+        return OK, residual, stage
+    for i in range(x.size):
+        accepted[i] = x[i]
+    return GO_ON, own, OWN
 
 
 @inlined

@@ -113,7 +113,7 @@ def _transform(base_step: Callable) -> Callable:
         at = Point(store.basis[0], store.basis[1], store.basis[2], store.basis[3],
                    store.residuals[2], store.residuals[3])
         after = Point(store.increments[0], store.increments[1], store.increments[2],
-                      store.unknowns, store.base, store.start)
+                      store.unknowns, store.base, store.accepted)
         # H_0, and how far the state is ahead of the clock, with what was rounded off that.
         kept = store.triangle[0]
         fresh = store.count[0] == 0

@@ -11,7 +11,8 @@ from hnn_vi_ros.hamiltonians.symplectic_form import raise_index, slope
 from hnn_vi_ros.integrators.arithmetic import largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import difference, extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 import numpy as np
 
 
@@ -90,6 +91,8 @@ class VariationalMidpoint(ImplicitIntegrator):
             store.base[i], store.base[n + i] = z.q[i], z.p[i]
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
         _set_scale(store.scale, kernel, h, z)
+        # The rounding of H, of all coordinates together, enters the equation of each.
+        store.own_scale[:] = store.scale
         if options.extrapolate:
             extrapolate(store, store.base, x)
         problem = _Problem(kernel, h, z, store.basis[3], rates, store.scale, store.values[3],

@@ -1,0 +1,97 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Newton's method for the implicit equation x = G(x) of a step; see solvers."""
+
+from collections.abc import Callable
+import math
+from typing import NamedTuple
+
+from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
+from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge
+from hnn_vi_ros.linear_algebra import solve_linear
+import numpy as np
+
+# Of a central difference, relative to what it is about.
+_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+
+
+@inlined
+def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
+           memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+    """
+    Iterate (I - G'(x)) step = G(x) - x, the matrix built column by column; see the module.
+
+    x_j is rounded to eps abs(x_j), and so G_i is known to eps sum_j abs(G'_ij x_j) at best: the
+    scale of an unknown is that sum where it is larger, as for the momenta beside an angle that
+    has turned over many times. The scale of the largest of a kind is so for all of them: terms
+    may cancel in the sum that do not in H.
+    """
+    n = x.size
+    value, defect, unit = memory.values[0], memory.residuals[0], memory.values[1]
+    column, step = memory.values[2], memory.residuals[1]
+    sizes = memory.scale, memory.own_scale, memory.accepted
+    previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
+    for k in range(1, max_iterations + 1):
+        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
+                                         stage, k == max_iterations)
+        evaluations += 1
+        if outcome != GO_ON:
+            return outcome, residual, evaluations
+        if k == max_iterations or memory.matrix.shape[0] != n:
+            break
+        if stage == BACK:
+            x[:] = value
+            continue
+        previous = residual
+        known = memory.residuals[2]
+        known[:] = 0.0
+        for j in range(n):
+            unit[:] = 0.0
+            unit[j] = 1.0
+            tangent(problem, x, unit, column)
+            for i in range(n):
+                memory.matrix[i, j] = unit[i] - column[i]
+                known[i] += abs(column[i] * x[j])
+            step[j] = value[j] - x[j]
+        _raise_scales(memory.scale, memory.own_scale, known)
+        evaluations += n
+        if not solve_linear(memory.matrix, step):
+            break
+        for i in range(n):
+            x[i] += step[i]
+    return NO_CONVERGENCE, residual, evaluations
+
+
+@inlined
+def _raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
+    """Raise each own scale to what the equation is known to, and the others to the largest."""
+    for i in range(scale.size):
+        own_scale[i] = max(own_scale[i], known[i])
+    for i in range(scale.size):
+        # Unknowns of one kind and trajectory share a scale.
+        size = scale[i]
+        for j in range(scale.size):
+            if scale[j] == scale[i]:
+                size = max(size, own_scale[j])
+        known[i] = size
+    for i in range(scale.size):
+        scale[i] = known[i]
+
+
+@inlined
+def difference(equation: Callable, problem: NamedTuple, x: np.ndarray, v: np.ndarray,
+               product: np.ndarray) -> None:
+    """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
+    size = 0.0
+    for i in range(x.size):
+        size = max(size, abs(v[i]) * problem.scale[i])
+    spacing = _SPACING * (size if size > 0.0 else 1.0)
+    for i in range(x.size):
+        problem.ahead[i] = x[i] + spacing * v[i]
+    equation(problem, problem.ahead, product)
+    for i in range(x.size):
+        problem.ahead[i] = x[i] - spacing * v[i]
+    equation(problem, problem.ahead, problem.behind)
+    for i in range(x.size):
+        product[i] = (product[i] - problem.behind[i]) / (2.0 * spacing)
