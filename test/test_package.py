@@ -128,7 +128,7 @@ def test_every_executable_names_a_function_of_cli():
 def test_file_is_short_licensed_and_free_of_machine_paths(path):
     text = path.read_text()
     lines = text.splitlines()
-    assert len(lines) <= 300 or path in TEST_FILES
+    assert len(lines) <= 400 or path in TEST_FILES
     assert lines[0] == '# Copyright 2026 The hnn_vi_ros Authors'
     assert lines[1] == '# SPDX-License-Identifier: Apache-2.0'
     assert not re.search(r'["\'\s]/(?:home|root|Users|work|tmp)/', text)

@@ -114,7 +114,7 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
         while not discovery.over:
             begin('waiting for subscribers')
             time.sleep(DISCOVERY_PERIOD)
-    # Here, since it takes a while: from now on there are files, which are to hold all that follows.
+    # Here, since it takes a while: from now on there are files, to hold all that follows.
     freeze_memory()
     begin(OPENING)
     recording = Recording(
