@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """States between the steps of a simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -155,8 +155,8 @@ def whole_steps(time: float, step_size: float) -> tuple[int, float]:
     return int(steps), steps - int(steps)
 
 
-def record_at(simulation: 'Simulation', times: Sequence[float]
-              ) -> tuple[np.ndarray, np.ndarray]:
+def record_at(simulation: 'Simulation', times: Sequence[float],
+              on_sample: Callable[[], None] = lambda: None) -> tuple[np.ndarray, np.ndarray]:
     """
     Advance a simulation to the last of some times, and return its states at all of them.
 
@@ -166,6 +166,8 @@ def record_at(simulation: 'Simulation', times: Sequence[float]
         At a time that is none of the times in a step that it has taken already.
     times : sequence of float, shape (k,)
         Since the initial state, in rising order [s].
+    on_sample : callable, optional
+        Called at the first whole step that is not before each time.
 
     Returns
     -------
@@ -185,9 +187,11 @@ def record_at(simulation: 'Simulation', times: Sequence[float]
         if share == 0.0:
             simulation.advance(step - simulation.steps)
             q[k], p[k] = simulation.q.ravel(), simulation.p.ravel()
+            on_sample()
             continue
         if dense is None or dense.step != step:
             simulation.advance(step - simulation.steps)
             dense = simulation.dense_step()
         q[k], p[k] = dense.state(share)
+        on_sample()
     return q, p

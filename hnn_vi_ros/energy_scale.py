@@ -66,9 +66,9 @@ class EnergyScale:
 
         Parameters
         ----------
-        q, p : np.ndarray, shape (d,)
-            The state.
-        dH_dq, dH_dp : np.ndarray, shape (d,)
+        q, p : np.ndarray, shape (d,) or (m, d)
+            The state, or those of m trajectories, whose energies add up.
+        dH_dq, dH_dp : np.ndarray, of the shape of q
             -p' and q' there.
 
         """
@@ -90,7 +90,7 @@ class EnergyScale:
     def _virial(self, q: np.ndarray, p: np.ndarray, dH_dp: np.ndarray) -> float:
         """Return abs(p . H_p) [J]."""
         if self._hamiltonian.canonical:
-            return abs(float(p @ dH_dp))
+            return abs(float(np.vdot(p, dH_dp)))
         return abs(self._slope(q, p, np.zeros_like(q), p))
 
     def _both(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
@@ -100,7 +100,7 @@ class EnergyScale:
         if self._angles is not None:
             x = np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
         if self._hamiltonian.canonical:
-            return abs(float(x @ dH_dq)), self._virial(q, p, dH_dp)
+            return abs(float(np.vdot(x, dH_dq))), self._virial(q, p, dH_dp)
         return abs(self._slope(q, p, x, np.zeros_like(p))), self._virial(q, p, dH_dp)
 
     def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> float:
@@ -108,7 +108,7 @@ class EnergyScale:
         ahead, behind = self._hamiltonian.energy(
             np.array([q + _SPACING * v_q, q - _SPACING * v_q]),
             np.array([p + _SPACING * v_p, p - _SPACING * v_p]))
-        return float(ahead - behind) / (2.0 * _SPACING)
+        return float(np.sum(ahead - behind)) / (2.0 * _SPACING)
 
 
 def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> float:

@@ -10,6 +10,10 @@ from typing import Any
 
 from hnn_vi_ros.checks import check_count, check_seconds
 from hnn_vi_ros.dense_step import record_at, whole_steps
+from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.watch import (
+    energies_of, look, record_watched, show_many, tell, tell_many, Watch)
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -63,6 +67,11 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     Trajectory
         The first sample is the initial state, unless times says otherwise.
 
+    Warns
+    -----
+    AlarmWarning
+        A guard says that the run is not to be trusted; ``alarms`` of the trajectory holds it.
+
     Raises
     ------
     HnnViRosError
@@ -77,30 +86,54 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     check_count('every', every)
     simulation = Simulation.from_scene(_scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
-    if times is not None:
-        if commands is not None:
-            raise ValueError('times and commands cannot both be given: use every with commands')
+    watch = Watch(simulation, simulation.hamiltonian.barrier)
+    if times is None:
+        t, q, p = _record_evenly(simulation, duration, every, commands, watch)
+    elif commands is None:
         t = _check_times(times, duration)
-        q, p = record_at(simulation, t)
-        return Trajectory(t, q, p, simulation.hamiltonian.energy(q, p))
+        q, p = _record(simulation, t.size, t, watch)
+    else:
+        raise ValueError('times and commands cannot both be given: use every with commands')
+    energies = energies_of(simulation, q, p)
+    if simulation.conservative:
+        watch.show(simulation, t / simulation.step_size, (q, p), energies)
+    tell(watch.alarms, simulation.step_size)
+    return Trajectory(t, q, p, energies[0], tuple(watch.alarms))
+
+
+def _record_evenly(simulation: Simulation, duration: float, every: int,
+                   commands: Commands | None, watch: Watch
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return t, q and p after each ``every`` steps, and at the end."""
     interval = simulation.step_size * every
     _check_memory(duration, interval, simulation.q.size)
     samples, share = whole_steps(duration, interval)
     parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
     t = np.arange(samples + 1) * every * simulation.step_size
     if commands is None:
-        parts.append(simulation.record(samples, every))
+        parts.append(_record(simulation, samples, every, watch))
     else:
         commands = _check_commands(commands, samples + bool(share))
-        parts.append(_record_commanded(simulation, samples, every, commands))
+        parts.append(_record_commanded(simulation, samples, every, commands, watch))
     if share:
         t = np.append(t, duration)
         if commands is not None:
             _advance_commanded(simulation, int(share * every), commands, samples)
             simulation.set_command(_command(commands, simulation.time, samples))
-        parts.append(record_at(simulation, t[-1:]))
-    q, p = (np.vstack(halves) for halves in zip(*parts, strict=True))
-    return Trajectory(t, q, p, simulation.hamiltonian.energy(q, p))
+        parts.append(_record(simulation, 1, t[-1:], watch))
+    return t, *(np.vstack(halves) for halves in zip(*parts, strict=True))
+
+
+def _record(simulation: Simulation, samples: int, every: int | np.ndarray, watch: Watch
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """Take samples, every so many steps or at given times; look on where work is done."""
+    if isinstance(every, int):
+        return (simulation.record(samples, every) if simulation.conservative
+                else record_watched(simulation, samples, every, watch))
+    if simulation.conservative:
+        return record_at(simulation, every)
+    watch.update(look(simulation))
+    return record_at(simulation, every, lambda: watch.update(look(simulation)))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -160,13 +193,15 @@ def _check_commands(commands: Commands, samples: int) -> Commands:
     return rows
 
 
-def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands
-                      ) -> tuple[np.ndarray, np.ndarray]:
+def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands,
+                      watch: Watch) -> tuple[np.ndarray, np.ndarray]:
     """Take samples times every steps, with a command before each step."""
     q, p = np.empty((2, samples, simulation.q.size))
+    watch.update(look(simulation))
     for sample in range(samples):
         _advance_commanded(simulation, every, commands, sample)
         q[sample], p[sample] = simulation.q, simulation.p
+        watch.update(look(simulation))
     return q, p
 
 
@@ -211,7 +246,13 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     -------
     Trajectory
         t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
-        (samples + 1, m).
+        (samples + 1, m). Where work is done, the energies of trajectories that step together are
+        watched together.
+
+    Warns
+    -----
+    AlarmWarning
+        See ``simulate``.
 
     Raises
     ------
@@ -250,17 +291,22 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
 
     workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))
     q_all, p_all = np.empty((2, samples + 1, len(q0), d))
+    alarms: list[list[Alarm]] = [[] for _ in q0]
     q_all[0], p_all[0] = q0, p0
     with ThreadPoolExecutor(workers) as pool:
         # Taken from the iterator, so that a failure of one worker is raised here.
         list(pool.map(lambda worker: _fill(
             start, range(worker * size, len(q0), workers * size), size,
-            t[1:] if share else every, q_all, p_all), range(workers)))
-    return Trajectory(t, q_all, p_all, system.hamiltonian.energy(q_all, p_all))
+            t[1:] if share else every, q_all, p_all, alarms), range(workers)))
+    energies = show_many(
+        start(slice(0, 1)), t / scene.step_size, q_all, p_all, alarms)
+    tell_many(alarms, scene.step_size)
+    return Trajectory(t, q_all, p_all, energies, tuple(map(tuple, alarms)))
 
 
 def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
-          every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray) -> None:
+          every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray,
+          alarms: list[list[Alarm]]) -> None:
     """Simulate the blocks that begin at these trajectories; every: steps, or samples' times."""
     samples, d = len(q_all) - 1, q_all.shape[2]
     simulation = start(slice(firsts[0], firsts[0] + size))
@@ -268,7 +314,9 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         block = slice(first, first + size)
         # Each trajectory has noise of its own.
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
-        q_block, p_block = (simulation.record(samples, every) if isinstance(every, int)
-                            else record_at(simulation, every))
+        watch = Watch(simulation, None, kinds=(EnergyGuard,))
+        q_block, p_block = _record(simulation, samples, every, watch)
+        for own in alarms[block]:
+            own += watch.alarms
         q_all[1:, block] = q_block.reshape(samples, -1, d)
         p_all[1:, block] = p_block.reshape(samples, -1, d)

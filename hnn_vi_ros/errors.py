@@ -35,6 +35,10 @@ class CalibrationError(HnnViRosError):
     """No method can hold the error that was asked for."""
 
 
+class AlarmWarning(UserWarning):
+    """A guard found that a run is not to be trusted; see ``Trajectory.alarms``."""
+
+
 class StepFailure(HnnViRosError):
     """
     One step of the integrator failed; the state before it is the last good one.

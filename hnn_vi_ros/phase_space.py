@@ -40,6 +40,8 @@ class Trajectory:
         Generalised coordinates and conjugate momenta.
     energy : np.ndarray, shape (N,)
         H(q, p) [J].
+    alarms : tuple
+        What guards found, the first Alarm of each kind; see guards. Of m trajectories, m tuples.
 
     """
 
@@ -47,6 +49,7 @@ class Trajectory:
     q: np.ndarray
     p: np.ndarray
     energy: np.ndarray
+    alarms: tuple = ()
 
 
 def check_state(q: Sequence[float], p: Sequence[float], dimension: int

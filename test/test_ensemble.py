@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many trajectories at once against each of them alone."""
 
+from pathlib import Path
+import warnings
+
 from helpers import EPS
-from hnn_vi_ros.ensemble import BLOCK, simulate_many
-from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.ensemble import BLOCK, simulate, simulate_many
+from hnn_vi_ros.errors import AlarmWarning, StepFailure
+from hnn_vi_ros.guards.watch import look, Watch
+from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
@@ -67,3 +71,68 @@ def test_many_trajectories_refuse_bad_arguments():
         simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=1.5)
     with pytest.raises(ValueError, match='more than memory holds'):
         simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=10 ** 12)
+
+
+def scene_of(tmp_path: Path, kind: str, integrator: str, h: float, d: int, effects: str = ''
+             ) -> Scene:
+    (tmp_path / 'scene.yaml').write_text(
+        f'hamiltonian: {{kind: {kind}}}\nintegrator: {{kind: {integrator}}}\nstep_size: {h}\n'
+        f'initial_state: {{q: {[1.0] * d}, p: {[0.0] * d}}}\n{effects}')
+    return load_scene(tmp_path / 'scene.yaml')
+
+
+# The orbits of e = 0.9 and 0.1 from their pericentres.
+CLOSE, FAR = ([0.1, 0.0], [0.0, 19.0 ** 0.5]), ([0.9, 0.0], [0.0, (1.1 / 0.9) ** 0.5])
+
+
+def test_simulate_warns_of_what_the_guards_find_and_returns_it(tmp_path):
+    scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
+    with pytest.warns(AlarmWarning, match='under-resolved; use step_size <= 0.00') as caught:
+        trajectory = simulate(scene, 6.28, initial_state=CLOSE)
+    assert [alarm.kind for alarm in trajectory.alarms] == ['under-resolved']
+    assert caught[0].filename == __file__
+    # Of the very guards of the node, sample by sample.
+    simulation = Simulation.from_scene(scene.with_overrides(
+        initial_state=dict(zip('qp', CLOSE, strict=True))))
+    watch = Watch(simulation, None)
+    watch.update(look(simulation))
+    for _ in range(628):
+        simulation.advance(1)
+        watch.update(look(simulation))
+    assert tuple(watch.alarms) == trajectory.alarms
+
+
+def test_simulate_is_silent_where_all_is_well(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
+        assert simulate(scene, 6.28, initial_state=FAR).alarms == ()
+        assert simulate_many(scene, [FAR[0]] * 3, [FAR[1]] * 3, 6.28, samples=50).alarms == (
+            (), (), ())
+
+
+def test_simulate_many_warns_once_and_tells_the_alarms_of_each_trajectory(tmp_path):
+    scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
+    q, p = zip(FAR, CLOSE, FAR, CLOSE, strict=True)
+    with pytest.warns(AlarmWarning, match='in 2 of 4 trajectories; in number 1, t = ') as caught:
+        many = simulate_many(scene, q, p, 6.28, samples=628)
+    assert [len(own) for own in many.alarms] == [0, 1, 0, 1] and len(caught) == 1
+    assert caught[0].filename == __file__
+    with pytest.warns(AlarmWarning):
+        assert simulate(scene, 6.28, initial_state=CLOSE).alarms == many.alarms[1]
+
+
+@pytest.mark.parametrize('integrator, said', [
+    ('explicit_euler', ('energy not accounted for',)), ('variational_euler', ())])
+def test_energy_that_no_work_accounts_for_is_told_by_simulate_and_simulate_many(
+        tmp_path, integrator, said):
+    """Explicit Euler multiplies an oscillator's energy by 1 + h^2 in each step, by 7.4 here."""
+    drive = ('effects: [{kind: periodic_drive, coordinate: x, amplitude: 0.01, frequency: 0.3, '
+             'phase: 0.0}]\n')
+    scene = scene_of(tmp_path, 'harmonic_oscillator', integrator, 0.01, 1, drive)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore' if said else 'error')
+        one = simulate(scene, 200.0)
+        many = simulate_many(scene, [[1.0], [0.5]], [[0.0], [0.0]], 200.0, samples=20_000)
+    assert tuple(alarm.kind for alarm in one.alarms) == said
+    assert [tuple(alarm.kind for alarm in own) for own in many.alarms] == [said, said]

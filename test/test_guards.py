@@ -102,7 +102,7 @@ def test_resolution_guard_names_a_step_that_resolves_the_motion():
 
 
 def test_barrier_guard_speaks_when_the_band_reaches_the_gap():
-    guard = BarrierGuard('separatrix', 0.5)
+    guard = BarrierGuard('separatrix', 1.5)
     found = alarms(guard, np.array([1.0, 1.3, 0.9, 1.39, 1.41, 2.0]))
     assert [(alarm.kind, alarm.step) for alarm in found] == [('separatrix not resolved', 4)]
     assert guard.band == pytest.approx(1.1)

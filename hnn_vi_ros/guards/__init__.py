@@ -23,7 +23,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        What is watched.
     scale : callable
         Returns the energy scale as of a sample [J]; see SampledScale.
     band_limit, change_limit : float
@@ -40,5 +40,4 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
                               simulation.modified_energy is not None)
     yield EnergyGuard(change_limit, scale)
     if barrier is not None and simulation.conservative:
-        name, energy = barrier
-        yield BarrierGuard(name, energy - simulation.energy)
+        yield BarrierGuard(*barrier)

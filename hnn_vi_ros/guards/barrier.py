@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the energy is kept well enough to tell on which side of a barrier the motion is."""
 
+import math
+
 from hnn_vi_ros.guards.band import BandGuard
 from hnn_vi_ros.guards.base import Alarm, Observed
 
@@ -14,18 +16,21 @@ class BarrierGuard(BandGuard):
     ----------
     name : str
         What the barrier is: 'separatrix', 'escape barrier'.
-    gap : float
-        Its energy less that of the motion [J]; negative above it.
+    energy : float
+        That of the barrier [J]; the motion's is that of the first sample.
 
     """
 
     kind = 'not resolved'
 
-    def __init__(self, name: str, gap: float):
+    def __init__(self, name: str, energy: float):
         super().__init__()
-        self.kind, self._name, self._gap = f'{name} not resolved', name, abs(gap)
+        self.kind, self._name = f'{name} not resolved', name
+        self._energy, self._gap = energy, math.nan
 
     def _limit(self, sample: Observed) -> float:
+        if math.isnan(self._gap):
+            self._gap = abs(self._energy - sample.energy)
         return self._gap
 
     def _alarm(self, step: int, limit: float) -> Alarm:

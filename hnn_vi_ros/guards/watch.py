@@ -3,15 +3,19 @@
 """The guards of a run outside of ROS, and what they find."""
 
 import math
+import warnings
 
+from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.base import Alarm, Look
+from hnn_vi_ros.guards.base import Alarm, Guard, Look
+from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# Samples of a path that the guards are shown at most, beside its extremes.
-_SHOWN = 4000
+# Samples of a path that the guards are shown at most, beside its extremes. A change for good
+# takes half as many to be told; see EnergyGuard.
+_SHOWN = 10_000
 
 
 class Watch:
@@ -21,11 +25,13 @@ class Watch:
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        What is watched, from any initial state.
     barrier : tuple of (str, float) or None
         Name and energy [J] of a barrier; see ``Hamiltonian.barrier``.
     band_limit, change_limit : float, optional
         See ResolutionGuard and EnergyGuard.
+    kinds : tuple of type, optional
+        The guards that are wanted; all that apply by default.
 
     Attributes
     ----------
@@ -35,10 +41,12 @@ class Watch:
     """
 
     def __init__(self, simulation: Simulation, barrier: tuple[str, float] | None,
-                 band_limit: float = BAND_LIMIT, change_limit: float = CHANGE_LIMIT):
+                 band_limit: float = BAND_LIMIT, change_limit: float = CHANGE_LIMIT,
+                 kinds: tuple[type[Guard], ...] = (Guard,)):
         self.alarms: list[Alarm] = []
-        self._guards = list(make_guards(simulation, SampledScale(simulation.hamiltonian),
-                                        band_limit, change_limit, barrier))
+        self._guards = [guard for guard in make_guards(
+            simulation, SampledScale(simulation.hamiltonian), band_limit, change_limit, barrier)
+            if isinstance(guard, kinds)]
         self._heard: set[str] = set()
 
     def update(self, look: Look) -> None:
@@ -59,7 +67,7 @@ class Watch:
         simulation : Simulation
             That took it, with no work done.
         steps : np.ndarray, shape (n,)
-            Steps since the start.
+            Steps since the start, and shares of steps.
         states : tuple of np.ndarray, shape (n, d)
             q and p there.
         energies : tuple of np.ndarray, shape (n,)
@@ -86,7 +94,7 @@ class Watch:
 
 def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return H and H~ of states of shape (n, d), each of shape (n,); H~ is NaN where none is."""
+    """Return H and H~, shape (...), of states of shape (..., d); H~ is NaN where none is."""
     hamiltonian = simulation.hamiltonian
     energy = hamiltonian.energy(q, p)
     if simulation.modified_energy is None:
@@ -96,8 +104,68 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
 
 
 def look(simulation: Simulation) -> Look:
-    """Return the present state as guards look at it."""
+    """Return the present state as guards look at it; of m trajectories, in shape (m, d)."""
     energy, modified = simulation.energies
-    return Look(simulation.steps, simulation.q.copy(), simulation.p.copy(),
-                simulation.dH_dq.copy(), simulation.dH_dp.copy(), energy,
-                math.nan if modified is None else modified, simulation.work)
+    d = simulation.hamiltonian.dimension
+    shape = (d,) if simulation.q.size == d else (-1, d)
+    states = (x.copy().reshape(shape) for x in (
+        simulation.q, simulation.p, simulation.dH_dq, simulation.dH_dp))
+    return Look(simulation.steps, *states, energy, math.nan if modified is None else modified,
+                simulation.work)
+
+
+def record_watched(simulation: Simulation, samples: int, every: int, watch: Watch
+                   ) -> tuple[np.ndarray, np.ndarray]:
+    """Take samples times every steps, as ``Simulation.record``, and look on meanwhile."""
+    watch.update(look(simulation))
+    parts, most = [simulation.record(0, every)], max(1, samples // _SHOWN)
+    for first in range(0, samples, most):
+        parts.append(simulation.record(min(most, samples - first), every))
+        watch.update(look(simulation))
+    q, p = zip(*parts, strict=True)
+    return np.vstack(q), np.vstack(p)
+
+
+def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
+              alarms: list[list[Alarm]]) -> np.ndarray:
+    """
+    Show each of m trajectories to guards of its own; return H, shape (n, m).
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of any of them.
+    steps : np.ndarray, shape (n,)
+        Steps since the start.
+    q, p : np.ndarray, shape (n, m, d)
+        The trajectories.
+    alarms : list of list of Alarm
+        One list for each trajectory, to which what is found is added.
+
+    """
+    energy, modified = energies_of(simulation, q, p)
+    # Where work is done it is known of a block only, which was watched while it stepped.
+    kinds = (Guard,) if simulation.conservative else (BoxGuard,)
+    if simulation.conservative or simulation.hamiltonian.box is not None:
+        for k, own in enumerate(alarms):
+            watch = Watch(simulation, simulation.hamiltonian.barrier, kinds=kinds)
+            watch.show(simulation, steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
+            own += watch.alarms
+    return energy
+
+
+def tell(alarms: list[Alarm], step_size: float) -> None:
+    """Warn the caller of the caller of alarms."""
+    for alarm in alarms:
+        warnings.warn(f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning,
+                      stacklevel=3)
+
+
+def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
+    """Warn the caller of the caller of the alarms of many trajectories, once of each kind."""
+    for kind in dict.fromkeys(alarm.kind for own in alarms for alarm in own):
+        found = {k: alarm for k, own in enumerate(alarms) for alarm in own if alarm.kind == kind}
+        first, alarm = next(iter(found.items()))
+        warnings.warn(
+            f'{kind} in {len(found)} of {len(alarms)} trajectories; in number {first}, '
+            f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning, stacklevel=3)
