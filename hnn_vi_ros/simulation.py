@@ -179,8 +179,10 @@ class Simulation:
         energy = self.energy
         if self._system.integrator is not self.integrator:
             return energy, None
-        value = self.integrator.modified_energy(self.step_size, energy, self.dH_dq, self.dH_dp)
-        return energy, None if value is None else float(value)
+        value = self.integrator.modified_energy(self.hamiltonian, self.step_size, *(
+            x.reshape(-1, self.hamiltonian.dimension) for x in (self.q, self.p)), 0.0, *(
+            x.reshape(-1, self.hamiltonian.dimension) for x in (self.dH_dq, self.dH_dp)))
+        return energy, None if value is None else energy + float(value.sum())
 
     @property
     def modified_energy(self) -> float | None:

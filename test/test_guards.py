@@ -74,12 +74,13 @@ def test_resolution_guard_names_a_step_that_resolves_the_motion():
     hamiltonian = HAMILTONIANS['kepler']()
 
     def watch(h: float) -> list:
-        guard = ResolutionGuard(0.05, SampledScale(hamiltonian), h, order=2)
+        guard = ResolutionGuard(0.05, SampledScale(hamiltonian), h, order=1, modified=True)
         z, found = np.concatenate([q, p]), []
         for step in range(round(7.0 / h)):
             dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])
             energy = float(hamiltonian.energy(z[:2], z[2:]))
-            modified = INTEGRATORS['variational_euler'].modified_energy(h, energy, dH_dq, dH_dp)
+            modified = INTEGRATORS['variational_euler'].modified_energy(
+                hamiltonian, h, z[:2], z[2:], energy, dH_dq, dH_dp)
             alarm = guard.update(replace(
                 sample(step, z[:2].copy(), z[2:].copy(), energy, float(modified)),
                 dH_dq=dH_dq, dH_dp=dH_dp))

@@ -100,7 +100,7 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
     if simulation.modified_energy is None:
         return energy, np.full(energy.shape, math.nan)
     return energy, simulation.integrator.modified_energy(
-        simulation.step_size, energy, *hamiltonian.gradient(q, p))
+        hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p))
 
 
 def look(simulation: Simulation) -> Look:

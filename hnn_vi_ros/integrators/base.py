@@ -200,19 +200,26 @@ class Integrator(ABC):
         return None
 
     @staticmethod
-    def modified_energy(h: float, energy: np.ndarray | float, dH_dq: np.ndarray,
-                        dH_dp: np.ndarray) -> np.ndarray | None:
+    def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
+                        energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
+                        ) -> np.ndarray | None:
         """
         Return the energy that the map nearly conserves [J], or None if there is none known.
 
+        Its band is O(h^(2 order)).
+
         Parameters
         ----------
+        hamiltonian : Hamiltonian
+            H.
         h : float
             Step size [s].
+        q, p : np.ndarray, shape (..., d)
+            States.
         energy : np.ndarray, shape (...)
-            H [J].
+            H there [J].
         dH_dq, dH_dp : np.ndarray, shape (..., d)
-            Gradient of H at the same states.
+            Gradient of H there.
 
         """
         return None

@@ -8,6 +8,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import solve_coordinates, solve_momenta
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.modified import leapfrog_energy
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
@@ -32,7 +33,8 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         q_(n+1) = q_n + (h/2) (H_p(q_n, p_half) + H_p(q_(n+1), p_half))
         p_(n+1) = p_half - (h/2) H_q(q_(n+1), p_half)
 
-    Symplectic, symmetric, order 2. Where H = T(p) + V(q) it is StormerVerlet.
+    Symplectic, symmetric, order 2. Where H = T(p) + V(q) it is StormerVerlet. It nearly conserves
+    the modified energy of leapfrog_energy, up to O(h^4).
 
     References
     ----------
@@ -42,6 +44,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
 
     order, symmetric, symplectic, scalar = 2, True, True, True
     halves = (SymplecticEuler.step, _second_half)
+    modified_energy = staticmethod(leapfrog_energy)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the sizes of the equations for the momenta and for the coordinates."""

@@ -118,7 +118,8 @@ class BridgePicture:
         modified = math.nan
         if self._integrator is not None:
             modified = self._integrator.modified_energy(
-                self._step_size, state.energy, -state.dp_dt, dH_dp)
+                self._hamiltonian, self._step_size, state.q, state.p, state.energy,
+                -state.dp_dt, dH_dp)
         self._sink.write(Sample(
             step=round(state.stamp * 1e-9 / self._step_size), stamp=state.stamp, q=state.q,
             p=state.p, dH_dq=-state.dp_dt, dH_dp=dH_dp, energy=state.energy,

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How each method treats the energy over long times."""
 
-from helpers import GENERIC, Method
+from helpers import GENERIC, Method, Uncompiled
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -49,21 +49,47 @@ def test_symplectic_method_energy_does_not_drift(method: Method, measured):
     assert slope <= 0.1 * band or band < 1e-12
 
 
-def test_variational_euler_modified_energy_oscillates_with_order_2():
-    """Halving h halves the band of H and quarters that of the modified energy."""
+def bands_of(system: str, method: str, step_sizes: tuple[float, ...], state: tuple
+             ) -> np.ndarray:
+    """Return the bands of H and of H~ over 20 s at each step size, shape (k, 2)."""
     bands = []
-    for h in (0.02, 0.01, 0.005):
-        simulation = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), h,
-                                [1.0], [-1.0])
+    for h in step_sizes:
+        hamiltonian = HAMILTONIANS[system]()
+        if system == 'double_pendulum':
+            hamiltonian = Uncompiled(hamiltonian)  # too few steps to be worth a kernel
+        simulation = Simulation(hamiltonian, INTEGRATORS[method](), h, *state)
         q, p = simulation.record(round(20.0 / h), 1)
         energy = simulation.hamiltonian.energy(q, p)
         modified = simulation.integrator.modified_energy(
-            h, energy, *simulation.hamiltonian.gradient(q, p))
+            simulation.hamiltonian, h, q, p, energy, *simulation.hamiltonian.gradient(q, p))
+        assert simulation.modified_energy == pytest.approx(modified[-1], rel=1e-14)
         bands.append((np.ptp(energy), np.ptp(modified)))
-    bands = np.array(bands)
+    return np.array(bands)
+
+
+def test_variational_euler_modified_energy_oscillates_with_order_2():
+    """Halving h halves the band of H and quarters that of the modified energy."""
+    bands = bands_of('tao', 'variational_euler', (0.02, 0.01, 0.005), ([1.0], [-1.0]))
     observed = np.log2(bands[:-1] / bands[1:])
     assert observed[:, 0] == pytest.approx(1.0, abs=0.35)
     assert observed[:, 1] == pytest.approx(2.0, abs=0.35)
+
+
+@pytest.mark.parametrize('system, method, state', [
+    ('tao', 'generalized_leapfrog', ([1.0], [-1.0])),
+    ('tao', 'implicit_midpoint', ([1.0], [-1.0])),
+    ('double_pendulum', 'generalized_leapfrog', ([0.5, 1.0], [0.2, -0.3])),
+    ('henon_heiles', 'stormer_verlet', ([0.1, 0.2], [0.3, 0.1]))])
+def test_modified_energy_of_a_method_of_order_2_oscillates_with_order_4(
+        system, method, state, measured):
+    """Halving h takes the band of H to a quarter and that of the modified energy to 1/16."""
+    bands = bands_of(system, method, (0.04, 0.02, 0.01), state)
+    observed = np.log2(bands[:-1] / bands[1:])
+    measured('order of the modified energy', f'{method}, {system}', observed[:, 1].min(),
+             '4 within 0.35')
+    assert observed[:, 0] == pytest.approx(2.0, abs=0.35)
+    # The smallest band, 1e-10, is far above the rounding of H.
+    assert observed[:, 1] == pytest.approx(4.0, abs=0.35)
 
 
 def test_variational_euler_conserves_modified_energy_of_the_harmonic_oscillator(measured):
