@@ -13,6 +13,7 @@ from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
 from hnn_vi_ros.effects.impact import Impact
 from hnn_vi_ros.effects.kernels import add_forces, join_magnetic_field, join_potential
+from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.effects.manifold import Manifold
 from hnn_vi_ros.effects.thermostat import Thermostat
@@ -199,6 +200,10 @@ class System:
                 raise EffectError(index, f'{_KINDS[type(self._effects[index])]} does not combine '
                                          'with holonomic_constraint, off which its impulses would '
                                          'lead; leave one of them out')
+            for index in self._all(LearnedDissipation):
+                raise EffectError(index, 'learned_dissipation does not combine with '
+                                         'holonomic_constraint, whose force would do work where '
+                                         'the velocity is not H_p; leave one of them out')
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
                 name = _name(integrator)

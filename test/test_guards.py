@@ -63,6 +63,14 @@ def test_box_guard_counts_the_edge_as_inside():
     assert BoxGuard(BOX).update(sample(0, (1.0, 4.0), (2.0, -2.0))) is None
 
 
+def test_box_guard_looks_at_the_kinetic_momentum_in_a_magnetic_field():
+    gauge = np.array([[0.0, -2.0], [2.0, 0.0]])
+    guard = BoxGuard(BOX, gauge)
+    # p - gauge q = (0, 0), and beyond the edge -2 of the first.
+    assert guard.update(sample(0, (1.0, 1.5), (-3.0, 2.0))) is None
+    assert guard.update(sample(1, (1.0, 1.5), (-6.0, 2.0))) is not None
+
+
 def test_accounted_energy_is_the_modified_one_less_the_work():
     assert accounted_energy(sample(energy=2.0, work=0.5)) == 1.5
     assert accounted_energy(sample(energy=2.0, modified_energy=3.0, work=0.5)) == 2.5

@@ -185,10 +185,12 @@ def test_discrete_euler_lagrange_takes_no_effect_at_all(row: EffectRow, tmp_path
     ([('thermostat', {'temperature': 1.0, 'rate': 1.0}),
       ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
      'thermostat does not combine'),
+    ([('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
+      ('learned_dissipation', {'model': 2})], 1, 'whose force would do work'),
 ])
-def test_effects_that_do_not_combine_are_refused(effects, index, message):
+def test_effects_that_do_not_combine_are_refused(effects, index, message, tmp_path):
     with pytest.raises(EffectError, match=message) as raised:
-        System(free('x', 'z'), [create_effect(*one, Path()) for one in effects],
+        System(free('x', 'z'), [create_effect(*one, tmp_path) for one in effects],
                INTEGRATORS['generalized_leapfrog']())
     assert raised.value.index == index
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from hnn_vi_ros.compilation import identify, inlined
 from hnn_vi_ros.effects.base import Force, Live
+from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
@@ -20,7 +21,8 @@ class LearnedDissipation(Force):
         q' = H_p + D_q,  p' = -H_q + D_p
 
     D is a model like that of H, with the same coordinates, or the second network of a dissipative
-    HNN, whose first is H. Energy account: the power H_q . D_q + H_p . D_p.
+    HNN, whose first is H. In a magnetic field both are functions of P = p - c A(q), as they were
+    learned without it. Energy account: the power H_q . D_q + H_p . D_p.
 
     Parameters
     ----------
@@ -57,22 +59,27 @@ class LearnedDissipation(Force):
         return self.network.kernel.gradient_scale
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
-        """Return the network's kernel, and space for its gradient."""
+        """Return the network's kernel, the gauge of magnetic fields, and space."""
         if len(coordinates) != self.network.dimension:
             raise ValueError(f'the model has {self.network.dimension} coordinates, H has '
                              f'{len(coordinates)}')
         kernel = self.network.twin().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
             identify(function)
-        return kernel, *np.zeros((2, len(coordinates)))
+        return kernel, live.gauge, *np.zeros((3, len(coordinates)))
 
     @staticmethod
     @inlined
     def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add D_q and D_p."""
-        network, dD_dq, dD_dp = parameters
-        network.gradient(network.parameters, q, p, dD_dq, dD_dp)
+        network, gauge, kinetic, dD_dq, dD_dp = parameters
+        for i in range(q.size):
+            kinetic[i] = p[i] - vector_potential(gauge, q, i)
+        network.gradient(network.parameters, q, kinetic, dD_dq, dD_dp)
         for i in range(q.size):
             f_q[i] += dD_dq[i]
             f_p[i] += dD_dp[i]
+            # The Lorentz force on what D adds to the velocity, in p = P + c A(q).
+            for j in range(q.size):
+                f_p[i] += gauge[j, i] * dD_dq[j]

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What momenta mean: the mass matrix and the vector potential, for effects that act on them."""
 
+import warnings
+
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
@@ -23,6 +25,7 @@ def inverse_mass(hamiltonian: Hamiltonian, q: np.ndarray) -> np.ndarray:
 
 def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> None:
     """Raise ValueError if the power -v . (rate M v) could be positive near q, shape (m d,)."""
+    _warn_of_drift(hamiltonian, q[:rate.size])
     if (rate == rate[0]).all():
         return
     states = q.reshape(-1, rate.size)
@@ -38,6 +41,19 @@ def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> No
                     f'damping: with the rates {rate.tolist()} of coordinates that share a mass '
                     f'matrix some motions would gain energy, at q = {state.round(3).tolist()}; '
                     'give one rate, or rates that differ less')
+
+
+def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
+    """Warn if what has no momentum moves at q, shape (d,), by more than a model's error."""
+    base = getattr(hamiltonian, 'base', hamiltonian)
+    zero = np.zeros(q.size)
+    drift = np.abs(base.gradient(q, zero)[1]).max()
+    # What one has learned from data has some drift, as it has other errors.
+    if base.box is None and drift > _COUPLING * np.abs(inverse_mass(base, q)).max():
+        warnings.warn(
+            'damping: H_p is not 0 at p = 0, as in a frame that turns: p is not the momentum of '
+            'the velocity, and it is p that damping brings to rest, by which H may grow',
+            stacklevel=7)
 
 
 def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | None) -> None:

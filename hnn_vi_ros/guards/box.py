@@ -14,6 +14,8 @@ class BoxGuard(Guard):
     ----------
     box : tuple of np.ndarray
         Bounds of q and of p, each (d, 2), as ``Hamiltonian.box``.
+    gauge : np.ndarray, shape (d, d), optional
+        Of magnetic fields, c A(q) = gauge q: the model was trained in P = p - c A(q).
 
     Attributes
     ----------
@@ -26,7 +28,8 @@ class BoxGuard(Guard):
 
     kind = 'out of the training box'
 
-    def __init__(self, box: tuple[np.ndarray, np.ndarray]):
+    def __init__(self, box: tuple[np.ndarray, np.ndarray], gauge: np.ndarray | None = None):
+        self._gauge = gauge if gauge is not None and gauge.any() else None
         self.excess = self.largest = 0.0
         bounds = np.concatenate(box)
         # Plain floats: for the few coordinates of a model they are faster than arrays.
@@ -34,7 +37,8 @@ class BoxGuard(Guard):
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""
-        values, low, high = sample.q.tolist() + sample.p.tolist(), self._low, self._high
+        p = sample.p if self._gauge is None else sample.p - self._gauge @ sample.q
+        values, low, high = sample.q.tolist() + p.tolist(), self._low, self._high
         for i, x in enumerate(values):
             if not low[i] <= x <= high[i]:
                 before, self.excess = self.excess, self._excess(values)
