@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks import mcap_reader
+from hnn_vi_ros.sinks import mcap_file, mcap_reader
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_records import LARGEST, unpack
 from hnn_vi_ros.sinks.mcap_recovery import recover
@@ -109,6 +109,55 @@ def test_chunk_of_two_gibibytes_of_zeros_costs_no_memory(tmp_path, declared):
     path = write_chunk(tmp_path / 'a.mcap', 'zstd', zeros(2**31), declared)
     assert path.stat().st_size < 2**20
     assert memory_of(path) < 50
+
+
+def repeated(count: int, spacing: int) -> bytes:
+    """Return the records of a chunk of messages without content."""
+    parts = [records(0)]
+    parts += [struct.pack('<BQHIQQ', 0x05, 22, 1, 0, i * spacing, i * spacing)
+              for i in range(count)]
+    return b''.join(parts)
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+def test_chunk_of_more_messages_than_any_recording_packs_into_it_is_damaged(
+        tmp_path, monkeypatch, compression):
+    monkeypatch.setattr(mcap_file, '_AT_LEAST', 1000)
+    data = repeated(50_000, 0)
+    path = write_chunk(tmp_path / 'a.mcap', compression, PACKERS[compression](data), len(data))
+    assert path.stat().st_size < 11_000
+    reader = BagReader(path)
+    # The one behind it is read, and read again.
+    for _ in range(2):
+        assert [int(message.data) for message in reader.messages()] == list(range(50))
+    assert reader.unread == 1 and recover(path).damaged == 1
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+@pytest.mark.parametrize('spacing', [1, 10**6, 2**20])
+def test_even_messages_without_content_are_not_too_many(
+        tmp_path, monkeypatch, compression, spacing):
+    monkeypatch.setattr(mcap_file, '_AT_LEAST', 0)
+    data = repeated(20_000, spacing)
+    path = write_chunk(tmp_path / 'a.mcap', compression, PACKERS[compression](data), len(data))
+    for _ in range(2):
+        reader = BagReader(path)
+        assert len([0 for _ in reader.messages()]) == 20_050 and not reader.unread
+
+
+def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
+        tmp_path, monkeypatch):
+    data = records(0) + b''.join(
+        struct.pack('<BQHIQQ', 0x05, 22 + len(packed), 1, 0, i, i) + packed
+        for packed in [zstandard.compress(bytes(2**20))] for i in range(100))
+    path = write_chunk(tmp_path / 'a.mcap', 'zstd', zstandard.compress(data), len(data))
+    monkeypatch.setattr(mcap_reader, '_HELD', 2**22)
+    unpack_message, unpacked = mcap_reader._unpacked, []
+    monkeypatch.setattr(mcap_reader, '_unpacked',
+                        lambda data: unpacked.append(data) or unpack_message(data))
+    with pytest.raises(RecordingError, match='takes more than 4 MiB'):
+        list(BagReader(path).messages())
+    assert len(unpacked) == 4
 
 
 def test_packed_file_that_grows_too_large_is_refused_with_the_remedy(tmp_path, monkeypatch):

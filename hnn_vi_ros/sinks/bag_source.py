@@ -3,6 +3,7 @@
 """One file of a bag, whatever its format: its channels, and its messages in pieces."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,7 +68,7 @@ class Source(ABC):
         self.incomplete = 0
 
     @abstractmethod
-    def read(self, piece: Piece) -> list[Message]:
+    def read(self, piece: Piece) -> Iterable[Message]:
         """Return the messages of a piece that can be read, all of known channels."""
 
     @abstractmethod

@@ -16,8 +16,9 @@ import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
 _BLOCK = 2**20
-# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks.
-_HELD = 2**30
+# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks; each
+# so many besides.
+_HELD, _BESIDES = 2**30, 160
 
 
 class Recorded(NamedTuple):
@@ -151,18 +152,23 @@ class BagReader:
         parts = [part for part in self._parts
                  if part.piece.last >= first and part.piece.first <= last]
         held: list[Recorded] = []
+        size = 0
         for i, part in enumerate(parts):
-            held += [message for message in self._read(part, wanted)
-                     if first <= message.time <= last]
-            if sum(len(message.data) for message in held) > _HELD:
-                raise RecordingError(
-                    f'{self.path}: its messages are too far out of order: to sort them takes more '
-                    f'than {_HELD >> 20} MiB; sort it with `mcap sort`')
+            for message in self._read(part, wanted):
+                if first <= message.time <= last:
+                    held.append(message)
+                    size += len(message.data) + _BESIDES
+                if size > _HELD:
+                    raise RecordingError(
+                        f'{self.path}: its messages are too many in one place or too far out of '
+                        f'order: to sort them takes more than {_HELD >> 20} MiB; sort it with '
+                        '`mcap sort`')
             held.sort(key=lambda message: message.time)
             # What a later piece may come before is kept.
             until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
             place = 0
             while place < len(held) and held[place].time < until:
+                size -= len(held[place].data) + _BESIDES
                 yield held[place]
                 place += 1
             del held[:place]

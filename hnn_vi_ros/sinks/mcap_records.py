@@ -151,7 +151,7 @@ def chunk_head(content: bytes) -> ChunkHead | None:
     return ChunkHead(first, last, unpacked, crc, name, start, length)
 
 
-def unpack(content: bytes, whole: bool) -> tuple[bytes, bool]:
+def unpack(content: bytes, whole: bool, most: int = LARGEST) -> tuple[bytes, bool]:
     """
     Return the records that a chunk holds, one after the other, and whether they are all there.
 
@@ -163,6 +163,8 @@ def unpack(content: bytes, whole: bool) -> tuple[bytes, bool]:
         Of the chunk's record.
     whole : bool
         Whether it is all of it. Else what can be unpacked of it is returned.
+    most : int
+        How many records it may hold at most.
 
     """
     head = chunk_head(content)
@@ -174,7 +176,8 @@ def unpack(content: bytes, whole: bool) -> tuple[bytes, bool]:
         return b'', False
     if not whole:
         return data[:head.unpacked], False
-    intact = len(data) == head.unpacked and head.crc in (0, zlib.crc32(data)) and _in_order(data)
+    intact = len(data) == head.unpacked and head.crc in (0, zlib.crc32(data)) \
+        and _in_order(data, most)
     # Of a damaged chunk nothing is believed.
     return (data, True) if intact else (b'', False)
 
@@ -194,10 +197,11 @@ def unpack_zstd(data: bytes, most: int) -> bytes:
         return stream.read(most)
 
 
-def _in_order(data: bytes) -> bool:
-    """Tell whether unpacked records follow one another up to the end."""
+def _in_order(data: bytes, most: int) -> bool:
+    """Tell whether unpacked records follow one another up to the end, and are not too many."""
     place, size = 0, len(data)
-    while place + PREFIX.size <= size:
+    while place + PREFIX.size <= size and most:
+        most -= 1
         opcode, length = PREFIX.unpack_from(data, place)
         if opcode == 0 or opcode == Opcode.MESSAGE and length < MESSAGE_HEAD:
             return False
@@ -205,10 +209,11 @@ def _in_order(data: bytes) -> bool:
     return place == size
 
 
-def records_in(data: bytes) -> Iterator[McapRecord]:
-    """Yield the complete schemas, channels and messages among unpacked records."""
+def records_in(data: bytes, most: int) -> Iterator[McapRecord]:
+    """Yield the complete schemas, channels and messages among so many unpacked records."""
     place, size = 0, len(data)
-    while place + PREFIX.size <= size:
+    while place + PREFIX.size <= size and most:
+        most -= 1
         opcode, length = PREFIX.unpack_from(data, place)
         place += PREFIX.size
         if place + length > size or opcode == 0:
