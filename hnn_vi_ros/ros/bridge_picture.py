@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
@@ -25,6 +25,8 @@ import numpy as np
 
 # Simulated time of which the picture leaves room [s].
 _SEEN = 30.0
+# The viewer counts no farther.
+_MOST_STEPS = 2.0**63
 # Where there is no ~/state, a sample is made of these: their topics by the last part of the name.
 NEEDED = frozenset(('q', 'p', 'energy', 'joint_states'))
 
@@ -120,8 +122,12 @@ class BridgePicture:
             modified = self._integrator.modified_energy(
                 self._hamiltonian, self._step_size, state.q, state.p, state.energy,
                 -state.dp_dt, dH_dp)
+        step = state.stamp * 1e-9 / self._step_size
+        if not step < _MOST_STEPS:
+            raise RecordingError(f'its scene has steps of {self._step_size:g} s, of which its '
+                                 'stamps are more than can be counted; is its step_size right?')
         self._sink.write(Sample(
-            step=round(state.stamp * 1e-9 / self._step_size), stamp=state.stamp, q=state.q,
+            step=round(step), stamp=state.stamp, q=state.q,
             p=state.p, dH_dq=-state.dp_dt, dH_dp=dH_dp, energy=state.energy,
             modified_energy=modified, energy_error=error, work=state.work))
         self.samples += 1

@@ -193,9 +193,13 @@ class RecordedRun:
             return None
         where = f'{self.reader.path}: its parameters'
         rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')
-        if not (isinstance(rate, float | int) and rate > 0):
-            raise RecordingError(f'{where}: publish_rate is no rate')
-        return round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+        try:
+            if isinstance(rate, float | int) and rate > 0:
+                return round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+        except (OverflowError, ZeroDivisionError):
+            # No number tells how many steps of almost no time lie between two samples.
+            pass
+        raise RecordingError(f'{where}: publish_rate is no rate')
 
     def stamp_of(self, step: int) -> int:
         """Return the stamp of a step [ns]."""

@@ -64,7 +64,8 @@ class Sampler:
         self._simulation, self._energy0 = simulation, simulation.energy
         self._origin = origin
         h = simulation.step_size
-        exact = 1.0 / (rate * h)
+        # Of a step that is next to nothing the product is zero.
+        exact = 1.0 / (rate * h) if rate * h else math.inf
         if exact > _MOST_STEPS:
             raise ParameterError(
                 f'parameter step_size: {exact:.3g} steps from sample to sample are too many, at '

@@ -20,6 +20,11 @@ _SHAKE = 2.0**-26
 # implicit equation is solved to some of them, and a network sums up hundreds of terms.
 _PLACES = 64.0
 _EPSILON = np.finfo(np.float64).eps
+# What is simulated for a bag: so many steps a sample, which of 1 to 3 us each are as many as run
+# in real time at a sample a second; and so many for samples of before another recorder began.
+_MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
+# Steps between which a signal is noticed.
+_BATCH = 10**5
 
 
 class Verdict(NamedTuple):
@@ -138,8 +143,13 @@ def _simulated(run: RecordedRun, *simulations: Simulation
     """Yield stamp and values of each sample, with the simulations advanced to it, as driven."""
     commands = run.commands()
     command = next(commands, None)
-    for stamp, told in run.told():
+    for number, (stamp, told) in enumerate(run.told(), 1):
         step = run.step_of(stamp)
+        if step - run.first_step > _MOST_BEFORE + number * _MOST_STEPS:
+            raise RecordingError(
+                f'{run.reader.path}: to verify its sample {number} takes {step - run.first_step} '
+                f'steps of {run.scene.step_size:g} s, expected at most {_MOST_STEPS:.0e} a sample '
+                f'and {_MOST_BEFORE:.0e} before them; is the step_size of its scene right?')
         # The state of a step is told before what it then hears, which acts on the steps after it.
         while command is not None and command[0] < step:
             for simulation in simulations:
@@ -162,7 +172,8 @@ def _values(simulation: Simulation) -> dict[str, np.ndarray]:
 
 def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
     try:
-        simulation.advance(step - simulation.steps)
+        while (left := step - simulation.steps) > 0:
+            simulation.advance(min(left, _BATCH))
     except StepFailure as failure:
         raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
                              ) from failure

@@ -24,8 +24,8 @@ import numpy as np
 _CHANNEL = struct.Struct('<H')
 # Where the entries of a message index begin.
 _ENTRIES = 6
-# Records in chunks, over the size of the file and beside so many: of messages without content whose
-# stamps are even, zstd packs 1.4 into a byte; of those that are equal in all, 350.
+# Records in chunks, over the size of the file and beside so many: of messages without content
+# whose stamps are even, zstd packs 1.4 into a byte; of those that are equal in all, 350.
 _PER_BYTE, _AT_LEAST = 4, 2**20
 
 

@@ -16,8 +16,8 @@ import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
 _BLOCK = 2**20
-# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks; each
-# so many besides.
+# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks;
+# each takes so many besides.
 _HELD, _BESIDES = 2**30, 160
 
 

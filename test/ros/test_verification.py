@@ -7,11 +7,13 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.errors import HnnViRosError, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.ros import verification
+from hnn_vi_ros.ros.bridge_picture import BridgePicture
 from hnn_vi_ros.ros.held_state import restore_state, state_file
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
+from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_reader import BagReader
@@ -280,6 +282,28 @@ def test_log_whose_stamps_are_no_whole_steps_is_refused(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, origin=1)
     with pytest.raises(HnnViRosError, match='no whole number of steps'):
         verify(bag)
+
+
+@pytest.mark.parametrize('step_size', [1e-11, 1e-300, 5e-324])
+def test_log_of_more_steps_than_anybody_would_record_so_rarely_is_refused(tmp_path, step_size):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=step_size)
+    with pytest.raises(RecordingError, match='its sample 1 takes .* is the step_size') as caught:
+        verify(bag)
+    assert '\n' not in str(caught.value)
+
+
+def test_steps_of_next_to_no_time_are_one_line_to_node_and_bridge(tmp_path, monkeypatch):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=5e-324)
+    run = RecordedRun(bag)
+    with pytest.raises(ParameterError, match='inf steps from sample to sample are too many'):
+        Sampler(Simulation.from_scene(run.scene), 100.0)
+    picture = BridgePicture(run.scene, tmp_path / 'a.rrd', 'a')
+    with pytest.raises(RecordingError, match='more than can be counted'):
+        picture.show(run.state(next(run.reader.messages(run.states))))
+    picture.close()
+    monkeypatch.setattr(BagReader, 'attachment', lambda self, name: b'publish_rate: 100.0')
+    with pytest.raises(RecordingError, match='publish_rate is no rate'):
+        run.spacing
 
 
 @pytest.mark.parametrize('name', ['exact_double_pendulum', 'exact_damped_driven_pendulum'])
