@@ -8,7 +8,7 @@ import sys
 from hnn_vi_ros import arguments
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.sinks.bag_files import bag_files
-from hnn_vi_ros.sinks.mcap_recovery import recover, Recovery
+from hnn_vi_ros.sinks.mcap_recovery import describe, recover, Recovery
 
 
 def main(argv: list[str]) -> int:
@@ -19,17 +19,28 @@ def main(argv: list[str]) -> int:
 
 def _recover(bag: Path, replace: bool) -> int:
     """Make the files of a bag whole; return the exit status."""
-    status = 0
+    status, changed = 0, False
     try:
         files = bag_files(bag)
         for path in [bag] if len(files) == 1 else files:
             recovery = recover(path, replace)
             print(_told(recovery), flush=True)
-            status = max(status, int(recovery.lost))
+            status, changed = max(status, int(recovery.lost)), changed or recovery.changed
+        if len(files) > 1 and (changed or not (bag / 'metadata.yaml').exists()):
+            messages = describe(bag, files)
+            print(f'{bag}: metadata.yaml written: {messages} messages in {len(files)} files',
+                  flush=True)
+    except OSError as problem:
+        return _fail(f'{bag}: its metadata.yaml cannot be written ({problem.strerror}); the '
+                     'files are whole')
     except RecordingError as problem:
-        print(f'recover_bag: {problem}', file=sys.stderr, flush=True)
-        return 2
+        return _fail(str(problem))
     return status
+
+
+def _fail(problem: str) -> int:
+    print(f'recover_bag: {problem}', file=sys.stderr, flush=True)
+    return 2
 
 
 def _told(recovery: Recovery) -> str:

@@ -13,6 +13,7 @@ import tempfile
 import time
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recover_bag import main
 from hnn_vi_ros.sinks.mcap_recovery import recover
 from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hypothesis import example, given, settings, strategies
@@ -208,6 +209,7 @@ FULL = """
 import resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recover_bag import main
 from hnn_vi_ros.sinks.mcap_recovery import recover
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:
@@ -253,6 +255,57 @@ def test_executable_tells_messages_and_seconds_or_one_line(tmp_path):
         assert result.returncode == status
         assert told in result.stdout + result.stderr
         assert (result.stdout + result.stderr).count('\n') == 1
+
+
+def split_bag(folder: Path) -> tuple[Path, Path]:
+    """Return the files of a bag in two, of 20 and 30 ticks."""
+    folder.mkdir()
+    files = folder / f'{folder.name}_0.mcap', folder / f'{folder.name}_1.mcap'
+    for path, begin, end in zip(files, (0, 20), (20, 50)):
+        sink = McapSink(folder.with_name(path.stem), TOPICS, ATTACHMENTS)
+        for tick in range(begin, end):
+            sink.write(tick * PERIOD, payloads(tick))
+            # A chunk each.
+            sink.flush()
+        sink.close()
+        sink._path.rename(path)
+    return files
+
+
+def test_split_bag_is_described_as_one_with_all_its_files(tmp_path, capsys):
+    first, second = split_bag(tmp_path / 'bag')
+    second.write_bytes(second.read_bytes()[:-20])
+    # A file by itself is not the bag.
+    recover(first)
+    assert not (first.parent / 'metadata.yaml').exists()
+    assert main([str(first.parent)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith(
+        'metadata.yaml written: 150 messages in 2 files')
+    described = yaml.safe_load((first.parent / 'metadata.yaml').read_text())[
+        'rosbag2_bagfile_information']
+    assert described['relative_file_paths'] == [first.name, second.name]
+    assert [(file['path'], file['message_count'], file['starting_time'], file['duration'])
+            for file in described['files']] == [
+        (path.name, 3 * ticks, {'nanoseconds_since_epoch': begin * PERIOD},
+         {'nanoseconds': (ticks - 1) * PERIOD})
+        for path, begin, ticks in ((first, 0, 20), (second, 20, 30))]
+    assert described['duration'] == {'nanoseconds': 49 * PERIOD}
+    with AnyReader([first.parent]) as reader:
+        assert {c.topic: c.msgcount for c in reader.connections} == {
+            topic.name: 50 for topic in TOPICS}
+        assert len(list(reader.messages())) == 150
+    before = [path.read_bytes() for path in sorted(first.parent.iterdir())]
+    assert main([str(first.parent)]) == 0
+    assert [path.read_bytes() for path in sorted(first.parent.iterdir())] == before
+
+
+def test_messages_that_a_file_of_a_split_bag_has_lost_are_counted_by_its_metadata(tmp_path):
+    first, second = split_bag(tmp_path / 'bag')
+    assert main([str(first.parent)]) == 0
+    # Cut off behind ten chunks; the file's own count was at its end.
+    chunk = make_reader(BytesIO(second.read_bytes())).get_summary().chunk_indexes[10]
+    second.write_bytes(second.read_bytes()[:chunk.chunk_start_offset])
+    assert recover(second).fewer == 60
 
 
 @pytest.mark.timeout(60 + 5 * KILLS)

@@ -66,29 +66,56 @@ class BagTopics(NamedTuple):
     scene: Topic
 
 
-def bag_metadata(file_name: str, topics: Sequence[Topic], counts: Sequence[int], first: int,
-                 last: int, ros_distro: str) -> dict[str, Any]:
+class Extent(NamedTuple):
     """
-    Describe a bag of one file in the fields of rosbag2's metadata, version 9.
+    What a file of a bag holds.
 
     Parameters
     ----------
-    file_name : str
-        Name of the MCAP file in the bag's folder.
+    name : str
+        In the bag's folder.
+    messages : int
+        How many.
+    first, last : int
+        Earliest and latest log time [ns]; of no account where there is no message.
+
+    """
+
+    name: str
+    messages: int
+    first: int
+    last: int
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Return what rosbag2 calls it."""
+        start, duration = (self.first, self.last - self.first) if self.messages else (NEVER, 0)
+        return {'duration': {'nanoseconds': duration},
+                'starting_time': {'nanoseconds_since_epoch': start},
+                'message_count': self.messages}
+
+
+def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Sequence[int],
+                 ros_distro: str) -> dict[str, Any]:
+    """
+    Describe a bag in the fields of rosbag2's metadata, version 9.
+
+    Parameters
+    ----------
+    files : sequence of Extent
+        In their order.
     topics : sequence of Topic
         The recorded topics.
     counts : sequence of int
         Messages of each topic.
-    first, last : int
-        Earliest and latest log time [ns]; of no account where there is no message.
     ros_distro : str
         ROS distribution of the recording.
 
     """
-    total = sum(counts)
-    start, duration = (first, last - first) if total else (NEVER, 0)
-    extent = {'duration': {'nanoseconds': duration},
-              'starting_time': {'nanoseconds_since_epoch': start}, 'message_count': total}
+    held = [file for file in files if file.messages]
+    extent = Extent('', sum(file.messages for file in files),
+                    min((file.first for file in held), default=NEVER),
+                    max((file.last for file in held), default=0)).fields
     return {
         'version': METADATA_VERSION, 'storage_identifier': 'mcap', **extent,
         'topics_with_message_count': [
@@ -96,7 +123,8 @@ def bag_metadata(file_name: str, topics: Sequence[Topic], counts: Sequence[int],
             for topic, count in zip(topics, counts, strict=True)],
         # These two speak of compression around the file; the chunks' own is the file's affair.
         'compression_format': '', 'compression_mode': '',
-        'relative_file_paths': [file_name], 'files': [{'path': file_name, **extent}],
+        'relative_file_paths': [file.name for file in files],
+        'files': [{'path': file.name, **file.fields} for file in files],
         'custom_data': None, 'ros_distro': ros_distro,
     }
 

@@ -4,7 +4,7 @@
 
 from typing import BinaryIO
 
-from hnn_vi_ros.sinks.bag_metadata import bag_metadata, NEVER, read_description, Topic
+from hnn_vi_ros.sinks.bag_metadata import bag_metadata, Extent, NEVER, read_description, Topic
 from hnn_vi_ros.sinks.mcap_file import McapFile
 from hnn_vi_ros.yaml_text import dump_yaml
 from mcap.records import Channel, Schema
@@ -44,8 +44,8 @@ def copy_messages(file: McapFile, target: BinaryIO) -> None:
     # At the end, what the bag holds, as its recorder would have done.
     topics = [describe_topic(channel, file.schemas.get(channel.schema_id))
               for channel in file.channels.values()]
-    described = bag_metadata(file.name.name, topics, list(counts.values()), first, last,
-                             ros_distro(file))
+    extent = Extent(file.name.name, sum(counts.values()), first, last)
+    described = bag_metadata([extent], topics, list(counts.values()), ros_distro(file))
     writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(described)})
     writer.finish()
 

@@ -3,11 +3,11 @@
 """Make an MCAP bag whole whose recording was interrupted, or that was damaged."""
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 import fcntl
-from itertools import count
+from itertools import count as numbers
 import os
 from pathlib import Path
 import shutil
@@ -17,7 +17,7 @@ from typing import BinaryIO
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.sinks.bag_files import bag_files
 from hnn_vi_ros.sinks.bag_metadata import (
-    bag_metadata, NEVER, read_bag_metadata, write_bag_metadata)
+    bag_metadata, Extent, NEVER, read_bag_metadata, Topic, write_bag_metadata)
 from hnn_vi_ros.sinks.even_grid import Missing, missing_in_all
 from hnn_vi_ros.sinks.mcap_check import data_crc_holds, is_finished
 from hnn_vi_ros.sinks.mcap_copy import copy_messages, describe_topic, ros_distro
@@ -117,11 +117,10 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
             if recovery.changed:
                 _refuse_if_nothing(file, recovery)
                 _write_anew(file, recovery, replace)
-            folder = path.parent
-            # A file that is one of many, or lies anywhere, is no bag by itself.
-            is_bag = bag.is_dir() or path.name == f'{folder.absolute().name}_0.mcap'
-            if is_bag and (recovery.changed or not (folder / 'metadata.yaml').exists()):
-                _describe(McapFile(path, path), recovery)
+            if (bag.is_dir() or _is_bag(path)) and (
+                    recovery.changed or not (path.parent / 'metadata.yaml').exists()):
+                describe(path.parent, [path])
+                recovery.described = True
             return recovery
     except OSError as problem:
         raise RecordingError(
@@ -170,9 +169,15 @@ def _recorded(file: McapFile) -> int | None:
     if file.survey.statistics is not None:
         return file.survey.statistics.message_count
     described = read_bag_metadata(file.path.parent)
-    told = described.get('message_count')
-    of_this = described.get('relative_file_paths') == [file.path.name]
-    return told if of_this and isinstance(told, int) else None
+    if described.get('relative_file_paths') == [file.path.name]:
+        files = [described]
+    else:
+        # Of each file of several.
+        told = described.get('files')
+        files = [entry for entry in (told if isinstance(told, list) else ())
+                 if isinstance(entry, dict) and entry.get('path') == file.path.name]
+    count = files[0].get('message_count') if files else None
+    return count if isinstance(count, int) else None
 
 
 def _refuse_if_nothing(file: McapFile, recovery: Recovery) -> None:
@@ -214,7 +219,7 @@ def _read_back(path: Path, messages: int) -> None:
 
 def _keep(path: Path) -> Path:
     """Give a file a second name, that none has yet, and return that."""
-    for number in count(1):
+    for number in numbers(1):
         original = path.with_name(f'{path.name}.orig' + (f'-{number}' if number > 1 else ''))
         try:
             os.link(path, original)
@@ -228,14 +233,49 @@ def _keep(path: Path) -> Path:
         return original
 
 
-def _describe(file: McapFile, recovery: Recovery) -> None:
-    """Write metadata.yaml."""
-    counts = dict.fromkeys(file.channels, 0)
-    for message in file.messages():
-        counts[message.channel_id] += 1
-    topics = [describe_topic(channel, file.schemas.get(channel.schema_id))
-              for channel in file.channels.values()]
-    write_bag_metadata(file.path.parent, bag_metadata(
-        file.path.name, topics, list(counts.values()), recovery.first, recovery.last,
-        ros_distro(file)))
-    recovery.described = True
+def _is_bag(path: Path) -> bool:
+    """Tell whether a file is a bag by itself: not one of many, nor one that lies anywhere."""
+    folder = path.parent
+    try:
+        return path.name == f'{folder.absolute().name}_0.mcap' and bag_files(folder) == [path]
+    except RecordingError:
+        # It lies among others that are no one bag.
+        return False
+
+
+def describe(folder: Path, paths: Sequence[Path]) -> int:
+    """
+    Write the metadata.yaml of a bag, and return how many messages are in it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the bag.
+    paths : sequence of Path
+        Its MCAP files, in their order; whole.
+
+    Raises
+    ------
+    RecordingError
+        A file is none.
+    OSError
+        A file cannot be read, or metadata.yaml not be written.
+
+    """
+    # The same topic in several files is one.
+    counts: dict[Topic, int] = {}
+    extents = []
+    for path in paths:
+        file = McapFile(path, path)
+        topics = {number: describe_topic(channel, file.schemas.get(channel.schema_id))
+                  for number, channel in file.channels.items()}
+        counts |= {topic: counts.get(topic, 0) for topic in topics.values()}
+        messages, first, last = 0, NEVER, 0
+        for message in file.messages():
+            counts[topics[message.channel_id]] += 1
+            messages += 1
+            first, last = min(first, message.log_time), max(last, message.log_time)
+        extents.append(Extent(path.name, messages, first, last))
+    write_bag_metadata(folder, bag_metadata(
+        extents, list(counts), list(counts.values()), ros_distro(file)))
+    return sum(extent.messages for extent in extents)

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, final
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.sinks.bag_metadata import (
-    bag_metadata, DEFINITIONS, NEVER, Topic, write_bag_metadata)
+    bag_metadata, DEFINITIONS, Extent, NEVER, Topic, write_bag_metadata)
 from hnn_vi_ros.sinks.mcap_index import compact_index
 from hnn_vi_ros.yaml_text import dump_yaml
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
@@ -207,8 +207,8 @@ class McapSink:
 
     def _metadata(self) -> dict[str, Any]:
         counts = [self._ticks] * len(self._topics) + [count for _, count in self._others.values()]
-        return bag_metadata(self._path.name, [*self._topics, *self._others], counts,
-                            self._first, self._last, self._ros_distro)
+        file = Extent(self._path.name, sum(counts), self._first, self._last)
+        return bag_metadata([file], [*self._topics, *self._others], counts, self._ros_distro)
 
     def _check_open(self) -> None:
         if self._stream is None:
