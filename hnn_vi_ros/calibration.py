@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choose the cheapest method and step size that hold a budget of error, by trying them."""
 
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import sha256
@@ -10,27 +11,34 @@ import math
 import os
 from pathlib import Path
 import platform
+import time
+from typing import Any
 
-from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.trials import (
-    Budget, energy_judge, INSTANTS, Judge, parts_for, path_judge, Problem, time_scale,
-    UNAFFORDABLE)
+from hnn_vi_ros.errors import CalibrationError, UnsupportedSystem
+from hnn_vi_ros.path_reference import find_reference, PathJudge
+from hnn_vi_ros.step_search import Search, search
+from hnn_vi_ros.survey import Survey, survey
+from hnn_vi_ros.trials import Budget, EnergyJudge, Method, Problem, Trial
 from hnn_vi_ros.version import __version__
 import numba
 import numpy as np
 
-# In the order in which they are tried. Every one keeps its energy for ever, so that what a short
-# run shows holds for a long one. All Gauss methods share one compiled kernel.
-CANDIDATES = ('stormer_verlet', 'generalized_leapfrog', 'variational_euler',
-              *(f'gauss{order}' for order in range(4, 18, 2)))
-# What is measured must stay this far below the budget.
-SAFETY = 2.0
-# Wall time of a trial [s], and the most trials of a method.
-_TRIAL, _TRIALS = 0.06, 8
-_CHAOS = ' (if the motion is chaotic, so does every method)'
-# A method that promises to cost this many times the best is not tried further.
-_HOPELESS = 3.0
+# In the order in which they are tried. Every one keeps its energy for ever, so that what a run
+# of many gradients shows holds for a longer one. All Gauss methods share one compiled kernel.
+CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet',
+              'generalized_leapfrog', 'variational_euler', 'time_transformed')
+# The last one is tried first where the strongest force is so many times the median one; with
+# each of these bases, and forces from which on steps are shortened, in units of the median.
+_CLOSE, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
+# First steps: this share of what resolves the path, times the root of the order.
+_FIRST = 0.25
+# Where one method has reached round-off without holding the budget, others are tried up to so
+# many times its cost.
+_BEYOND_FLOOR = 10.0
+# Wall time in which the cost that is told is measured [s], and in how many pieces.
+_TIMED, _PIECES = 0.05, 9
+# Of what is remembered; another number makes it be chosen anew.
+_FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,15 @@ class Choice:
     checked : float
         The simulated time over which it was seen [s]; less than the horizon where that is long.
     seconds_per_simulated_second : float
-        What a simulated second costs on this machine [s/s].
+        What a simulated second costs on this machine [s/s]; told, and nothing is chosen by it.
+    gradients_per_simulated_second : float
+        By which the choice was made [1/s].
+    arguments : mapping
+        Of the method.
+    energy_scale : float
+        To which energy errors are relative [J].
+    largest_step : float or None
+        The time that the step had to divide and is as long as [s]; None for a shorter step.
 
     """
 
@@ -58,20 +74,32 @@ class Choice:
     error: float
     checked: float
     seconds_per_simulated_second: float
+    gradients_per_simulated_second: float
+    arguments: Mapping[str, Any]
+    energy_scale: float
+    largest_step: float | None = None
 
     def explain(self, budget: Budget) -> str:
         """Say what was chosen and why, on one line."""
         extent = '' if self.checked >= 0.999 * budget.horizon else (
             f', seen over {self.checked:.3g} s and carried on to {budget.horizon:g} s')
-        return (f'chose {self.method} with h = {self.step_size:g} s for {budget.kind} '
-                f'{budget.error:g} up to {budget.horizon:g} s: the cheapest that holds it, with '
-                f'{self.error:.2g}{extent}, at {1e6 * self.seconds_per_simulated_second:.3g} us '
-                'per simulated second')
+        relative = f' of {self.energy_scale:.3g} J' if budget.kind == 'energy_error' else ''
+        limit = '' if self.largest_step is None else (
+            f'; h is no longer than the {self.largest_step:g} s between two samples: a lower '
+            'publish rate may allow a cheaper choice')
+        return (f'chose {Method(self.method, self.arguments)} with h = {self.step_size:g} s for '
+                f'{budget.kind} {budget.error:g}{relative} up to {budget.horizon:g} s: the '
+                f'cheapest that holds it, with {self.error:.2g}{extent}, at '
+                f'{self.gradients_per_simulated_second:.3g} gradients and '
+                f'{1e6 * self.seconds_per_simulated_second:.3g} us per simulated second{limit}')
 
 
 def calibrate(problem: Problem, budget: Budget, largest_step: float | None = None) -> Choice:
     """
     Try methods and step sizes, and return the cheapest that holds a budget.
+
+    Cost is counted in gradients, and so is how long trials run: the same problem gives the same
+    choice, however busy the machine is.
 
     Parameters
     ----------
@@ -86,45 +114,98 @@ def calibrate(problem: Problem, budget: Budget, largest_step: float | None = Non
     Returns
     -------
     Choice
-        Measured on this machine, now.
+        The cheapest, its cost in time measured on this machine.
 
     Raises
     ------
     CalibrationError
-        No method holds the budget; says how near the best comes. Or the path is chaotic and
-        cannot be known up to the horizon.
+        No method holds the budget; says how near the best comes. Or the path cannot be known up
+        to the horizon, since it is chaotic or round-off is larger than the error.
     UnsupportedSystem
         No candidate takes the effects.
 
     """
-    base = largest_step or budget.horizon / INSTANTS
-    judge = energy_judge(problem, budget)
+    base = largest_step or 0.1 * budget.horizon
+    known = survey(problem, budget.horizon, base)
     if budget.kind == 'path_error':
-        judge = path_judge(problem, budget, base)
-    best, nearest, refusal = None, None, None
-    for method in CANDIDATES:
+        judge = PathJudge(problem, budget, find_reference(problem, budget, base, known))
+    else:
+        judge = EnergyJudge(problem, budget, known.energy_scale, known.extent)
+    searches, best = [], None
+    bound = math.inf
+    for method in _candidates(known):
         try:
             problem.simulation(method, base)
-        except UnsupportedSystem as problem_of_method:
-            refusal = problem_of_method
+        except UnsupportedSystem:
             continue
-        except StepFailure as failure:
-            raise CalibrationError(str(failure)) from failure
-        bound = math.inf if best is None else best.seconds_per_simulated_second
-        found, least = _search(problem, method, budget, base, judge, bound)
-        nearest = min(filter(None, (nearest, least)), key=lambda choice: choice.error)
-        if found and found.seconds_per_simulated_second < bound:
-            best = found
-    if nearest is None:
-        raise refusal or CalibrationError('no candidate can be tried')
+        found = search(problem, method, base, judge, _first_step(method, known), bound)
+        searches.append(found)
+        parts = found.best(judge)
+        if best is None and found.at_floor():
+            # No method has errors far below the round-off of another.
+            bound = min(bound, _BEYOND_FLOOR * found.least_cost)
+        if parts is not None and found.tried[parts].cost < bound:
+            best, bound = (found, parts), found.tried[parts].cost
     if best is None:
-        raise CalibrationError(
-            f'no method holds {budget.kind} {budget.error:g} up to {budget.horizon:g} s with '
-            f'{SAFETY:g}-fold safety; the nearest is {nearest.method} with h = '
-            f'{nearest.step_size:g} s, which errs by {nearest.error:.2g}'
-            f'{_CHAOS if budget.kind == "path_error" else ""}; allow a larger error or a shorter '
-            'horizon')
-    return best
+        raise CalibrationError(_refusal(budget, base, searches))
+    return _choice(problem, *best, known, largest_step)
+
+
+def _candidates(known: Survey) -> Iterator[Method]:
+    if known.strongest >= _CLOSE * known.force > 0.0:
+        for base in _BASES:
+            for share in _FORCES:
+                yield Method('time_transformed',
+                             {'base': base, 'force': float(f'{share * known.force:.3g}')})
+    yield from map(Method, CANDIDATES[:-1])
+
+
+def _first_step(method: Method, known: Survey) -> float:
+    """Return the step that is tried first [s]: far from right, it only costs trials."""
+    step = _FIRST * method.create().order ** 0.5 * known.step_size
+    if method.kind == 'time_transformed':
+        # Its steps are shortened where it takes them, by the force to the power of 3/4.
+        step *= (known.strongest / method.arguments['force']) ** 0.75
+    return step
+
+
+def _choice(problem: Problem, found: Search, parts: int, known: Survey,
+            largest_step: float | None) -> Choice:
+    trial, h = found.tried[parts], found.base / parts
+    return Choice(found.method.kind, h, trial.error, trial.checked,
+                  _seconds(problem, found.method, h, trial), trial.cost,
+                  dict(found.method.arguments), known.energy_scale,
+                  largest_step if parts == 1 else None)
+
+
+def _seconds(problem: Problem, method: Method, h: float, trial: Trial) -> float:
+    """Return the wall time of a simulated second [s/s]: the median, others use the machine."""
+    simulation = problem.simulation(method, h)
+    simulation.advance(1)
+    start, costs = time.perf_counter(), []
+    steps = max(1, math.ceil(trial.checked / h / 100.0))
+    while len(costs) < _PIECES and (not costs or time.perf_counter() - start < _TIMED):
+        if simulation.time >= trial.checked:
+            simulation.restart(problem.q, problem.p)
+        begin = time.perf_counter()
+        simulation.advance(steps)
+        costs.append((time.perf_counter() - begin) / (steps * h))
+    return float(np.median(costs))
+
+
+def _refusal(budget: Budget, base: float, searches: list[Search]) -> str:
+    """Say that no method holds the budget, which comes nearest, and what keeps it from more."""
+    wanted = f'no method holds {budget.kind} {budget.error:g} up to {budget.horizon:g} s'
+    tried = [(trial.error, found, parts) for found in searches
+             for parts, trial in found.tried.items() if trial.complete]
+    if not tried:
+        return (f'{wanted}: every step that is short enough costs more gradients than are '
+                'affordable; allow a larger error or a shorter horizon')
+    error, found, parts = min(tried, key=lambda item: item[0])
+    reason = ('smaller steps do not help, for round-off' if found.at_floor() else
+              'smaller steps cost more gradients than are affordable')
+    return (f'{wanted}; the nearest is {found.method} with h = {found.base / parts:g} s, which '
+            f'errs by {error:.2g}: {reason}; allow a larger error or a shorter horizon')
 
 
 def remembered(problem: Problem, budget: Budget, largest_step: float | None, name: str) -> Choice:
@@ -139,7 +220,7 @@ def remembered(problem: Problem, budget: Budget, largest_step: float | None, nam
         What tells the problem from others, beside the model behind H.
 
     """
-    key = json.dumps([name, problem.hamiltonian.provenance, largest_step, __version__,
+    key = json.dumps([_FORMAT, name, problem.hamiltonian.provenance, largest_step, __version__,
                       numba.__version__, platform.node(), os.cpu_count()])
     file = _cache_folder() / f'{sha256(key.encode()).hexdigest()[:32]}.json'
     try:
@@ -158,39 +239,3 @@ def remembered(problem: Problem, budget: Budget, largest_step: float | None, nam
 def _cache_folder() -> Path:
     home = os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache'
     return Path(home) / 'hnn_vi_ros' / 'calibration'
-
-
-def _search(problem: Problem, method: str, budget: Budget, base: float, judge: Judge,
-            bound: float) -> tuple[Choice | None, Choice]:
-    """Return the largest step that holds the budget, if any does, and that of the least error."""
-    order, target = INTEGRATORS[method]().order, budget.error / SAFETY
-    tried: dict[int, Choice] = {}
-    parts = parts_for(base / (0.25 * order ** 0.5 * time_scale(problem)))
-    while len(tried) < _TRIALS and parts not in tried:
-        tried[parts] = _try(problem, method, base / parts, judge)
-        now = tried[parts]
-        good = [k for k, choice in tried.items() if choice.error <= target]
-        bad = [k for k, choice in tried.items() if not choice.error <= target]
-        # By its order, where that tells; a step that failed says nothing about its error.
-        factor = 0.4 if not np.isfinite(now.error) else (
-            (target / max(now.error, 1e-300)) ** (1.0 / order))
-        wish = parts / min(max(0.9 * factor, 0.1), 6.0)
-        if good and bad:
-            wish = min(max(wish, max(bad) + 0.5), min(good) - 0.5)
-        if now.error <= target and now.seconds_per_simulated_second > _HOPELESS * bound * max(
-                factor, 1.0):
-            break
-        parts = parts_for(wish)
-    good = [choice for choice in tried.values() if choice.error <= target]
-    least = min(tried.values(), key=lambda choice: choice.error)
-    if not good:
-        return None, least
-    return min(good, key=lambda choice: choice.seconds_per_simulated_second), least
-
-
-def _try(problem: Problem, method: str, h: float, judge: Judge) -> Choice:
-    try:
-        trial = judge(problem.simulation(method, h), _TRIAL)
-    except StepFailure:
-        trial = UNAFFORDABLE
-    return Choice(method, h, trial.error, trial.checked, trial.cost)

@@ -50,9 +50,11 @@ class AutoChoice(StrictModel):
     kind: Literal['auto'] = Field(
         description='the cheapest method and step size that hold a budget; give one error')
     energy_error: float | None = Field(None, gt=0.0, description=(
-        'largest abs(H - H0 - W) over abs(H0); [J] where H0 is zero'))
+        'largest abs(H - H0 - W) over the energies in play: the mean of abs(p . H_p) along the '
+        'path, which no constant in H changes [1]'))
     path_error: float | None = Field(None, gt=0.0, description=(
-        'largest deviation of a coordinate or momentum from the exact path, in its own unit'))
+        'largest deviation of a coordinate or momentum from the exact path, in its own unit; '
+        'looked at after every step, or at some hundred instants'))
     horizon: float = Field(gt=0.0, le=1e9, description='until when the error must be held [s]')
 
     @model_validator(mode='after')

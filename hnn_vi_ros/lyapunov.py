@@ -2,14 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """How fast neighbouring motions part: whether a motion is chaotic is measured, not guessed."""
 
+from collections.abc import Sequence
 import math
+from typing import TYPE_CHECKING
 
 from hnn_vi_ros.checks import check_seconds
 from hnn_vi_ros.diagnostics import state_scales
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.system import System
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.scene import Scene
 
 # Steps from one renormalisation to the next, and of the first horizon that is looked at.
 _EVERY, _FIRST = 32, 1024
@@ -20,7 +27,7 @@ _DISTANCE = 1e-7
 _CHAOTIC = 10.0
 
 
-def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
+def lyapunov_time(scene: 'Scene', duration: float | None = None) -> float:
     """
     Return the time in which neighbouring motions part by the factor e [s].
 
@@ -58,38 +65,59 @@ def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
     if duration is not None:
         check_seconds('duration', duration)
     scene = scene.resolved()
-    most = 2 ** 17 if duration is None else max(_FIRST, duration / scene.step_size)
-    pair = _Pair(scene)
-    steps, half = 0, 0.0
+    steps = 2 ** 17 if duration is None else max(_FIRST, duration / scene.step_size)
+    state = scene.initial_state
+    return time_between_motions(
+        scene.create_hamiltonian(), scene.create_effects(), scene.create_integrator(),
+        scene.step_size, np.array(state.q), np.array(state.p), steps, scene.on_failure)
+
+
+def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],
+                         integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
+                         steps: float, on_failure: str = 'substep') -> float:
+    """
+    Return the Lyapunov time of a motion that no scene describes [s]; see ``lyapunov_time``.
+
+    Parameters
+    ----------
+    hamiltonian, effects, integrator, h, q, p, on_failure
+        As of Simulation.
+    steps : float
+        Up to how many of them chaos is looked for, some thousands at least.
+
+    """
+    pair = _Pair(hamiltonian, effects, integrator, h, q, p, on_failure)
+    taken, half, seen = 0, 0.0, 0.0
     horizon = _FIRST
-    while horizon <= most:
-        while steps < horizon:
+    while horizon <= steps:
+        while taken < horizon:
             pair.advance()
-            steps += _EVERY
-            if steps == horizon // 2:
+            taken += _EVERY
+            if taken == horizon // 2:
                 half = pair.growth
         growth = pair.growth - half
-        if growth > _CHAOTIC:
-            return (horizon // 2) * scene.step_size / growth
-        half, horizon = pair.growth, 2 * horizon
+        # In two halves that follow one another: a close encounter grows a distance as well, and
+        # takes that back.
+        if growth > _CHAOTIC and growth > seen > 0.25 * growth:
+            return (horizon // 2) * h / growth
+        seen, half, horizon = growth, pair.growth, 2 * horizon
     return math.inf
 
 
 class _Pair:
     """Two neighbouring motions, and the logarithm of how far they have parted."""
 
-    def __init__(self, scene: Scene):
-        q, p = (np.array(part) for part in (scene.initial_state.q, scene.initial_state.p))
-        hamiltonian = scene.create_hamiltonian()
-        if not System(hamiltonian, scene.create_effects(), scene.create_integrator()).lockstep:
+    def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
+                 integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
+                 on_failure: str):
+        if not System(hamiltonian, effects, integrator).lockstep:
             raise ValueError('thermostat, impact, holonomic_constraint and time_transformed take '
                              'one motion at a time: their Lyapunov time cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)
         direction = np.random.default_rng(0).normal(size=2 * q.size)
         self._offset = _DISTANCE * direction / np.linalg.norm(direction)
         self._simulation = Simulation(
-            hamiltonian, scene.create_integrator(), scene.step_size, *self._states(q, p),
-            scene.create_effects(), scene.on_failure)
+            hamiltonian, integrator, h, *self._states(q, p), effects, on_failure)
 
     def advance(self) -> None:
         """Take the next steps, and bring the neighbour back to its distance."""

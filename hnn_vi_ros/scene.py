@@ -146,8 +146,9 @@ class Scene(StrictModel):
         with self.placed('integrator'):
             choice = remembered(problem, budget, self.step_size or largest_step,
                                 self.model_dump_json())
-        scene = self.with_overrides(choice.step_size, choice.method)
-        scene._chosen = budget, choice
+        scene = self.changed({'step_size': choice.step_size,
+                              'integrator': {'kind': choice.method, **choice.arguments}})
+        scene._chosen = replace(budget, energy_scale=choice.energy_scale), choice
         return scene
 
     def create_integrator(self) -> Integrator:

@@ -1,25 +1,31 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Short runs that measure the error and the cost of a method at one step size."""
+"""Runs that measure the error and the cost of a method at one step size, counted in gradients."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 import math
-import time
+from typing import Any
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import CalibrationError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# Wall time of the reference's run [s]; samples of a trial, instants of a path.
-_REFERENCE, _SAMPLES, INSTANTS = 1.0, 1000, 10
-# Times in which the state changes by its size, that a trial must see.
-_LEAST = 20.0
-# From each to the next by a tenth to a third: a step divides its base into such a number of parts.
-_PARTS = sorted({round(k * 2.0 ** e) for e in range(40) for k in (4, 5, 6, 7)} | {1, 2, 3})
+# Gradients that a run may take, of an H whose kernel holds few numbers; of one whose gradient is
+# plain Python. A network's gradient takes time in proportion to its weights.
+_GRADIENTS, _WEIGHTS, _PLAIN = 6_000_000, 2000, 20_000
+# States of a run that are looked at, and those looked at together.
+_SAMPLES, _CHUNK = 20_000, 250
+# The same where effects do work, whose sum must be asked for at each of them.
+_SAMPLES_OF_WORK = 2000
+# An error that is this many times what is allowed need not be known better.
+ENOUGH = 1e3
+# From each to the next by a quarter: a step divides its base into such a number of parts.
+_PARTS = sorted({k * 2 ** e for e in range(40) for k in (4, 5, 6)} | {1, 2, 3})
 
 
 @dataclass(frozen=True)
@@ -30,18 +36,48 @@ class Budget:
     Parameters
     ----------
     kind : str
-        ``'energy_error'``, abs(H - H0 - W) over abs(H0), or [J] where H0 is zero; or
+        ``'energy_error'``, abs(H - H0 - W) over the energy scale of the path; or
         ``'path_error'``, the largest deviation of a coordinate or momentum from the exact path.
     error : float
         The largest that is allowed.
     horizon : float
         Until when it must hold [s].
+    energy_scale : float or None
+        That of the path, to which energy errors are relative [J]; None before it was surveyed.
 
     """
 
     kind: str
     error: float
     horizon: float
+    energy_scale: float | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """
+    A method with its arguments, as a scene names it.
+
+    Parameters
+    ----------
+    kind : str
+        A name of INTEGRATORS.
+    arguments : mapping
+        Those of its constructor.
+
+    """
+
+    kind: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    def create(self) -> Integrator:
+        """Return the integrator."""
+        return INTEGRATORS[self.kind](**self.arguments)
+
+    def __str__(self) -> str:
+        inside = ', '.join(f'{key} {value:.3g}' if isinstance(value, float) else f'{key} {value}'
+                           for key, value in self.arguments.items())
+        return f'{self.kind} ({inside})' if inside else self.kind
 
 
 @dataclass(frozen=True)
@@ -65,21 +101,62 @@ class Problem:
     q: np.ndarray
     p: np.ndarray
 
-    def simulation(self, method: str, h: float) -> Simulation:
-        """Return a simulation of it."""
-        return Simulation(self.hamiltonian, INTEGRATORS[method](), h, self.q, self.p, self.effects)
+    def simulation(self, method: str | Method, h: float) -> Simulation:
+        """Return a simulation of it that stops at the first step that fails."""
+        if isinstance(method, str):
+            method = Method(method)
+        return Simulation(self.hamiltonian, method.create(), h, self.q, self.p, self.effects,
+                          'stop')
+
+    @property
+    def gradients(self) -> int:
+        """Return how many gradients a run may take: the same on every machine, at any time."""
+        kernel = self.hamiltonian.kernel
+        if not kernel.compiled:
+            return _PLAIN
+        return round(_GRADIENTS / (1.0 + _numbers(kernel) / _WEIGHTS))
+
+
+def _numbers(kernel: Kernel) -> int:
+    """Return how many numbers the arrays of a kernel hold."""
+    found, rest = 0, list(kernel.parameters)
+    while rest:
+        part = rest.pop()
+        if isinstance(part, tuple):
+            rest.extend(part)
+        found += part.size if isinstance(part, np.ndarray) else 0
+    return found
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One method at one step: its error at the horizon, over what time seen, at what cost."""
+    """
+    One method at one step.
+
+    Parameters
+    ----------
+    error : float
+        In the measure of the budget, at the horizon; infinity where a step failed.
+    checked : float
+        Simulated time that was seen [s].
+    cost : float
+        Gradients for each simulated second [1/s].
+    complete : bool
+        Whether it was seen as long as it must be.
+    dear : bool
+        Whether it was not since it cost too much; or it failed, or erred too far.
+
+    """
 
     error: float
     checked: float
     cost: float
+    complete: bool = True
+    dear: bool = False
 
 
-UNAFFORDABLE = Trial(math.inf, 0.0, math.inf)
+FAILED = Trial(math.inf, 0.0, math.inf, False)
+
 Judge = Callable[[Simulation, float], Trial]
 
 
@@ -88,8 +165,13 @@ def parts_for(wish: float) -> int:
     return next((k for k in _PARTS if k >= wish), _PARTS[-1])
 
 
+def parts_between(low: int, high: float) -> list[int]:
+    """Return the numbers of parts that are larger than one and smaller than another."""
+    return [k for k in _PARTS if low < k < high]
+
+
 def time_scale(problem: Problem) -> float:
-    """Return a time in which the state changes by about its size [s]."""
+    """Return a time in which the initial state changes by about its size [s]."""
     q, p = problem.q, problem.p
     dH_dq, dH_dp = problem.hamiltonian.gradient(q, p)
     size = max(np.abs(q).max(), np.abs(p).max())
@@ -97,102 +179,79 @@ def time_scale(problem: Problem) -> float:
     return float(size / speed) if size > 0.0 and speed > 0.0 else 1.0
 
 
-def energy_judge(problem: Problem, budget: Budget) -> Judge:
-    """Return what measures abs(H - H0 - W) relative to abs(H0), over a thousand samples."""
-    def judge(simulation: Simulation, wall: float) -> Trial:
-        steps = _affordable(problem, simulation, budget.horizon, wall)
-        if steps * simulation.step_size < min(budget.horizon, _LEAST * time_scale(problem)):
-            return UNAFFORDABLE
-        size = abs(simulation.energy) or 1.0
-        every, error, costs = math.ceil(steps / _SAMPLES), 0.0, []
-        for _ in range(math.ceil(steps / every)):
-            start = time.perf_counter()
+class EnergyJudge:
+    """
+    Measure abs(H - H0 - W) over an energy scale.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is simulated.
+    budget : Budget
+        What must be held.
+    scale : float
+        The energy scale of the path [J].
+    extent : float
+        Simulated time that must be seen, at most the horizon [s].
+
+    """
+
+    def __init__(self, problem: Problem, budget: Budget, scale: float, extent: float):
+        self._limit, self._scale, self._extent = problem.gradients, scale, extent
+        self.budget, self.known = budget, 0.0
+        self._conservative = all(effect.conservative for effect in problem.effects)
+
+    def __call__(self, simulation: Simulation, bound: float) -> Trial:
+        """Run up to the horizon, as far as gradients allow; see Trial."""
+        h = simulation.step_size
+        steps = math.ceil(self.budget.horizon / h * (1.0 - 1e-12))
+        every = math.ceil(steps / (_SAMPLES if self._conservative else _SAMPLES_OF_WORK))
+        count = math.ceil(steps / every)
+        most = min(4.0 * self._limit, bound * self._extent)
+        start, errors = simulation.energy, []
+        while simulation.steps < every * count:
+            try:
+                errors.append(self._next(simulation, every, count, start))
+            except StepFailure:
+                return FAILED
+            cost = simulation.gradients / simulation.time
+            dear = simulation.gradients > most and simulation.time < self._extent
+            if dear or max(errors) > ENOUGH * self.budget.error:
+                return Trial(max(errors), simulation.time, cost, False, dear)
+            if simulation.gradients > self._limit and simulation.time >= self._extent:
+                break
+        return Trial(carried(errors, simulation.time, self.budget.horizon, 0.0),
+                     simulation.time, cost)
+
+    def _next(self, simulation: Simulation, every: int, count: int, start: float) -> float:
+        """Return the largest error of the next samples."""
+        if not self._conservative:
             simulation.advance(every)
-            costs.append(time.perf_counter() - start)
-            error = max(error, abs(simulation.budget) / size)
-        # The median: whatever else the machine does hits some of the batches.
-        each = float(np.median(costs)) / every
-        return Trial(error, simulation.time, each / simulation.step_size)
-    return judge
+            return abs(simulation.budget) / self._scale
+        more = min(_CHUNK, count - simulation.steps // every)
+        energy = simulation.hamiltonian.energy(*simulation.record(more, every))
+        return float(np.abs(energy - start).max()) / self._scale
 
 
-def path_judge(problem: Problem, budget: Budget, base: float) -> Judge:
-    """Return what measures the distance from a reference, which is computed first."""
-    times, reference = _reference(problem, budget, base)
+def carried(errors: list[float], t: float, horizon: float, least: float) -> float:
+    """
+    Return the largest of errors that grew until t, carried on to the horizon as they grew.
 
-    def judge(simulation: Simulation, wall: float) -> Trial:
-        affordable = _affordable(problem, simulation, times[-1] * base, wall)
-        parts, errors, costs = round(base / simulation.step_size), [], []
-        count = int(np.searchsorted(times * parts, affordable, 'right'))
-        if count < 2:
-            # Too slow to be the cheapest, and too little to tell how the error grows.
-            return UNAFFORDABLE
-        for k in range(count):
-            start, steps = time.perf_counter(), int(times[k] - (times[k - 1] if k else 0)) * parts
-            simulation.advance(steps)
-            costs.append((time.perf_counter() - start) / (steps * simulation.step_size))
-            z = np.concatenate([simulation.q, simulation.p])
-            errors.append(float(np.abs(z - reference[k]).max()))
-        carried = _carried(errors, simulation.time, budget.horizon)
-        return Trial(carried, simulation.time, float(np.median(costs)))
-    return judge
+    Parameters
+    ----------
+    errors : list of float
+        In the order of time.
+    t, horizon : float
+        Until when they were seen, and are wanted [s].
+    least : float
+        The least exponent: 0 where errors are bounded, 1 where phases part.
 
-
-def _carried(errors: list[float], t: float, horizon: float) -> float:
-    """Return the largest of errors that grew until t, carried on to the horizon."""
+    """
     worst, early = max(errors), max(errors[:(len(errors) + 1) // 2])
-    if horizon <= t or worst == 0.0:
+    if horizon <= t * (1.0 + 1e-9) or worst == 0.0:
         return worst
     growth = worst / max(early, 1e-300)
     if growth > 4.0:
         # Faster than quadratically in time: exponentially, as where the motion is chaotic.
         return worst * math.exp(min(math.log(growth) * (horizon - t) / (0.5 * t), 500.0))
-    return worst * (horizon / t) ** max(math.log2(growth), 1.0)
-
-
-def _reference(problem: Problem, budget: Budget, base: float) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return ten times in units of the base, and the states there, shape (10, 2 d).
-
-    Raises
-    ------
-    CalibrationError
-        Halving the steps of the reference moves it by too much: the path is chaotic.
-
-    """
-    bases = max(round(budget.horizon / base), INSTANTS)
-    parts = parts_for(base / (0.3 * time_scale(problem)))
-    simulation = problem.simulation('gauss16', base / parts)
-    affordable = _affordable(problem, simulation, bases * base, _REFERENCE) // parts
-    bases = min(bases, max(affordable, INSTANTS))
-    times = np.round(np.arange(1, INSTANTS + 1) * bases / INSTANTS).astype(int)
-    previous, distance, last = None, math.inf, math.inf
-    # As long as smaller steps bring two of them nearer.
-    while previous is None or last is math.inf or distance < 0.5 * last:
-        simulation = problem.simulation('gauss16', base / parts)
-        states = []
-        for gap in np.diff(times, prepend=0):
-            simulation.advance(int(gap) * parts)
-            states.append(np.concatenate([simulation.q, simulation.p]))
-        if previous is not None:
-            last, distance = distance, float(np.abs(np.array(states) - previous).max())
-            if distance <= 0.05 * budget.error:
-                return times, np.array(states)
-        previous, parts = np.array(states), parts_for(1.6 * parts)
-    raise CalibrationError(
-        f'path_error {budget.error:g} up to {times[-1] * base:g} s: two references differ by '
-        f'{distance:.2g} there, so the path cannot be known that well; the motion is chaotic or '
-        'the error below round-off; take energy_error, a shorter horizon or a larger error')
-
-
-def _affordable(problem: Problem, simulation: Simulation, horizon: float, wall: float) -> int:
-    """Return how many steps up to the horizon fit into a wall time [s]; compiles the kernel."""
-    simulation.compile()
-    simulation.advance(1)
-    start, probe = time.perf_counter(), 0
-    while time.perf_counter() - start < 0.1 * wall:
-        simulation.advance(8)
-        probe += 8
-    each = (time.perf_counter() - start) / probe
-    simulation.restart(problem.q, problem.p)
-    return max(1, min(round(horizon / simulation.step_size), int(wall / each)))
+    return worst * (horizon / t) ** max(math.log2(growth), least)

@@ -23,7 +23,7 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 # The folders and files whose names stand for a layer; the first that fits counts.
 LAYERS = {
     'ros': 'ros', 'studies': 'studies', 'learning': 'learning', 'sinks': 'sinks', 'cli': 'cli',
-    'scene': 'scene', 'ensemble': 'scene', 'lyapunov': 'scene', 'scene_tool': 'cli',
+    'scene': 'scene', 'ensemble': 'scene', 'scene_tool': 'cli',
     'recover_bag': 'cli', '__init__': 'cli',
 }
 ARROWS = {

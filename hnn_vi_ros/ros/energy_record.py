@@ -98,16 +98,18 @@ class EnergyRecord:
         """
         Return the error of a sample in the measure of the budget.
 
-        With that of the energy the band of the modified energy counts, the larger of the two.
+        With that of the energy the band of the modified energy counts, the larger of the two,
+        over the energy scale of the budget.
         On the path, a coordinate or momentum deviates by at least what makes up for the error of
         H: that error over the sum of abs(dH_dq) and abs(dH_dp) where H is steepest. Where work is
         done these are no derivatives of H, and no such bound is known.
         """
-        error = abs(sample.energy_error)
+        error = abs(sample.energy_error) * self._size
         if self.budget.kind == 'energy_error':
-            return error if math.isnan(self.band) else max(error, self.band / self._size)
+            largest = error if math.isnan(self.band) else max(error, self.band)
+            return largest / (self.budget.energy_scale or self._size)
         if not self._conservative:
             return 0.0
         steepness = float(np.abs(sample.dH_dq).sum() + np.abs(sample.dH_dp).sum())
         self._steepest = max(self._steepest, steepness)
-        return error * self._size / self._steepest if self._steepest else 0.0
+        return error / self._steepest if self._steepest else 0.0

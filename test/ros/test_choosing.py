@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the integrator auto chose is told, watched, and reported when it does not do."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 from hnn_vi_ros import calibration, load_scene
@@ -20,6 +21,7 @@ integrator: {kind: auto, energy_error: 1.0e-3, horizon: 10.0}
 initial_state: {q: [1.0], p: [0.0]}
 """
 BUDGET = Budget('energy_error', 1e-3, 10.0)
+CHOICE = Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3, 4e3, {}, 0.5)
 
 
 @pytest.fixture
@@ -47,13 +49,13 @@ def events_of(recording: Path) -> list[tuple[str, str]]:
 
 
 def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
-    choose(Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3))
+    choose(CHOICE)
     status, _, error = finish(start(
         tmp_path, scene='auto.yaml', duration=1, real_time_factor=0, record='false',
         rerun_path='picture.rrd'))
     assert status == 0
     assert 'calibrating for energy_error 0.001 up to 10 s' in error
-    explained = Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3).explain(BUDGET)
+    explained = CHOICE.explain(BUDGET)
     assert explained in error
     assert 'WARN' not in error
     events = events_of(tmp_path / 'picture.rrd')
@@ -62,18 +64,18 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
 
 
 def test_scene_report_carries_budget_and_choice(tmp_path, choose):
-    choose(Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3))
+    choose(CHOICE)
     scene = load_scene(tmp_path / 'auto.yaml').resolved(1.0 / 100.0)
     report = scene_report(scene, Simulation.from_scene(scene))
-    assert report['budget'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0}
-    assert report['choice'] == {'method': 'gauss4', 'step_size': 0.005, 'error': 1e-4,
-                                'checked': 10.0, 'seconds_per_simulated_second': 1e-3}
+    assert report['budget'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0,
+                                'energy_scale': 0.5}
+    assert report['choice'] == asdict(CHOICE)
     assert (report['integrator']['kind'], report['step_size']) == ('gauss4', 0.005)
 
 
 def test_budget_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose):
     # The paper's scheme errs by h / 2 = 5e-3.
-    choose(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3))
+    choose(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3, 300.0, {}, 0.5))
     status, _, error = finish(start(
         tmp_path, scene='auto.yaml', duration=9, real_time_factor=0, record='false',
         rerun_path='picture.rrd'))
@@ -85,7 +87,7 @@ def test_budget_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose
 
 
 def test_choice_that_cannot_keep_the_pace_is_warned_of_before_the_run():
-    choice = Choice('gauss16', 0.01, 1e-4, 10.0, 0.25)
+    choice = Choice('gauss16', 0.01, 1e-4, 10.0, 0.25, 1e4, {}, 0.5)
     assert [event.level for event in told(BUDGET, choice, 0.0)] == ['INFO']
     assert [event.level for event in told(BUDGET, choice, 3.9)] == ['INFO']
     _, warning = told(BUDGET, choice, 4.1)

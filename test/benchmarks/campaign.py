@@ -1,0 +1,241 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the integrator auto chooses on systems that are not shipped, beside the best of a sweep.
+
+Run it in the folder test with ``python -m benchmarks.campaign --out FILE.json``: each row is
+written when it is finished, and a run that was interrupted goes on with the next one. With
+``--table FILE.md`` the rows become a page.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+import json
+import math
+from pathlib import Path
+import time
+
+from benchmarks.systems import System, systems
+from hnn_vi_ros.calibration import calibrate
+from hnn_vi_ros.energy_scale import energy_scale
+from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.studies.references import EXACT
+from hnn_vi_ros.trials import Budget, Method, Problem
+import numpy as np
+from scipy.integrate import solve_ivp
+
+# Horizons in periods, and errors.
+BUDGETS = (('energy_error', 1e-3, 30.0), ('energy_error', 1e-8, 30.0), ('path_error', 1e-5, 6.0))
+_METHODS = [*(Method('time_transformed', {'base': base, 'force': force})
+              for base in ('gauss8', 'gauss6', 'gauss4') for force in (1.0, 0.2)),
+            *(Method(f'gauss{order}') for order in range(16, 2, -2)), Method('stormer_verlet'),
+            Method('generalized_leapfrog'), Method('variational_euler')]
+# Steps of the sweep: the horizon over round(ratio^k), down to these; each by at most this many
+# gradients, or some times those of the best so far.
+_RATIO, _MOST, _GRADIENTS, _DEARER = 1.19, 4_000_000, 20_000_000, 1.1
+_SAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    A system and a budget.
+
+    Parameters
+    ----------
+    chosen, best : str
+        Method and step of auto, or why it refused; and those of the sweep.
+    error : float
+        Of what auto chose, measured anew.
+    gradients, best_gradients : float
+        A simulated second [1/s].
+    seconds, best_seconds : float
+        Wall time of one [s/s].
+    took : float
+        Wall time of the choice [s].
+
+    """
+
+    system: str
+    budget: str
+    allowed: float
+    chosen: str
+    error: float
+    gradients: float
+    seconds: float
+    best: str
+    best_gradients: float
+    best_seconds: float
+    took: float
+
+    @property
+    def good(self) -> bool:
+        """Tell whether the budget was held at 1.5 times the gradients of the best at most."""
+        if math.isnan(self.error):
+            return math.isnan(self.best_gradients)
+        return self.error <= self.allowed and not self.gradients > 1.5 * self.best_gradients
+
+
+class Truth:
+    """
+    The path of a system by scipy's DOP853, or exact, which nothing of auto's is used for.
+
+    Parameters
+    ----------
+    problem : Problem
+        What moves.
+    horizon : float
+        Until when [s].
+
+    """
+
+    def __init__(self, problem: Problem, horizon: float):
+        self._problem, d = problem, problem.hamiltonian.dimension
+
+        def field(t: float, z: np.ndarray) -> np.ndarray:
+            dH_dq, dH_dp = problem.hamiltonian.gradient(z[:d], z[d:])
+            return np.concatenate([dH_dp, -dH_dq])
+        self._solution = solve_ivp(
+            field, (0.0, horizon * (1.0 + 1e-9)), np.concatenate([problem.q, problem.p]),
+            method='DOP853', rtol=3e-14, atol=1e-14, dense_output=True).sol
+        states = self._solution(np.linspace(0.0, horizon, 4001)).T
+        self.scale = energy_scale(problem.hamiltonian, *np.split(states, 2, axis=1))
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Return (q, p) at times, shape (n, 2 d)."""
+        exact = EXACT.get(type(self._problem.hamiltonian))
+        if exact is None:
+            return self._solution(times).T
+        return exact(self._problem.hamiltonian, self._problem.q, self._problem.p, times)[0]
+
+
+def measure(problem: Problem, truth: Truth, budget: Budget, method: Method, steps: int,
+            most: float) -> tuple[float, float]:
+    """Return the error at every step, or some thousand, and gradients a simulated second."""
+    simulation = problem.simulation(method, budget.horizon / steps)
+    every, start, worst = math.ceil(steps / _SAMPLES), simulation.energy, 0.0
+    while simulation.steps < steps:
+        first = simulation.steps
+        count = min(200, (steps - first) // every) or 1
+        states = np.hstack(simulation.record(count, every))
+        if budget.kind == 'energy_error':
+            energy = problem.hamiltonian.energy(*np.split(states, 2, axis=1))
+            error = np.abs(energy - start).max() / truth.scale
+        else:
+            times = simulation.step_size * (first + every * np.arange(1, count + 1))
+            inside = times <= budget.horizon * (1.0 + 1e-12)
+            error = np.abs(states - truth.at(times))[inside].max(initial=0.0)
+        worst = max(worst, float(error))
+        if worst > budget.error or simulation.gradients > most:
+            return math.inf, math.inf
+    return worst, simulation.gradients / simulation.time
+
+
+def sweep(problem: Problem, truth: Truth, budget: Budget) -> tuple[str, float, float]:
+    """Return the cheapest of all methods and steps, its gradients and its time."""
+    found: tuple[float, Method | None, int] = (math.nan, None, 0)
+    limit = _GRADIENTS
+    for method in _METHODS:
+        counts = sorted({round(_RATIO ** k) for k in range(100)})
+        held = 0
+        for steps in (n for n in counts if n <= _MOST):
+            try:
+                error, cost = measure(problem, truth, budget, method, steps, limit)
+            except StepFailure:
+                continue
+            except UnsupportedSystem:
+                break
+            if error <= budget.error:
+                held += 1
+                if not cost >= found[0]:
+                    found, limit = (cost, method, steps), _DEARER * cost * budget.horizon
+            # More steps cost more: one gradient each at least.
+            if held == 3 or steps > limit:
+                break
+    cost, method, steps = found
+    if method is None:
+        return 'none', math.nan, math.nan
+    h = budget.horizon / steps
+    return f'{method}, h = {h:.3g}', cost, seconds(problem, method, h, budget.horizon)
+
+
+def seconds(problem: Problem, method: Method, h: float, horizon: float) -> float:
+    """Return the wall time of a simulated second [s/s], the least of five runs."""
+    times = []
+    steps = max(1, round(min(horizon, 0.2 * horizon + 20.0 * h) / h))
+    for _ in range(5):
+        simulation = problem.simulation(method, h)
+        simulation.compile()
+        begin = time.perf_counter()
+        simulation.advance(steps)
+        times.append((time.perf_counter() - begin) / simulation.time)
+    return min(times)
+
+
+def row(name: str, system: System, kind: str, error: float, periods: float) -> Row:
+    """Measure one system with one budget."""
+    problem, budget = system.problem, Budget(kind, error, periods * system.period)
+    begin = time.perf_counter()
+    text = f'{kind} {error:g} up to {budget.horizon:.4g} s'
+    truth = Truth(problem, budget.horizon)
+    begin = time.perf_counter()
+    try:
+        choice = calibrate(problem, budget)
+    except CalibrationError as refusal:
+        taken = time.perf_counter() - begin
+        return Row(name, text, error, f'refused: {refusal}', math.nan, math.nan, math.nan,
+                   *sweep(problem, truth, budget), taken)
+    taken = time.perf_counter() - begin
+    method = Method(choice.method, choice.arguments)
+    steps = math.ceil(budget.horizon / choice.step_size * (1.0 - 1e-12))
+    wide = Budget(kind, math.inf, steps * choice.step_size)
+    found, cost = measure(problem, truth, wide, method, steps, math.inf)
+    return Row(name, text, error, f'{method}, h = {choice.step_size:.3g}', found, cost,
+               seconds(problem, method, choice.step_size, budget.horizon),
+               *sweep(problem, truth, budget), taken)
+
+
+def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:
+    """Measure what the file lacks, and return all rows."""
+    rows = [Row(**entry) for entry in json.loads(out.read_text())] if out.exists() else []
+    done = {(row.system, row.budget.split()[0], row.allowed) for row in rows}
+    for name, system in systems().items():
+        for kind, error, periods in BUDGETS:
+            if (name, kind, error) in done or (names and name not in names):
+                continue
+            rows.append(row(name, system, kind, error, periods))
+            part = out.with_suffix('.part')
+            part.write_text(json.dumps([asdict(entry) for entry in rows], indent=1))
+            part.replace(out)
+            say(f'{"good" if rows[-1].good else "MISS"} {rows[-1]}')
+    return rows
+
+
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of the page."""
+    yield ('| system | budget | auto chose | error | gradients / s | best of the sweep | ratio of '
+           'gradients | of time | |')
+    yield '|---|---|---|---|---|---|---|---|---|'
+    for entry in rows:
+        ratio, times = (entry.gradients / entry.best_gradients,
+                        entry.seconds / entry.best_seconds)
+        yield (f'| {entry.system} | {entry.budget} | {entry.chosen} | {entry.error:.2g} | '
+               f'{entry.gradients:.3g} | {entry.best}: {entry.best_gradients:.3g} | {ratio:.2f} | '
+               f'{times:.2f} | {"" if entry.good else "missed"} |')
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--out', type=Path, required=True, help='JSON file of the rows')
+    parser.add_argument('--table', type=Path, help='Markdown file to write the table to')
+    parser.add_argument('systems', nargs='*', help='names; all if none')
+    options = parser.parse_args()
+    rows = run(options.out, options.systems, lambda text: print(text, flush=True))
+    if options.table:
+        options.table.write_text('\n'.join(table(rows)) + '\n')
+
+
+if __name__ == '__main__':
+    main()
