@@ -8,13 +8,18 @@ import math
 import sys
 
 from hnn_vi_ros import arguments
+from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.lyapunov import lyapunov_time
 from hnn_vi_ros.resources import shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.effect_cost import EffectCosts, measure_effects
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
+
+# Steps during which neighbouring motions are followed; of an H that is plain Python.
+_STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
 
 
 def main(argv: list[str]) -> int:
@@ -74,7 +79,7 @@ class _Plain(GenerateJsonSchema):
 
 def explain(scene: Scene) -> Iterator[str]:
     """
-    Yield the lines that tell what a scene simulates and how long a step takes.
+    Yield the lines that tell what a scene simulates, how chaotic it is, what a step takes.
 
     Raises
     ------
@@ -82,6 +87,9 @@ def explain(scene: Scene) -> Iterator[str]:
         The scene cannot be built or fails.
 
     """
+    if isinstance(scene.integrator, AutoChoice):
+        print('choosing a method ...', file=sys.stderr)
+        scene = scene.resolved()
     simulation = Simulation.from_scene(scene)
     hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
     yield f'{scene.name}: {scene.description}'
@@ -96,8 +104,12 @@ def explain(scene: Scene) -> Iterator[str]:
         yield f'  {"conservative" if effect.conservative else "does work"}'
     yield from _choice('integrator', scene.integrator)
     yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
+    if scene.chosen is not None:
+        budget, choice = scene.chosen
+        yield f'  {choice.explain(budget)}'
     yield f'conservative: {"yes" if simulation.conservative else "no"}'
     print('measuring ...', file=sys.stderr)
+    yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)
     yield from _times(measure_effects(scene))
 
 
@@ -106,6 +118,18 @@ def _choice(role: str, choice: BaseModel) -> Iterator[str]:
     for name, field in type(choice).model_fields.items():
         if name != 'kind':
             yield f'  {name} = {getattr(choice, name)}: {field.description}'
+
+
+def lyapunov_line(scene: Scene, steps: int) -> str:
+    """Return the line that tells the Lyapunov time, looked for during so many steps."""
+    duration = steps * scene.step_size
+    try:
+        time = lyapunov_time(scene, duration)
+    except (HnnViRosError, ValueError) as problem:
+        return f'Lyapunov time: not measured: {problem}'
+    if math.isinf(time):
+        return f'Lyapunov time: none found within {duration:.4g} s: the motion is regular so far'
+    return f'Lyapunov time: {time:.3g} s: the motion is chaotic'
 
 
 def _times(costs: EffectCosts) -> Iterator[str]:

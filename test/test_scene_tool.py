@@ -10,7 +10,7 @@ import re
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.resources import shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene_tool import json_schema, main
+from hnn_vi_ros.scene_tool import json_schema, lyapunov_line, main
 from hnn_vi_ros.studies.effect_cost import measure_effects
 import pytest
 
@@ -116,6 +116,39 @@ def test_explain_tells_the_system_and_what_each_effect_is_and_adds(tmp_path, cap
             r'time per step: \d+\.\d+ us', r'bare integrator: \d+\.\d+ us',
             r'damping_0 adds -?\d+\.\d+ us', r'damping_1 adds -?\d+\.\d+ us'):
         assert re.search(expected, out), expected
+
+
+def test_explain_tells_what_auto_chose_and_that_a_regular_motion_is_not_chaotic(
+        tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    path = tmp_path / 'mine.yaml'
+    path.write_text('hamiltonian: {kind: pendulum}\n'
+                    'integrator: {kind: auto, energy_error: 1.0e-5, horizon: 100.0}\n'
+                    'initial_state: {q: [2.5], p: [0.0]}\n')
+    assert main(['--explain', str(path)]) == 0
+    out = capsys.readouterr().out
+    for expected in (r'integrator (gauss\d+|stormer_verlet): ', r'step_size = [\d.e-]+ \[s\]',
+                     r'chose .* for energy_error 1e-05 of [\d.]+ J up to 100 s',
+                     r'Lyapunov time: none found within [\d.e+]+ s',
+                     r'time per step: \d+\.\d+ us'):
+        assert re.search(expected, out), expected
+
+
+def test_explain_tells_the_lyapunov_time_of_a_chaotic_motion(tmp_path, capsys):
+    path = tmp_path / 'mine.yaml'
+    path.write_text('hamiltonian: {kind: henon_heiles}\n'
+                    'integrator: {kind: generalized_leapfrog}\nstep_size: 0.05\n'
+                    'initial_state: {q: [0.0, -0.25], p: [0.42, 0.1]}\n')
+    assert main(['--explain', str(path)]) == 0
+    line = re.search(r'Lyapunov time: ([\d.]+) s: the motion is chaotic',
+                     capsys.readouterr().out)
+    # As test_lyapunov has it from the variational equations: some ten to thirty seconds.
+    assert line and 5.0 < float(line[1]) < 50.0
+
+
+def test_explain_says_why_a_lyapunov_time_is_not_measured():
+    line = lyapunov_line(load_scene('bouncing_mass'), 2048)
+    assert line.startswith('Lyapunov time: not measured: thermostat, impact')
 
 
 def test_explain_answers_a_wrong_scene_with_a_typed_error():
