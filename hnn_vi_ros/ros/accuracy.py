@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The message that tells how accurate a run is."""
 
+import math
+
+from hnn_vi_ros.local_error import local_error
 from hnn_vi_ros.ros.messages import array_message
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.serialization import Template
@@ -14,7 +17,10 @@ ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)
 ENTRIES = (
     'H', 'modified_H', 'energy_error', 'work', 'energy_budget', 'residual', 'iterations',
     'modified_energy_band', 'drift_per_hour', 'microseconds_per_step_median',
-    'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale')
+    'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale',
+    'local_error')
+# Samples from one estimate of the local error to the next: an estimate takes three steps more.
+_ESTIMATED = 64
 
 
 class AccuracyEncoder:
@@ -25,6 +31,8 @@ class AccuracyEncoder:
     step; ``iterations`` are the gradients that each step since the sample before took, on average.
     What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
     the size of the energies in play [J], by which an error is judged; see EnergyScale.
+    ``local_error`` is what a step adds, as estimated at the first and then at every 64th sample;
+    see local_error.
 
     Parameters
     ----------
@@ -39,11 +47,15 @@ class AccuracyEncoder:
         self._simulation, self._monitor = simulation, monitor
         self._energy0 = simulation.energy
         self._last = (simulation.steps, simulation.gradients)
+        self._samples, self._local_error = 0, math.nan
         self._message = Template(array_message(ENTRIES))
 
     def encode(self, sample: Sample) -> bytes:
         """Return the serialised message that belongs to a sample, the newest one."""
         steps, gradients = self._simulation.steps, self._simulation.gradients
+        if self._samples % _ESTIMATED == 0:
+            self._local_error = local_error(self._simulation)
+        self._samples += 1
         taken, spent = steps - self._last[0], gradients - self._last[1]
         self._last = (steps, gradients)
         record, figures = self._monitor.energy, self._monitor.timing.figures
@@ -53,5 +65,5 @@ class AccuracyEncoder:
             spent / taken if taken else 0.0, record.band, record.drift_per_hour,
             figures.microseconds_per_step_median, figures.microseconds_per_step_p99,
             figures.gradients_per_step, figures.largest_real_time_factor,
-            self._monitor.energy_scale)
+            self._monitor.energy_scale, self._local_error)
         return self._message.serialized()

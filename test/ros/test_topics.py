@@ -7,6 +7,7 @@ from pathlib import Path
 import time
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.local_error import local_error
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
@@ -126,10 +127,12 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
     simulation = simulation_of(tmp_path, OSCILLATOR)
     topics = Topics(node, True)
     monitor = open_topics(topics, simulation)
-    energy0 = simulation.energy
+    energy0, expected = simulation.energy, None
     for _ in range(2):
         gradients = simulation.gradients
         monitor.advance(10)
+        # Estimated at the first sample, and not yet again.
+        expected = expected or local_error(simulation)
         sample = sample_of(simulation, work=0.125)
         monitor.add(sample)
         message = deserialize_message(topics.publish(sample)[-1], Float64MultiArray)
@@ -149,7 +152,7 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
             'microseconds_per_step_median': figures.microseconds_per_step_median,
             'microseconds_per_step_p99': figures.microseconds_per_step_p99,
             'energy_scale': monitor.energy_scale, 'modified_energy_band': monitor.energy.band,
-            'gradients_per_step': figures.gradients_per_step}
+            'gradients_per_step': figures.gradients_per_step, 'local_error': expected}
         assert figures.microseconds_per_step_p99 > 0.0
 
 
