@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The YAML of classes that a scene names by kind: the schema is the constructor's signature."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from inspect import cleandoc, Parameter, signature
 from typing import Annotated, Any, Literal, Union
 
@@ -148,19 +149,31 @@ def call_factory(factory: str, place: str, folder: str | None) -> Hamiltonian:
         It cannot be imported, fails, or returns something else.
 
     """
-    place = f'{place}: {factory}'
+    with _blamed(factory, place, folder):
+        hamiltonian = import_named(factory)()
+    if not isinstance(hamiltonian, Hamiltonian):
+        raise SceneError(f'{place}: {factory} returned a {type(hamiltonian).__name__}, expected a '
+                         'Hamiltonian')
+    return hamiltonian
+
+
+def load_code(name: str, place: str, folder: str | None) -> Any:
+    """Return what ``package.module:function`` names, or raise as ``call_factory``."""
+    with _blamed(name, place, folder):
+        return import_named(name)
+
+
+@contextmanager
+def _blamed(name: str, place: str, folder: str | None) -> Iterator[None]:
+    """Say of errors in the user's code where the scene names it."""
     find_beside(folder)
     try:
-        hamiltonian = import_named(factory)()
+        yield
     except HnnViRosError:
         raise
     except ModuleNotFoundError as problem:
         remedy = '' if folder else '; put the folder that holds it on PYTHONPATH'
-        raise SceneError(f'{place}: {problem}{remedy}') from problem
+        raise SceneError(f'{place}: {name}: {problem}{remedy}') from problem
     except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
-        raise SceneError(f'{place}: {type(problem).__name__}: {" ".join(str(problem).split())}'
-                         ) from problem
-    if not isinstance(hamiltonian, Hamiltonian):
-        raise SceneError(f'{place} returned a {type(hamiltonian).__name__}, expected a '
-                         'Hamiltonian')
-    return hamiltonian
+        raise SceneError(f'{place}: {name}: {type(problem).__name__}: '
+                         f'{" ".join(str(problem).split())}') from problem

@@ -22,6 +22,7 @@ from hnn_vi_ros.hamiltonians.checkpoint import file_digest
 from hnn_vi_ros.hamiltonians.confined import load_learned
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.invariants import InvariantChoice, invariants_of
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
 from hnn_vi_ros.named_code import trusting
 from hnn_vi_ros.rescue import ON_FAILURE
@@ -49,6 +50,8 @@ class Scene(StrictModel):
     on_failure: Literal[ON_FAILURE] = Field('substep', description=(  # type: ignore[valid-type]
         'what is done about a step that fails: it is taken in sub-steps; or by implicit_midpoint, '
         'as are all steps beyond the limit of stability of an explicit method; or the run stops'))
+    invariants: list[InvariantChoice] = Field([], max_length=20, description=(
+        'what the motion conserves beside H: published with the accuracy, and watched'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='how the mechanism is drawn; without it only states are shown')
 
@@ -76,15 +79,7 @@ class Scene(StrictModel):
         return self._origin.place(*key)
 
     def changed(self, changes: Mapping[str, Any]) -> 'Scene':
-        """
-        Return this scene with other values of some keys, of the same origin.
-
-        Raises
-        ------
-        SceneError
-            A value is not valid.
-
-        """
+        """Return this scene with other values of some keys, or raise SceneError."""
         try:
             # The code that it names was admitted when it was read.
             scene = Scene.model_validate({**self.model_dump(), **changes}, context=trusting(True))
@@ -179,7 +174,7 @@ class Scene(StrictModel):
         ModelError
             The model does not exist or is damaged.
         SceneError
-            A parameter is out of its range, or the factory cannot be called.
+            A parameter is out of its range, or code of the user's cannot be called.
 
         """
         choice = self.hamiltonian
@@ -193,6 +188,10 @@ class Scene(StrictModel):
         else:
             hamiltonian = self._construct(HAMILTONIANS, choice, 'hamiltonian')
         self._check_dimension([coordinate.name for coordinate in hamiltonian.coordinates])
+        state = np.array(self.initial_state.q), np.array(self.initial_state.p)
+        hamiltonian.invariants = invariants_of(
+            self.invariants, hamiltonian, not self.effects, state, self.place,
+            self._origin.code_folder)
         return hamiltonian
 
     def model_files(self) -> dict[str, Path]:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Hamiltonian together with the effects that a scene lists, made ready for a method."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 import warnings
 
@@ -46,6 +46,11 @@ class JoinedHamiltonian(Hamiltonian):
         self.coordinates = base.coordinates
         self.separable = base.separable and all(
             isinstance(effect, Potential) for effect, _ in joined)
+
+    @property
+    def invariants(self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
+        """Return what is watched of the motion."""
+        return self.base.invariants
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray] | None:

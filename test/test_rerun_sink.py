@@ -123,6 +123,20 @@ def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(tm
     assert entities['/energy/work']['Scalars:scalars'] == [[0.0], [-0.1], [-0.2]]
 
 
+def test_recording_shows_the_invariants_by_their_names(tmp_path: Path):
+    path, oscillator = tmp_path / 'recording.rrd', HarmonicOscillator()
+    oscillator.invariants = {'twice_x': lambda q, p: 2.0 * q[0], 'p': lambda q, p: p[0]}
+    sink = RerunSink('test', path, oscillator, np.array([1.0]), np.array([0.0]), box=BOX,
+                     interval=0)
+    samples = list(oscillate(3))
+    for sample in samples:
+        sink.write(sample)
+    sink.close()
+    shown = read(path)['/invariants']['Scalars:scalars']
+    assert shown == [[2.0 * s.q[0], s.p[0]] for s in samples]
+    assert len(RrdReader(path).blueprints()) == 1
+
+
 @pytest.mark.parametrize('relative, conservative, expected', [
     (True, True, '(H - H0) / |H0|'), (True, False, '(H - H0 - W) / |H0|'),
     (False, True, 'H - H0 [J]'), (False, False, 'H - H0 - W [J]')])

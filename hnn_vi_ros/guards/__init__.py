@@ -8,6 +8,7 @@ from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import Guard, Observed
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.simulation import Simulation
 
@@ -27,7 +28,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     scale : callable
         Returns the energy scale as of a sample [J]; see SampledScale.
     band_limit, change_limit : float
-        See ResolutionGuard and EnergyGuard.
+        See ResolutionGuard, InvariantGuard and EnergyGuard.
     barrier : tuple of (str, float) or None
         Name and energy [J] of a barrier; see ``Hamiltonian.barrier``.
 
@@ -39,5 +40,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
         yield ResolutionGuard(band_limit, scale, simulation.step_size, method.order,
                               simulation.modified_energy is not None)
     yield EnergyGuard(change_limit, scale)
+    for name, function in hamiltonian.invariants.items():
+        yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
         yield BarrierGuard(*barrier)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The range of the energy as a bound."""
+"""The range of something conserved as a bound."""
 
 from abc import abstractmethod
 import math
@@ -9,7 +9,7 @@ from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
 
 
 class BandGuard(Guard):
-    """What two guards share: the range of the accounted energy since the start."""
+    """What guards share: the range of the accounted energy, or of another value, so far."""
 
     def __init__(self):
         self.raised = False
@@ -17,18 +17,19 @@ class BandGuard(Guard):
 
     @property
     def band(self) -> float:
-        """Return the range of the accounted energy so far [J]."""
+        """Return the range so far."""
         return max(self._high - self._low, 0.0)
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""
-        energy = accounted_energy(sample)
-        if energy < self._low:
-            self._low = energy
-        if energy > self._high:
-            self._high = energy
+        value = self._value(sample)
+        if value < self._low:
+            self._low = value
+        if value > self._high:
+            self._high = value
         limit = self._limit(sample)
-        if self.raised or self.band <= limit:
+        # Written so that NaN is an alarm.
+        if self.raised or (self.band <= limit and value == value):
             return None
         self.raised = True
         return self._alarm(sample.step, limit)
@@ -37,9 +38,12 @@ class BandGuard(Guard):
         """See Guard."""
         return self._alarm(sample.step, self._limit(sample))
 
+    def _value(self, sample: Observed) -> float:
+        return accounted_energy(sample)
+
     @abstractmethod
     def _limit(self, sample: Observed) -> float:
-        """Return the band that is allowed as of a sample [J]."""
+        """Return the band that is allowed as of a sample."""
 
     @abstractmethod
     def _alarm(self, step: int, limit: float) -> Alarm:

@@ -49,6 +49,8 @@ class Alarm(NamedTuple):
         What was found, and what would have been allowed.
     message : str
         One line: what, by how much, remedy.
+    unit : str
+        Of value and limit.
 
     """
 
@@ -57,12 +59,16 @@ class Alarm(NamedTuple):
     value: float
     limit: float
     message: str
+    unit: str = 'J'
 
 
 class Guard(ABC):
     """Something that must hold all the time; it costs about as much as ten additions."""
 
     kind: ClassVar[str]
+
+    def allow(self, band: float, change: float) -> None:  # noqa: B027
+        """Change the shares of a scale that are allowed, as far as there are such."""
 
     @abstractmethod
     def update(self, sample: Observed) -> Alarm | None:

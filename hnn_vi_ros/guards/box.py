@@ -55,7 +55,7 @@ class BoxGuard(Guard):
             what = (f'inside again, but was up to {self.largest:.2g} of its half-width outside of '
                     'the box that the model was trained in: H is a guess there; train a model on '
                     'a larger box')
-        return Alarm(self.kind, sample.step, self.excess, 0.0, what)
+        return Alarm(self.kind, sample.step, self.excess, 0.0, what, 'half-widths')
 
     def _excess(self, values: list[float]) -> float:
         return max(2.0 * max(x - high, low - x) / (high - low)

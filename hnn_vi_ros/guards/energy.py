@@ -47,9 +47,9 @@ class EnergyGuard(Guard):
         self._lowest, self._highest = math.inf, -math.inf
         self._since, self._sign = math.inf, 0
 
-    def allow(self, share: float) -> None:
-        """Change the lasting change that is allowed."""
-        self._share = share
+    def allow(self, band: float, change: float) -> None:
+        """See Guard."""
+        self._share = change
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -43,9 +43,9 @@ class ResolutionGuard(BandGuard):
         self._step_size, self._order, self._modified = step_size, order, modified
         self._lowest, self._highest = math.inf, -math.inf
 
-    def allow(self, share: float) -> None:
-        """Change what is allowed."""
-        self._share = share
+    def allow(self, band: float, change: float) -> None:
+        """See Guard."""
+        self._share = band
 
     @property
     def band(self) -> float:

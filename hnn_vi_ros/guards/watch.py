@@ -9,6 +9,7 @@ from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.base import Alarm, Guard, Look
 from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -145,10 +146,11 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
     """
     energy, modified = energies_of(simulation, q, p)
     # Where work is done it is known of a block only, which was watched while it stepped.
-    kinds = (Guard,) if simulation.conservative else (BoxGuard,)
-    if simulation.conservative or simulation.hamiltonian.box is not None:
+    kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
+    hamiltonian = simulation.hamiltonian
+    if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
         for k, own in enumerate(alarms):
-            watch = Watch(simulation, simulation.hamiltonian.barrier, kinds=kinds)
+            watch = Watch(simulation, hamiltonian.barrier, kinds=kinds)
             watch.show(simulation, steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
             own += watch.alarms
     return energy

@@ -3,9 +3,10 @@
 """What every Hamiltonian offers: H and its gradient, for one state, many, or a kernel."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
@@ -67,6 +68,13 @@ class Hamiltonian(ABC):
     coordinates: tuple[Coordinate, ...]
     separable: ClassVar[bool] = False
     canonical: ClassVar[bool] = True
+    # What is watched of them, by name: functions of q and p, of shape (d,). A scene sets them.
+    invariants: Mapping[str, Callable[[np.ndarray, np.ndarray], float]] = MappingProxyType({})
+
+    @property
+    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+        """Return what motions conserve beside H, where nothing else acts; see invariants."""
+        return {}
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray] | None:

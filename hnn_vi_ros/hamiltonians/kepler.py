@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Kepler problem in its plane, with its close encounters."""
 
+from collections.abc import Callable
 from functools import cached_property
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
@@ -42,6 +43,11 @@ class Kepler(Hamiltonian):
     def __init__(self, mu: float = 1.0):
         check_positive(mu=mu)
         self.mu = float(mu)
+
+    @property
+    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+        """Return the angular momentum [kg m^2/s]."""
+        return {'angular_momentum': lambda q, p: float(q[0] * p[1] - q[1] * p[0])}
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -32,7 +32,7 @@ class AccuracyEncoder:
     What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
     the size of the energies in play [J], by which an error is judged; see EnergyScale.
     ``local_error`` is what a step adds, as estimated at the first and then at every 64th sample;
-    see local_error.
+    see local_error. After them come the invariants of the scene, by their names.
 
     Parameters
     ----------
@@ -48,7 +48,8 @@ class AccuracyEncoder:
         self._energy0 = simulation.energy
         self._last = (simulation.steps, simulation.gradients)
         self._samples, self._local_error = 0, math.nan
-        self._message = Template(array_message(ENTRIES))
+        self._invariants = simulation.hamiltonian.invariants
+        self._message = Template(array_message((*ENTRIES, *self._invariants)))
 
     def encode(self, sample: Sample) -> bytes:
         """Return the serialised message that belongs to a sample, the newest one."""
@@ -65,5 +66,6 @@ class AccuracyEncoder:
             spent / taken if taken else 0.0, record.band, record.drift_per_hour,
             figures.microseconds_per_step_median, figures.microseconds_per_step_p99,
             figures.gradients_per_step, figures.largest_real_time_factor,
-            self._monitor.energy_scale, self._local_error)
+            self._monitor.energy_scale, self._local_error,
+            *(function(sample.q, sample.p) for function in self._invariants.values()))
         return self._message.serialized()

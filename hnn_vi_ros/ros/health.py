@@ -9,7 +9,6 @@ import time
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm, Guard
-from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.pacing import OverrunGuard
@@ -19,7 +18,6 @@ from hnn_vi_ros.sinks.sample import Sample
 STEP_FAILED = 'step failed'
 # Wall time between two log lines of the same kind [s].
 _REPEATED = 10.0
-_UNITS = {BoxGuard.kind: 'half-widths', OverrunGuard.kind: '1', STEP_FAILED: '1'}
 
 
 class Health:
@@ -74,7 +72,7 @@ class Health:
 
     def add_failure(self, failure: StepFailure, step: int, stamp: int) -> None:
         """Tell that the step after this one failed, after the sample of that stamp [ns]."""
-        self.add(Alarm(STEP_FAILED, step, failure.residual, math.nan, str(failure)), stamp)
+        self.add(Alarm(STEP_FAILED, step, failure.residual, math.nan, str(failure), '1'), stamp)
 
     def find(self, kind: str) -> Alarm | None:
         """Return the newest alarm of a kind, None if there was none."""
@@ -119,8 +117,7 @@ class Health:
         return ERROR if alarm.kind in self.errors else WARN
 
     def _figures(self, alarm: Alarm) -> dict[str, object]:
-        unit = _UNITS.get(alarm.kind, 'J')
         return {'step [1]': alarm.step, 't [s]': self._time(alarm.step),
                 'since [s]': self._time(self._raised[alarm.kind]),
-                f'value [{unit}]': alarm.value, f'limit [{unit}]': alarm.limit,
+                f'value [{alarm.unit}]': alarm.value, f'limit [{alarm.unit}]': alarm.limit,
                 'times [1]': self._counts[alarm.kind]}

@@ -105,7 +105,7 @@ class OverrunGuard(Guard):
         return Alarm(self.kind, sample.step, float(overruns), 0.0,
                      f'{overruns} overruns: more than {LARGEST_DEBT:g} s behind the clock, which '
                      'is given up; use a lower real_time_factor or publish_rate, a larger '
-                     'step_size or a cheaper integrator')
+                     'step_size or a cheaper integrator', '1')
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -11,7 +11,6 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
@@ -279,10 +278,7 @@ class Run:
             if factor and not any(isinstance(guard, OverrunGuard) for guard in guards):
                 guards.append(OverrunGuard(self.pacer))
         for guard in self._monitor.guards:
-            if isinstance(guard, EnergyGuard):
-                guard.allow(values['energy_change_limit'])
-            elif isinstance(guard, ResolutionGuard):
-                guard.allow(values['energy_band_limit'])
+            guard.allow(values['energy_band_limit'], values['energy_change_limit'])
         self._values = values
         self._health.errors = self._errors()
 

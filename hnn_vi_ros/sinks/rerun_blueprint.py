@@ -19,6 +19,7 @@ COLUMN, BAR, MARGINS = (588.0, 830.0), 28.0, (58.0, 18.0, 46.0, 60.0)
 VIEW_ANGLE = np.radians(55.0)
 # What is plotted together.
 ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
+INVARIANTS = '/invariants'
 
 
 @dataclass(frozen=True)
@@ -95,12 +96,15 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR))
         left = rrb.Vertical(world, left, row_shares=[share, 1.0 - share])
     energies = [path for path in labels if path in ENERGIES]
+    errors = [_series_view('Energy error', ['/energy/error'], labels)]
+    if INVARIANTS in labels:
+        errors.append(_series_view('Invariants', [INVARIANTS], labels))
     right = rrb.Vertical(
         rrb.Horizontal(_series_view('Coordinate', ['/state/q'], labels),
                        _series_view('Momentum', ['/state/p'], labels)),
         _series_view('Energy', energies, labels),
-        rrb.Horizontal(_series_view('Energy error', ['/energy/error'], labels),
-                       _timing_views(pace), column_shares=[0.68, 0.32]),
+        rrb.Horizontal(*errors, _timing_views(pace),
+                       column_shares=[0.68 / len(errors)] * len(errors) + [0.32]),
         _events_view(), row_shares=[0.24, 0.24, 0.345, 0.175])
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58]),

@@ -37,7 +37,7 @@ def part_path(name: str) -> str:
 
 
 def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservative: bool,
-                  modified: bool) -> dict[str, list[str]]:
+                  modified: bool, invariants: Sequence[str] = ()) -> dict[str, list[str]]:
     """
     Return what each series is called, with its unit, by entity.
 
@@ -51,6 +51,8 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
         Whether no effect does work; else the work W is shown.
     modified : bool
         Whether a modified energy is known, to be shown where no work is done.
+    invariants : sequence of str, optional
+        Names of what else is conserved; one series each.
 
     """
     error = 'H - H0' if conservative else 'H - H0 - W'
@@ -63,12 +65,13 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
         '/energy/H': ['H [J]'],
         **second,
         '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
+        **({'/invariants': list(invariants)} if invariants else {}),
     }
 
 
 def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[str]]) -> None:
     """Name and colour every series."""
-    first = {'/energy/modified': 2, '/energy/work': 1, '/energy/error': 5,
+    first = {'/energy/modified': 2, '/energy/work': 1, '/energy/error': 5, '/invariants': 4,
              '/timing/microseconds_per_step': 3, '/timing/real_time_factor': 6}
     for path, names in labels.items():
         start = first.get(path, 0)

@@ -77,6 +77,7 @@ class RerunSink:
                  modified: bool = True, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
+        self._invariants = hamiltonian.invariants
         self._interval, self._epoch, self._due = max(1, interval), epoch, 0
         self._begin = begin
         self._pending: list[Sample] = []
@@ -93,7 +94,7 @@ class RerunSink:
         self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
         self._labels = layout.series_labels(
-            self._coordinates, relative, conservative, modified)
+            self._coordinates, relative, conservative, modified, list(self._invariants))
         self._draw_still(hamiltonian, q0, p0, box, pace)
         self._began = self._sent_at = time.monotonic()
 
@@ -199,7 +200,9 @@ class RerunSink:
                   '/energy/H': [s.energy for s in samples],
                   '/energy/modified': [s.modified_energy for s in samples],
                   '/energy/work': [s.work for s in samples],
-                  '/energy/error': [s.energy_error for s in samples]}
+                  '/energy/error': [s.energy_error for s in samples],
+                  '/invariants': [[function(s.q, s.p) for function in
+                                   self._invariants.values()] for s in samples]}
         for path in self._labels:
             self._columns(path, times, _scalars(np.asarray(series[path])))
         self._send_portraits(times, samples, q, p)

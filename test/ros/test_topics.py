@@ -31,6 +31,12 @@ integrator: {kind: generalized_leapfrog}
 step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
+KEPLER = """\
+hamiltonian: {kind: kepler}
+integrator: {kind: rk4}
+step_size: 0.01
+initial_state: {q: [1.0, 0.0], p: [0.0, 0.75]}
+"""
 MASS, TIMEOUT = 2.0, 0.5
 COMMANDED = f"""\
 hamiltonian: {{kind: free_particle, mass: {MASS}, names: [x]}}
@@ -154,6 +160,17 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
             'energy_scale': monitor.energy_scale, 'modified_energy_band': monitor.energy.band,
             'gradients_per_step': figures.gradients_per_step, 'local_error': expected}
         assert figures.microseconds_per_step_p99 > 0.0
+
+
+def test_accuracy_ends_with_the_invariants_of_the_scene(tmp_path, nodes):
+    simulation = simulation_of(tmp_path, KEPLER)
+    topics = Topics(nodes[0], True)
+    monitor = open_topics(topics, simulation)
+    sample = sample_of(simulation)
+    monitor.add(sample)
+    message = deserialize_message(topics.publish(sample)[-1], Float64MultiArray)
+    assert message.layout.dim[0].label == ','.join([*ENTRIES, 'angular_momentum'])
+    assert message.data[-1] == 0.75 == simulation.q[0] * simulation.p[1]
 
 
 @pytest.fixture

@@ -1,0 +1,137 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene says to be conserved is found, watched and published, and nothing else is run."""
+
+from pathlib import Path
+
+from hnn_vi_ros import load_scene, simulate
+from hnn_vi_ros.errors import AlarmWarning, SceneError
+from hnn_vi_ros.guards.base import Look
+from hnn_vi_ros.guards.invariant import InvariantGuard
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.scene import Scene
+import numpy as np
+from pydantic import ValidationError
+import pytest
+
+SCENE = """\
+hamiltonian: {kind: kepler}
+integrator: {kind: variational_euler}
+step_size: 0.01
+initial_state: {q: [0.9, 0.0], p: [0.0, 1.1055415967851332]}
+"""
+CODE = """\
+def areal_velocity(q, p):
+    return 0.5 * (q[0] * p[1] - q[1] * p[0])
+
+
+def distance(q, p):
+    q *= q  # which is nobody else's
+    return q.sum() ** 0.5 + 1e6
+
+
+def nonsense(q, p):
+    raise RuntimeError('no such thing')
+
+
+def infinite(q, p):
+    return float('inf')
+
+
+def zero(q, p):
+    return 1.0 / float(q[0] - q[0])
+"""
+
+
+def scene(tmp_path: Path, invariants: str = '', effects: str = '') -> Scene:
+    (tmp_path / 'own_invariants.py').write_text(CODE)
+    (tmp_path / 'scene.yaml').write_text(f'{SCENE}{effects}{invariants}')
+    return load_scene(tmp_path / 'scene.yaml')
+
+
+def listed(*items: str) -> str:
+    return f'invariants: [{", ".join(f"{{{item}}}" for item in items)}]\n'
+
+
+def test_known_invariants_count_where_nothing_acts_beside_h(tmp_path):
+    field = 'effects: [{kind: gravity, coordinate: x}]\n'
+    assert [*scene(tmp_path).create_hamiltonian().invariants] == ['angular_momentum']
+    assert not scene(tmp_path, effects=field).create_hamiltonian().invariants
+    # Unless they are asked for: the user knows of a symmetry that stays.
+    assert [*scene(tmp_path, listed('name: angular_momentum'), field
+                   ).create_hamiltonian().invariants] == ['angular_momentum']
+
+
+def test_angular_momentum_of_kepler_is_conserved_along_the_exact_flow():
+    """Its derivative along (H_p, -H_q) is zero, up to rounding."""
+    kepler = HAMILTONIANS['kepler']()
+    rng, (L,) = np.random.default_rng(0), kepler.known_invariants.values()
+    for q, p in rng.normal(size=(20, 2, 2)):
+        H_q, H_p = kepler.gradient(q, p)
+        # L is bilinear.
+        assert abs(L(H_p, p) - L(q, H_q)) <= 1e-14 * (1.0 + np.abs(H_q).max())
+
+
+def test_invariants_of_the_user_are_functions_of_modules_beside_the_scene(tmp_path):
+    own = scene(tmp_path, listed('name: A, function: "own_invariants:areal_velocity"'))
+    invariants = own.create_hamiltonian().invariants
+    assert [*invariants] == ['angular_momentum', 'A']
+    q, p = np.array([1.0, 2.0]), np.array([3.0, 5.0])
+    assert invariants['A'](q, p) == -0.5 == 0.5 * invariants['angular_momentum'](q, p)
+
+
+@pytest.mark.parametrize('item, text', [
+    ('name: momentum', "no invariant 'momentum' of this system is known; known: angular_momentum"),
+    ('name: A, function: "own_invariants:missing"', "has no attribute 'missing'"),
+    ('name: A, function: "no_such_module:f"', 'No module named'),
+    ('name: A, function: "own_invariants:nonsense"', 'RuntimeError: no such thing'),
+    ('name: A, function: "own_invariants:infinite"', 'is inf at the initial state'),
+    ('name: A, function: "own_invariants:zero"', 'is nan at the initial state')])
+def test_invariant_that_cannot_be_used_is_refused_with_its_place(tmp_path, item, text):
+    with pytest.raises(SceneError, match=r'scene.yaml:5: invariants.*') as problem:
+        scene(tmp_path, listed(item)).create_hamiltonian()
+    assert text in str(problem.value) and '\n' not in str(problem.value)
+
+
+def test_invariant_that_stands_twice_is_refused(tmp_path):
+    with pytest.raises(SceneError, match='angular_momentum stands twice'):
+        scene(tmp_path, listed(*['name: angular_momentum'] * 2)).create_hamiltonian()
+
+
+def test_invariant_of_data_that_nobody_trusts_runs_no_code(tmp_path):
+    own = scene(tmp_path, listed('name: A, function: "own_invariants:areal_velocity"'))
+    # As the scene of a bag or a topic is read.
+    with pytest.raises(ValidationError, match='is code, which is run only for scene files'):
+        Scene.model_validate(own.model_dump())
+
+
+def test_invariant_that_is_none_raises_an_alarm_and_the_true_one_does_not(tmp_path):
+    """The distance varies from 0.9 to 1.1 m, whatever constant is added to it."""
+    own = scene(tmp_path, listed('name: r, function: "own_invariants:distance"'))
+    with pytest.warns(AlarmWarning, match='r has moved by .* it is not conserved'):
+        (alarm,) = simulate(own, 6.28).alarms
+    assert (alarm.kind, alarm.unit) == ('r not conserved', '1')
+    # 5 % of abs(dr/dq) times abs(q), which is r or twice r off the axes.
+    assert 0.04 < alarm.limit < 0.12
+
+
+@pytest.mark.parametrize('constant', [0.0, 1e3])
+def test_invariant_guard_does_not_depend_on_constants_nor_on_zeros(constant):
+    """A radial path has no angular momentum; rounding of 1e-13 is no alarm, 0.2 is."""
+    guard = InvariantGuard('L', lambda q, p: q[0] * p[1] - q[1] * p[0] + constant, 0.05,
+                           HAMILTONIANS['kepler']())
+
+    def at(step: int, p_y: float) -> Look:
+        nothing = np.empty(0)
+        return Look(step, np.array([1.0, 0.0]), np.array([0.5, p_y]), nothing, nothing, 0.0, 0.0)
+
+    assert [guard.update(at(k, 1e-13 * (k % 3))) for k in range(10)] == [None] * 10
+    assert guard.update(at(11, 0.2)).value == pytest.approx(0.2)
+
+
+def test_invariant_that_is_no_number_is_an_alarm():
+    guard = InvariantGuard('L', lambda q, p: q[0], 0.05, HAMILTONIANS['kepler']())
+    states = np.array([[1.0, 0.0], [np.nan, 0.0]])
+    looks = [Look(k, q, q, q, q, 0.0, 0.0) for k, q in enumerate(states)]
+    assert guard.update(looks[0]) is None
+    assert guard.update(looks[1]) is not None
