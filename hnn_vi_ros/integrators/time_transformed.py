@@ -12,10 +12,13 @@ from hnn_vi_ros.integrators.arithmetic import copy_point, plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.step_size_control import controlled
+from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 import numpy as np
 
 BASES = {'implicit_midpoint': ImplicitMidpoint} | {
     name: GAUSS_METHODS[name] for name in ('gauss4', 'gauss6', 'gauss8')}
+CONTROLS = {'hamiltonian': BASES, 'integrating': BASES | {'stormer_verlet': StormerVerlet}}
 # Steps of its own in one step of the clock, beyond which it is given up.
 _MOST_STEPS = 100_000
 # Spacing of the difference of gradients that stands for the second derivatives of K.
@@ -50,36 +53,50 @@ class TimeTransformed(Integrator):
         F, the size of H_q from which on steps are shortened [N, or N m for angles].
     exponent : float
         a >= 0 [1]. With 3/4, and H_q as r^-2, steps are as r^(3/2): as the time of a close orbit.
+    control : str
+        ``'hamiltonian'``: by K. ``'integrating'``: by a symmetric controller, whose density of
+        steps is a further variable that follows 1 / g. It takes H as it is, with the explicit
+        ``'stormer_verlet'`` as a base as well, for fewer evaluations; what is symmetric, and not
+        symplectic, keeps the energy of motions that are reversible.
 
     Raises
     ------
     ValueError
-        An unknown base, or a force or exponent that is not usable.
+        An unknown base or control, or a force or exponent that is not usable.
 
     References
     ----------
     E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VIII.2.
     S. Reich, Backward error analysis for numerical integrators, SIAM J. Numer. Anal. 36 (1999).
+    E. Hairer, G. Söderlind, Explicit, time reversible, adaptive step size control, SIAM J. Sci.
+    Comput. 26 (2005).
 
     """
 
     explicit, symmetric, symplectic = False, False, False
     takes_forces, goes_on_from_state = False, False
 
-    def __init__(self, base: str = 'gauss4', force: float = 1.0, exponent: float = 0.75):
-        if base not in BASES:
-            raise ValueError(f'base = {base!r}; valid: {", ".join(BASES)}')
+    def __init__(self, base: str = 'gauss4', force: float = 1.0, exponent: float = 0.75,
+                 control: str = 'hamiltonian'):
+        if control not in CONTROLS:
+            raise ValueError(f'control = {control!r}; valid: {", ".join(CONTROLS)}')
+        bases = CONTROLS[control]
+        if base not in bases:
+            raise ValueError(f'base = {base!r}; valid with control {control}: {", ".join(bases)}')
         if not (math.isfinite(force) and force > 0.0):
             raise ValueError(f'force = {force} must be a positive number of newtons')
         if not 0.0 <= exponent <= 4.0:
             raise ValueError(f'exponent = {exponent} must be from 0 to 4')
-        self.base, self._force, self._exponent = BASES[base](), float(force), float(exponent)
-        self.order, self.step = self.base.order, _transform(self.base.step)
+        self.base, self._force, self._exponent = bases[base](), float(force), float(exponent)
+        self._control, self.order = control, self.base.order
+        self.separable_only = self.base.separable_only
+        around = _transform if control == 'hamiltonian' else controlled
+        self.step = around(self.base.step)
 
     @property
     def kernel_name(self) -> str:
         """Return the name of the method and of its base."""
-        return f'{type(self).__name__}({self.base.kernel_name})'
+        return f'{type(self).__name__}({self._control}, {self.base.kernel_name})'
 
     def check(self, hamiltonian: Hamiltonian) -> None:
         """Refuse what the base refuses; see Integrator."""
@@ -96,6 +113,9 @@ class TimeTransformed(Integrator):
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the equations of H and of K, space for their gradients, and for states."""
+        if self._control == 'integrating':
+            own = self.base.unknowns(n) or (1,)
+            return (*own, *own, n)
         stages, = self.base.unknowns(1)
         return (*self.base.unknowns(n), *self.base.unknowns(n + 1), stages * n, n + 1)
 

@@ -9,7 +9,7 @@ from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.calibration import calibrate, CANDIDATES
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.trials import Budget, Problem
+from hnn_vi_ros.trials import Budget, Method, Problem
 import numpy as np
 
 _PAIRS = (
@@ -35,30 +35,31 @@ def _row(name: str, budget: Budget, settings: Settings) -> Row:
     problem = Problem(scene.create_hamiltonian(), (), np.array(scene.initial_state.q),
                       np.array(scene.initial_state.p))
     choice = calibrate(problem, budget)
-    label, h = _best(problem, budget)
-    times = interleave([_contestant(problem, choice.method, choice.step_size),
+    label, h = _best(problem, budget, choice.energy_scale)
+    chosen = Method(choice.method, choice.arguments)
+    times = interleave([_contestant(problem, chosen, choice.step_size),
                         _contestant(problem, label, h)], settings.repetitions)
     return compare(
         f'auto on {name}, {budget.kind} {budget.error:g}: time a simulated second', times[:, 0],
         times[:, 1], target=1.5, scale=1e6 / _TIMED, peer_name=f'{label}, h = {h:g}',
-        note=f'auto took {choice.method}, h = {choice.step_size:.3g}; the peer is the fastest '
+        note=f'auto took {chosen}, h = {choice.step_size:.3g}; the peer is the fastest '
              'row of the grid that holds the budget')
 
 
-def _contestant(problem: Problem, method: str, h: float) -> Callable:
+def _contestant(problem: Problem, method: str | Method, h: float) -> Callable:
     simulation = problem.simulation(method, h)
     simulation.compile()
     return lambda: lambda: simulation.advance(round(_TIMED / h))
 
 
-def _best(problem: Problem, budget: Budget) -> tuple[str, float]:
-    """Return the method and step that hold the budget at the least time."""
+def _best(problem: Problem, budget: Budget, size: float) -> tuple[str, float]:
+    """Return the method and step that hold the budget, over an energy [J], at the least time."""
     found = []
     for method in CANDIDATES:
         for h in _STEP_SIZES:
             try:
                 simulation = problem.simulation(method, h)
-                size, worst = abs(simulation.energy), 0.0
+                worst = 0.0
                 every = math.ceil(budget.horizon / h / 2000)
                 while simulation.time < budget.horizon and worst <= budget.error:
                     simulation.advance(every)
