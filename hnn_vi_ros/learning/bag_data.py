@@ -167,6 +167,7 @@ def _signals(reader: SignalReader, data: BagData) -> dict[str, Signal]:
     for name, prefix in (('p', MOMENTUM), ('dp_dt', RATE)):
         topic = topics[name][0]
         if topic is not None and reader.is_state(topic):
+            reader.check_resets(topic)
             topics[name] = topic, 'position', prefix
     return {name: reader.read(*where) for name, where in topics.items() if where[0] is not None}
 

@@ -106,6 +106,24 @@ class SignalReader:
         names = self._joint_state(topic, first).names
         return {MOMENTUM + joint for joint in self._joints} <= set(names)
 
+    def check_resets(self, state: str) -> None:
+        """
+        Raise DataError if a simulator was reset while a topic was recorded that is its ~/state.
+
+        Between the samples around that there is no motion.
+        """
+        scene = f'{self._channels(state)[0].topic.rpartition("/")[0]}/scene'
+        channels = [channel for channel in self._reader.channels.values()
+                    if channel.topic == scene]
+        times: dict[bytes, int] = {}
+        for message in self._reader.messages([channel.id for channel in channels]):
+            times.setdefault(message.data, message.time)
+        if len(times) > 1:
+            told = ', '.join(map(str, list(times.values())[1:4]))
+            raise DataError(f'{self.path}: the run was reset at log time {told} ns; cut the bag '
+                            'there, by `mcap filter`, and give the parts in data.paths; the '
+                            'simulator begins a bag at each reset')
+
     def check_clocks(self, topic: str, unstamped: str) -> None:
         """
         Raise DataError if the log times of joint states are not those of their stamps.

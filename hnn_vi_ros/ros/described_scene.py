@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene that a log or a topic describes, which others may have written."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,10 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene_origin import Origin
 from hnn_vi_ros.yaml_file import validate
 from hnn_vi_ros.yaml_text import parse_mapping
+
+# What is to be done about a bag of several runs.
+ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the simulator begins a '
+           'bag at each reset')
 
 
 def described_scene(text: bytes | str, where: str, trust_code: bool = False
@@ -50,3 +55,36 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
         Path(source if source.isprintable() else 'scene'), places,
         digests=frozenset(digest for digest in digests if isinstance(digest, str)))
     return scene, described
+
+
+def only_scene(told: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
+    """
+    Return the one scene that was told while a bag was recorded.
+
+    Parameters
+    ----------
+    told : iterable of (str, int)
+        Texts and log times [ns]; the same one may come more than once.
+    topic : str
+        On which they came.
+    bag : Path
+        For errors.
+
+    Raises
+    ------
+    RecordingError
+        There is none, or several.
+
+    """
+    times: dict[str, int] = {}
+    for text, time in told:
+        times.setdefault(text, time)
+    if not times:
+        raise RecordingError(f'{bag}: holds neither a scene.yaml nor a message of {topic}; record '
+                             'that topic too')
+    text, *others = times
+    if others:
+        resets = ', '.join(str(times[other]) for other in others[:3])
+        raise RecordingError(f'{bag}: holds {len(times)} scenes on {topic}: the run was reset at '
+                             f'log time {resets} ns: {ONE_RUN}')
+    return text

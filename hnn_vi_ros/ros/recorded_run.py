@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a bag tells of the run that it was recorded from: its scene, its states, its last one."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.described_scene import described_scene
+from hnn_vi_ros.ros.described_scene import described_scene, ONE_RUN, only_scene
 from hnn_vi_ros.ros.held_state import STATE_FILE
 from hnn_vi_ros.ros.sampling import steps_between
 from hnn_vi_ros.scene import Scene
@@ -109,7 +109,7 @@ class RecordedRun:
         That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
         """
         if self.states:
-            for state in map(self.state, self.reader.messages(self.states, first)):
+            for _, state in self.in_order(self.states, first):
                 yield state.stamp, {
                     'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
                     'H': np.array([state.energy]), 'work': np.array([state.work])}
@@ -150,6 +150,25 @@ class RecordedRun:
             topic = self.reader.channels[message.channel].topic
             raise RecordingError(f'{self.reader.path}: the message of {topic} at {message.time} '
                                  f'ns cannot be read: it is no {kind.__name__}') from problem
+
+    def in_order(self, channels: Collection[int], first: int = 0
+                 ) -> Iterator[tuple[Recorded, State | None]]:
+        """
+        Yield messages from a log time on, and what those of ~/state tell.
+
+        RecordingError where these go back in time: then several runs are in the bag.
+        """
+        states, stamp = frozenset(self.states), -2**63
+        for message in self.reader.messages(channels, first):
+            state = self.state(message) if message.channel in states else None
+            if state is not None:
+                if state.stamp < stamp:
+                    raise RecordingError(
+                        f'{self.reader.path}: the time of {self.node} goes back, from '
+                        f'{stamp * 1e-9:.9g} s to {state.stamp * 1e-9:.9g} s, at log time '
+                        f'{message.time} ns: {ONE_RUN}')
+                stamp = state.stamp
+            yield message, state
 
     @property
     def stamped(self) -> bool:
@@ -248,17 +267,13 @@ class RecordedRun:
     def _published_scene(self) -> str:
         name = f'{self.node}/scene'
         channels = [self._topics[name]] if name in self._topics else []
-        texts = {self.decoded(message, String).data for message in self.reader.messages(channels)}
-        if len(texts) != 1:
-            told = f'{len(texts)} scenes on {name}: the run was reset while it was recorded; ' \
-                'give a bag of one run, as the simulator records them' if texts else \
-                f'neither a scene.yaml nor a message of {name}; record that topic too'
-            raise RecordingError(f'{self.reader.path}: holds {told}')
+        text = only_scene(((self.decoded(message, String).data, message.time) for message
+                           in self.reader.messages(channels)), name, self.reader.path)
         if not self.states:
             raise RecordingError(
                 f'{self.reader.path}: holds no {self.node}/state, and q and p have no stamps: '
                 'they cannot be paired by the times at which they came; record that topic too')
-        return texts.pop()
+        return text
 
     def _find_node(self) -> tuple[str, tuple[str, ...]]:
         """Return the simulator, and which of its topics tell of the state."""

@@ -128,10 +128,9 @@ class RerunBridge(Node):
         return picture.samples
 
     def _show_states(self, run: RecordedRun, channels: list[int]) -> None:
-        states = frozenset(run.states)
-        for message in run.reader.messages(channels):
-            if message.channel in states:
-                self._show(run.state(message))
+        for message, state in run.in_order(channels):
+            if state is not None:
+                self._show(state)
             else:
                 self._tell(run.decoded(message, DiagnosticArray), run.node)
 

@@ -74,13 +74,13 @@ def _topic(name: str, kind: type) -> Topic:
     return describe_topic(full, kind, LATCHED if kind is String else QoSProfile(depth=10))
 
 
-def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: float = 0.004
-                ) -> Path:
-    """Write a bag as `ros2 bag record -a` would: at the times [s] of reception, no attachments."""
+def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: float = 0.004,
+                epoch: int = EPOCH) -> Path:
+    """Write a bag as `ros2 bag record -a` would: at the times of reception, no attachments."""
     reader, rng = BagReader(bag), np.random.default_rng(1)
     messages, newest = [], {}
     for message in reader.messages():
-        time = EPOCH + message.time + round(rng.uniform(0.0, jitter) * 1e9)
+        time = epoch + message.time + round(rng.uniform(0.0, jitter) * 1e9)
         # Those of one topic come in their order.
         time = newest[message.channel] = max(time, newest.get(message.channel, 0) + 1)
         messages.append((time, message))

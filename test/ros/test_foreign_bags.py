@@ -10,7 +10,7 @@ import sqlite3
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.bag_data import BagData, read_bags
-from hnn_vi_ros.ros.recorded_run import resume
+from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.sinks import sqlite_file
 from hnn_vi_ros.sinks.mcap_reader import BagReader
@@ -18,7 +18,7 @@ from mcap.writer import Writer as McapWriter
 import numpy as np
 from processes import finish, start_executable
 import pytest
-from recorded import record_run
+from recorded import as_received, EPOCH, record_run
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 import yaml
@@ -101,6 +101,34 @@ def test_foreign_bag_is_trained_on_like_ours(run, foreign):
     theirs, ours = read_bags([foreign], DATA), read_bags([run], DATA)
     for name in ('q', 'p', 'dq_dt', 'dp_dt', 't'):
         assert np.array_equal(getattr(theirs, name), getattr(ours, name))
+
+
+@pytest.mark.parametrize('reset', [True, False], ids=['reset', 'started again'])
+def test_foreign_bag_of_two_runs_is_one_line_that_says_where_to_cut_it(run, tmp_path, reset):
+    # After ~/reset stamps go on, by a new scene; if a simulator is started again they go back.
+    second = EPOCH + 100 * 10**9
+    again = record_run(tmp_path / 'again', load_scene('exact_pendulum'), 5, origin=10**10) \
+        if reset else run
+    (tmp_path / 'bag').mkdir()
+    bag = as_received(run, tmp_path / 'bag' / 'bag_0.mcap', jitter=0.0).parent
+    as_received(again, bag / 'bag_1.mcap', jitter=0.0, epoch=second)
+    words = f'reset at log time {second} ns: cut it there' if reset else \
+        f'goes back, from 2 s to 0.01 s, at log time {second + 10**7} ns: cut it there'
+    # From the last run of several of one scene a simulator may go on.
+    for use in (verify, resume, show) if reset else (verify, show):
+        with pytest.raises(RecordingError, match=words) as caught:
+            use(bag)
+        assert '\n' not in str(caught.value)
+    data = BagData.model_validate({'kind': 'bag', 'joints': ['angle']})
+    with pytest.raises(DataError, match=f'reset at log time {second} ns; cut' if reset else
+                       'split the bag where time was set back'):
+        read_bags([bag], data)
+
+
+def show(bag: Path) -> None:
+    """Read all of a bag as the bridge does."""
+    recorded = RecordedRun(bag)
+    list(recorded.in_order(recorded.reader.channels))
 
 
 def test_foreign_bag_is_replayed(run, foreign):
