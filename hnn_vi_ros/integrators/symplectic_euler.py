@@ -30,6 +30,7 @@ class SymplecticEuler(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
+    correction = -0.5
 
     @staticmethod
     @inlined

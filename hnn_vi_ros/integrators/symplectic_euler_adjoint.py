@@ -28,6 +28,7 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
+    correction = 0.5
 
     @staticmethod
     @inlined
