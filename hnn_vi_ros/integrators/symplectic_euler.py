@@ -3,7 +3,7 @@
 """The symplectic Euler method: the paper's scheme in the staggered state."""
 
 from hnn_vi_ros.compilation import inlined
-from hnn_vi_ros.hamiltonians.base import Kernel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
 from hnn_vi_ros.integrators.equations import solve_momenta
@@ -45,7 +45,8 @@ class SymplecticEuler(ImplicitIntegrator):
         return outcome, residual, gradients
 
     @staticmethod
-    def modified_energy(h: float, energy: np.ndarray | float, dH_dq: np.ndarray,
-                        dH_dp: np.ndarray) -> np.ndarray:
+    def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
+                        energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
+                        ) -> np.ndarray:
         """Return H - (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
         return energy - 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)
