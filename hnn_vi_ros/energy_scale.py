@@ -18,7 +18,8 @@ class EnergyScale:
 
     The virial p . H_p is twice the kinetic energy. Of a bounded motion its mean over time is that
     of (q - c) . H_q about any c as well, so it measures kinetic and potential energy alike, and
-    neither a constant in H nor an offset of q changes it. The scale is
+    neither a constant in H nor an offset of q changes it; in a magnetic field p is meant as the
+    momentum of the velocity. The scale is
 
         E_s(t) = (1 / t) integral over the path so far of abs(p . H_p)
 
@@ -57,6 +58,7 @@ class EnergyScale:
         # What costs nothing where there is nothing to do.
         self._middle = middle if middle.any() else None
         self._angles = angles if angles.any() else None
+        self._gauge = hamiltonian.gauge
         self._sum, self._count, self._largest, self._first = 0.0, 0, 0.0, 0.0
         self.turned = False
 
@@ -72,6 +74,9 @@ class EnergyScale:
             -p' and q' there.
 
         """
+        if self._gauge is not None:
+            # In terms of P = p - c A(q): far from where A vanishes p . H_p is mostly c A . v.
+            p, dH_dq = p - self._gauge @ q, dH_dq + self._gauge.T @ dH_dp
         if self.turned:
             virial = self._virial(q, p, dH_dp)
         else:

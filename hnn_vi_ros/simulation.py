@@ -158,11 +158,6 @@ class Simulation:
                    for a in range(0, z.q.size, d))
 
     @property
-    def gauge(self) -> np.ndarray:
-        """Return what the magnetic fields make of p, M v = p - gauge q, shape (d, d)."""
-        return self._system.live.gauge
-
-    @property
     def works(self) -> dict[str, float]:
         """Return the work that each effect has done on the system since the initial state [J]."""
         works = self._system.live.work.sum(axis=1).tolist()

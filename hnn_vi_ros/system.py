@@ -57,6 +57,17 @@ class JoinedHamiltonian(Hamiltonian):
         """Return the box in which the base was learned."""
         return self.base.box
 
+    @cached_property
+    def gauge(self) -> np.ndarray | None:
+        """Return that of the magnetic fields that are joined; see Live."""
+        gauge = np.zeros((self.dimension, self.dimension))
+        for effect, parameters in self._joined:
+            if isinstance(effect, MagneticField):
+                x, y, b = parameters
+                gauge[x, y] -= b
+                gauge[y, x] += b
+        return gauge if gauge.any() else None
+
     @property
     def smooth(self) -> bool:
         """Tell whether the gradient of the base is continuous."""

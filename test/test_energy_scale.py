@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The energy scale of a path is that of its energies, wherever H is zero and the path starts."""
 
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.energy_scale import energy_scale, EnergyScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.system import System
 import numpy as np
 from plain_systems import (
     double_well, figure_eight, Motion, MOTIONS, pendulum, Plain)
@@ -121,6 +124,19 @@ def test_energy_scale_where_states_are_not_canonical_is_that_of_the_energy():
     t = np.linspace(0.0, 4.0 * np.pi, 2001)[:, None]
     # The mean of m v^2 = 3 sin^2 t.
     assert energy_scale(u, np.cos(t), -np.sin(t)) == pytest.approx(1.5, rel=1e-2)
+
+
+@pytest.mark.parametrize('centre', [0.0, 1e3])
+def test_energy_scale_in_a_magnetic_field_does_not_depend_on_where_the_circle_is(centre):
+    """The exact circle of 1 kg at 1 m/s in 1 T: P . H_p / 2 = 0.5 J, of which none is turned over."""
+    hamiltonian = System(HAMILTONIANS['free_particle'](1.0, ('x', 'y')),
+                         [EFFECTS['magnetic_field'](['x', 'y'])],
+                         INTEGRATORS['implicit_midpoint']()).hamiltonian
+    t = np.linspace(0.0, 2.0 * np.pi, 50)[:, None]
+    q = centre + np.hstack([np.cos(t), -np.sin(t)])
+    p = np.hstack([-np.sin(t), -np.cos(t)]) + 0.5 * np.column_stack([-q[:, 1], q[:, 0]])
+    # p and A are of the size of the centre, and rounded so.
+    assert energy_scale(hamiltonian, q, p) == pytest.approx(0.5, abs=1e-12 * (1.0 + centre))
 
 
 def test_energy_scale_at_rest_is_zero():

@@ -36,7 +36,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     """
     hamiltonian, method = simulation.hamiltonian, simulation.integrator
     if hamiltonian.box is not None:
-        yield BoxGuard(hamiltonian.box, simulation.gauge)
+        yield BoxGuard(hamiltonian.box, hamiltonian.gauge)
     if simulation.conservative:
         yield ResolutionGuard(band_limit, scale, simulation.step_size, method.order,
                               simulation.modified_energy is not None)

@@ -29,7 +29,7 @@ class BoxGuard(Guard):
     kind = 'out of the training box'
 
     def __init__(self, box: tuple[np.ndarray, np.ndarray], gauge: np.ndarray | None = None):
-        self._gauge = gauge if gauge is not None and gauge.any() else None
+        self._gauge = gauge
         self.excess = self.largest = 0.0
         bounds = np.concatenate(box)
         # Plain floats: for the few coordinates of a model they are faster than arrays.

@@ -82,6 +82,11 @@ class Hamiltonian(ABC):
         return None
 
     @property
+    def gauge(self) -> np.ndarray | None:
+        """Return G, shape (d, d), of magnetic fields: M v = p - G q; None where there is none."""
+        return None
+
+    @property
     def smooth(self) -> bool:
         """Tell whether the gradient of H is continuous, as every method's order supposes."""
         return True
