@@ -128,7 +128,7 @@ def test_energy_scale_where_states_are_not_canonical_is_that_of_the_energy():
 
 @pytest.mark.parametrize('centre', [0.0, 1e3])
 def test_energy_scale_in_a_magnetic_field_does_not_depend_on_where_the_circle_is(centre):
-    """The exact circle of 1 kg at 1 m/s in 1 T: P . H_p / 2 = 0.5 J, of which none is turned over."""
+    """The exact circle of 1 kg at 1 m/s in 1 T: P . H_p / 2 = 0.5 J, turned over nowhere."""
     hamiltonian = System(HAMILTONIANS['free_particle'](1.0, ('x', 'y')),
                          [EFFECTS['magnetic_field'](['x', 'y'])],
                          INTEGRATORS['implicit_midpoint']()).hamiltonian
