@@ -3,7 +3,7 @@
 """Show a running simulator, or a bag, in rerun without a hand in the simulation's process."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 import time
 from typing import Any
@@ -16,6 +16,7 @@ from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
 from hnn_vi_ros.ros.described_scene import described_scene
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
+from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.node_parameters import declare_parameters
@@ -27,7 +28,7 @@ from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.state_message import decode_state, State
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -269,21 +270,8 @@ def _show_simulator(node: RerunBridge, received: list[int]) -> None:
     # What had come by the end is shown, unless that takes long or another signal comes.
     deadline, signals = time.monotonic() + _LONGEST_END, len(received)
     while len(received) == signals and node.problem is None and time.monotonic() < deadline:
-        if not _take_once(executor):
+        if not take_once(executor):
             return
-
-
-def _take_once(executor: SingleThreadedExecutor) -> bool:
-    """Handle a message of each topic that has one; tell whether any had."""
-    taken = False
-    with suppress(TimeoutException):
-        while True:
-            handler, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
-            handler()
-            # Raises what its callback has raised.
-            handler.result()
-            taken = True
-    return taken
 
 
 def _show_bag(node: RerunBridge, bag: Path, received: list[int]) -> None:

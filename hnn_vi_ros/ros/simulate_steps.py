@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 ACTION = 'SimulateSteps'
 # Least wall time between two feedbacks [s]; thousands of steps a second would flood the client.
 _PERIOD = 0.02
-NO_WORLD = Answer(False, 'the node is not configured: load a world, or use its lifecycle')
 
 
 class SimulateSteps:
@@ -56,7 +55,7 @@ class SimulateSteps:
         """Take the steps of a goal; a second goal is answered at once, as a second service is."""
         control = self._simulator.control
         if control is None:
-            return self._finish(goal, NO_WORLD)
+            return self._finish(goal, Answer(False, self._simulator.refusal))
         future = control.request_steps(int(goal.request.steps), self._feedback(goal))
         if not future.done():
             self._goal = goal, future

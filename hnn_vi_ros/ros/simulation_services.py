@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any, TYPE_CHECKING
 
 from hnn_vi_ros.ros.control import Answer
-from hnn_vi_ros.ros.simulate_steps import ACTION, NO_WORLD, SimulateSteps
+from hnn_vi_ros.ros.simulate_steps import ACTION, SimulateSteps
 from hnn_vi_ros.ros.world_services import WorldServices
 from hnn_vi_ros.version import __version__
 from lifecycle_msgs.msg import State
@@ -125,8 +125,10 @@ class SimulationServices:
             return self._fill(response, self._result.RESULT_FEATURE_UNSUPPORTED,
                               'only playing, paused, stopped and quitting can be set')
         if control is None or not control.active:
-            return self._fill(response, self._result.RESULT_INCORRECT_STATE,
-                              'the node is not active: use its lifecycle services, or load_world')
+            return self._fill(
+                response, self._result.RESULT_INCORRECT_STATE,
+                self._simulator.refusal if control is None else
+                'the node is not active: use its lifecycle services, or load_world')
         if wanted == self._now():
             return self._fill(response, codes.ALREADY_IN_TARGET_STATE, 'already in that state')
         control.set_paused(wanted != states.STATE_PLAYING)
@@ -141,7 +143,8 @@ class SimulationServices:
         """Reset state, time or both, which is the default; there are no spawned entities."""
         control, scopes, scope = self._simulator.control, type(request), request.scope
         if control is None:
-            return self._fill(response, self._result.RESULT_INCORRECT_STATE, NO_WORLD.message)
+            return self._fill(response, self._result.RESULT_INCORRECT_STATE,
+                              self._simulator.refusal)
         if scope in (scopes.SCOPE_DEFAULT, scopes.SCOPE_ALL):
             scope = scopes.SCOPE_TIME | scopes.SCOPE_STATE
         if scope & ~(scopes.SCOPE_TIME | scopes.SCOPE_STATE):
@@ -155,7 +158,7 @@ class SimulationServices:
         """Take a number of steps in a pause."""
         control = self._simulator.control
         if control is None:
-            return self._answer(response, NO_WORLD)
+            return self._answer(response, Answer(False, self._simulator.refusal))
         return self._answer(response, await control.request_steps(int(request.steps)))
 
     def _now(self) -> int:

@@ -3,6 +3,7 @@
 """The simulator node: its lifecycle, from parameters to a run, and the process around it."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 import os
 import signal
 import sys
@@ -12,6 +13,7 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.graph import Discovery
 from hnn_vi_ros.ros.initial_state import initial_state
@@ -247,5 +249,9 @@ def _spin(node: SimulatorNode, received: list[int]) -> None:
             # Such as a client that is gone before its answer: no reason to stop simulating.
             node.get_logger().warning(
                 f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
+    if node.control is not None:
+        # Those who wait for steps are answered; a client may be gone by now.
+        with suppress(rclpy_implementation.RCLError):
+            take_once(executor)
     if node.topics is not None:
         node.topics.wait_for_delivery()

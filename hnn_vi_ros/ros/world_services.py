@@ -52,7 +52,7 @@ class WorldServices:
     def get_current_world(self, request: Any, response: Any) -> Any:
         """Tell which scene is loaded."""
         if self._simulator.run is None:
-            return self._fill(response, 'NO_WORLD_LOADED', 'the node is not configured')
+            return self._fill(response, 'NO_WORLD_LOADED', self._simulator.refusal)
         world = world_of(self._simulator.run.scene)
         # What a bag holds cannot be had by a URI.
         response.world = self._resource(
@@ -81,7 +81,7 @@ class WorldServices:
     async def unload_world(self, request: Any, response: Any) -> Any:
         """Close the files and forget the scene: the transition cleanup."""
         if self._simulator.state == State.PRIMARY_STATE_UNCONFIGURED:
-            return self._fill(response, 'NO_WORLD_LOADED', 'the node is not configured')
+            return self._fill(response, 'NO_WORLD_LOADED', self._simulator.refusal)
         try:
             await self._unload()
         except WorldError as problem:

@@ -139,7 +139,7 @@ class Simulator:
         self.values = {'reset_time': False, 'step_count': 1, 'resume': ''}
         self.run, self.control = None, None
         self.state, self.ended = State.PRIMARY_STATE_UNCONFIGURED, []
-        self.refused = ''
+        self.refused, self.refusal = '', 'the node is not configured'
         for name, module in modules.items():
             monkeypatch.setitem(sys.modules, name, module)
         # An action server of rclpy needs the type support of real messages.

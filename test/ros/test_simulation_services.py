@@ -114,6 +114,21 @@ def test_node_that_is_not_active_says_so_in_the_codes_of_each_interface(simulato
         'load_world', world_resource=resource(simulator, SHIPPED)) == INCORRECT_STATE
 
 
+@pytest.mark.parametrize('service', [
+    'set_simulation_state', 'reset_simulation', 'step_simulation', 'get_current_world'])
+def test_refusal_says_that_the_node_is_being_configured(simulator, service):
+    simulator.control = simulator.run = None
+    simulator.state = State.TRANSITION_STATE_CONFIGURING
+    simulator.refusal = 'configuring: compiling the kernel'
+    kind = simulator.offered[f'~/{service}'][0].Request
+    request = kind()
+    fields = {}
+    if service == 'set_simulation_state':
+        request.state.state = PLAYING
+        fields['state'] = request.state
+    assert simulator.call(service, **fields).result.error_message == simulator.refusal
+
+
 def test_first_version_knows_no_state_without_a_world(monkeypatch):
     node = active_simulator(monkeypatch, interfaces(worlds=False))
     node.control = node.run = None

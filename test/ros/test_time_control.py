@@ -155,6 +155,21 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
     assert [s // 2_000_000 for s in recorded[:8]] == [1, 3, 5, 10, 12, 15, 17, 20]
 
 
+def test_end_of_the_process_answers_who_waits_for_steps(folder):
+    process = start(folder, scene='driven.yaml', start_paused='true', step_count=10**8,
+                    record='false', rerun_sink='none')
+    with peer() as other:
+        other.wait_for_state('active')
+        pending = other.call_async(Trigger, 'step')
+        # It is being worked on once another is refused.
+        other.spin_until(lambda: 'already' in other.trigger('step').message)
+        process.send_signal(signal.SIGINT)
+        other.spin_until(pending.done, 20.0)
+        assert not pending.result().success
+        assert pending.result().message.startswith('the run has ended: ')
+    assert finish(process)[0] == 0
+
+
 @pytest.mark.parametrize('scene', ['driven.yaml', 'noisy.yaml'])
 def test_reset_repeats_the_run_bit_by_bit_in_a_new_bag(folder, scene):
     process = start(folder, scene=scene, record_path='bag', rerun_sink='none',
