@@ -129,6 +129,24 @@ def peer() -> Iterator[Peer]:
         found.close()
 
 
+@contextmanager
+def hearing(kind: type, topic: str) -> Iterator[tuple[list, SingleThreadedExecutor]]:
+    """Give what another node hears on a topic, and its executor."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('subscriber', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    messages: list = []
+    node.create_subscription(kind, topic, messages.append, 10)
+    try:
+        yield messages, executor
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def stamp(message: JointState) -> int:
     """Return the stamp of a message [ns]."""
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec

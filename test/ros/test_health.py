@@ -30,10 +30,9 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.sample import Sample
 from hnn_vi_ros.studies.hard_cases_plan import load_plan
 import numpy as np
+from peer import hearing
 from processes import finish, read_bag, start
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rerun.chunk import RrdReader
 from std_msgs.msg import Float64
@@ -105,21 +104,11 @@ PROVOCATIONS = {
 @pytest.fixture
 def heard() -> Iterator[tuple[list[DiagnosticArray], SingleThreadedExecutor]]:
     """Give what another node hears on /diagnostics, and its executor."""
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('subscriber', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    messages: list[DiagnosticArray] = []
-    node.create_subscription(DiagnosticArray, TOPIC, messages.append, 10)
-    # For this one the first step waits.
-    node.create_subscription(Float64, '/hnn_simulator/energy', lambda message: None, 10)
-    try:
+    with hearing(DiagnosticArray, TOPIC) as (messages, executor):
+        node, = executor.get_nodes()
+        # For this one the first step waits.
+        node.create_subscription(Float64, '/hnn_simulator/energy', lambda message: None, 10)
         yield messages, executor
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def values_of(status) -> dict[str, str]:

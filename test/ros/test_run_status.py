@@ -18,11 +18,12 @@ from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.trials import Budget
+from peer import hearing
 from processes import finish, start
 import pytest
 import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from scenes import FAILING
 from std_msgs.msg import Float64MultiArray
 
 SCENE = """\
@@ -31,32 +32,14 @@ integrator: {kind: variational_euler}
 step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
-# The paper's iteration does not converge in its 17th step.
-FAILING = """\
-hamiltonian: {kind: tao}
-integrator: {kind: variational_euler, solver: fixed_point}
-step_size: 0.4
-initial_state: {q: [1.0], p: [-1.0]}
-"""
 COMPONENTS = ['timing', 'integrator', 'energy', 'recorder', 'model', 'health']
 
 
 @pytest.fixture
 def received() -> Iterator[tuple[list[DiagnosticArray], SingleThreadedExecutor]]:
     """Give what another node hears on /diagnostics, and its executor."""
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('subscriber', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    messages: list[DiagnosticArray] = []
-    node.create_subscription(DiagnosticArray, '/diagnostics', messages.append, 10)
-    try:
-        yield messages, executor
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    with hearing(DiagnosticArray, '/diagnostics') as heard:
+        yield heard
 
 
 def listen(process: Popen, executor: SingleThreadedExecutor) -> int:

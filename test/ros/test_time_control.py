@@ -20,6 +20,7 @@ import pytest
 from rclpy.serialization import deserialize_message
 from rerun.chunk import RrdReader
 from rosgraph_msgs.msg import Clock
+from scenes import FAILING
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -45,13 +46,6 @@ hamiltonian: {kind: harmonic_oscillator}
 integrator: {kind: explicit_euler}
 step_size: 0.2
 initial_state: {q: [1.0], p: [0.0]}
-"""
-# The paper's iteration does not converge in its 17th step.
-FAILING = """\
-hamiltonian: {kind: tao}
-integrator: {kind: variational_euler, solver: fixed_point}
-step_size: 0.4
-initial_state: {q: [1.0], p: [-1.0]}
 """
 TICK, SECOND = 10_000_000, 10**9
 
