@@ -88,7 +88,7 @@ def controlled(base_step: Callable) -> Callable:
 def _rate(kernel: Kernel, at: Point, force: float, exponent: float, store: Memory
           ) -> tuple[float, float]:
     """Return G, and abs(H_q)^2 / F^2, at a state whose gradient is known."""
-    v_q, v_p, change_q, change_p = store.unknowns, store.base, store.start, store.newton
+    v_q, v_p, change_q, change_p = store.unknowns, store.base, store.scale, store.newton
     for i in range(at.q.size):
         v_q[i], v_p[i] = at.dH_dp[i], -at.dH_dq[i]
     # The derivative of H_q in time: H'' times the velocity (H_p, -H_q).
