@@ -33,7 +33,8 @@ def lyapunov_time(scene: 'Scene', duration: float | None = None) -> float:
 
     The method and effects are those of the scene; a second motion is kept near the first
     (Benettin). The growth in the second half of ever longer runs tells: it is some 10 and grows
-    where the motion is chaotic, and stays near 1 where neighbours part in proportion to time.
+    where the motion is chaotic, and stays near 1 where neighbours part in proportion to time. A
+    close encounter makes them part for a while only, and is told by the half before.
 
     Parameters
     ----------

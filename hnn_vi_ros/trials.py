@@ -17,7 +17,7 @@ import numpy as np
 
 # Gradients that a run may take, of an H whose kernel holds few numbers; of one whose gradient is
 # plain Python. A network's gradient takes time in proportion to its weights.
-_GRADIENTS, _WEIGHTS, _PLAIN = 6_000_000, 2000, 20_000
+_GRADIENTS, _WEIGHTS, _PLAIN = 3_000_000, 2000, 20_000
 # States of a run that are looked at, and those looked at together.
 _SAMPLES, _CHUNK = 20_000, 250
 # The same where effects do work, whose sum must be asked for at each of them.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 import math
 
+from benchmarks import campaign
 from hnn_vi_ros.calibration import calibrate, CANDIDATES, Choice, remembered
 from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
@@ -134,6 +135,15 @@ def test_step_that_the_publish_rate_bounds_is_said():
 def test_path_that_round_off_hides_is_not_called_chaotic():
     with pytest.raises(CalibrationError, match='round-off: the motion is regular'):
         calibrate(problem('exact_pendulum'), Budget(PATH, 1e-17, 20.0))
+
+
+def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(monkeypatch):
+    """In gradients, which do not depend on the machine; the campaign has more of these."""
+    monkeypatch.setattr(campaign, '_METHODS', [
+        Method(name) for name in CANDIDATES if name != 'time_transformed'])
+    mine, budget = problem('exact_pendulum'), Budget(ENERGY, 1e-5, 40.0)
+    _, least, _ = campaign.sweep(mine, campaign.Truth(mine, budget.horizon), budget)
+    assert calibrate(mine, budget).gradients_per_simulated_second <= 1.5 * least
 
 
 def test_there_are_twenty_held_back_pairs():

@@ -21,6 +21,7 @@ from hnn_vi_ros.calibration import calibrate
 from hnn_vi_ros.energy_scale import energy_scale
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.studies.references import EXACT
+from hnn_vi_ros.studies.results import commit, machine
 from hnn_vi_ros.trials import Budget, Method, Problem
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -54,6 +55,8 @@ class Row:
         Wall time of one [s/s].
     took : float
         Wall time of the choice [s].
+    commit : str
+        What measured it.
 
     """
 
@@ -68,6 +71,7 @@ class Row:
     best_gradients: float
     best_seconds: float
     took: float
+    commit: str
 
     @property
     def good(self) -> bool:
@@ -185,7 +189,7 @@ def row(name: str, system: System, kind: str, error: float, periods: float) -> R
     except CalibrationError as refusal:
         taken = time.perf_counter() - begin
         return Row(name, text, error, f'refused: {refusal}', math.nan, math.nan, math.nan,
-                   *sweep(problem, truth, budget), taken)
+                   *sweep(problem, truth, budget), taken, commit())
     taken = time.perf_counter() - begin
     method = Method(choice.method, choice.arguments)
     steps = math.ceil(budget.horizon / choice.step_size * (1.0 - 1e-12))
@@ -193,7 +197,7 @@ def row(name: str, system: System, kind: str, error: float, periods: float) -> R
     found, cost = measure(problem, truth, wide, method, steps, math.inf)
     return Row(name, text, error, f'{method}, h = {choice.step_size:.3g}', found, cost,
                seconds(problem, method, choice.step_size, budget.horizon),
-               *sweep(problem, truth, budget), taken)
+               *sweep(problem, truth, budget), taken, commit())
 
 
 def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:
@@ -212,8 +216,27 @@ def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:
     return rows
 
 
-def table(rows: list[Row]) -> Iterator[str]:
+def page(rows: list[Row]) -> Iterator[str]:
     """Yield the lines of the page."""
+    good = sum(entry.good for entry in rows)
+    yield from (
+        '# The automatic choice on systems that are not shipped', '',
+        'What `integrator: auto` chose for systems that it was not made for, and what a sweep over',
+        f'{len(_METHODS)} methods and steps a factor {_RATIO} apart finds. The error of the choice',
+        'is measured anew, at every step up to the horizon, against an exact orbit or DOP853 of',
+        'scipy at 3e-14; energies are relative to the mean of abs(p . H_p). Cost is counted in',
+        'gradients a simulated second, by which auto chooses. The ratio of times is that of this',
+        'machine, in one run each, and noisy. A row is missed where the error exceeds the budget',
+        'or the cost is more than 1.5 times the best of the sweep.', '',
+        f'Held at that cost: {good} of {len(rows)} rows, of the {len(systems()) * len(BUDGETS)} '
+        'that there are to be measured.',
+        'Made by `python -m benchmarks.campaign` in `test/`, which goes on where it ended, on',
+        f'{machine()}, commit {", ".join(sorted({entry.commit for entry in rows}))}.', '')
+    yield from table(rows)
+
+
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of the table."""
     yield ('| system | budget | auto chose | error | gradients / s | best of the sweep | ratio of '
            'gradients | of time | |')
     yield '|---|---|---|---|---|---|---|---|---|'
@@ -234,7 +257,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = run(options.out, options.systems, lambda text: print(text, flush=True))
     if options.table:
-        options.table.write_text('\n'.join(table(rows)) + '\n')
+        options.table.write_text('\n'.join(page(rows)) + '\n')
 
 
 if __name__ == '__main__':
