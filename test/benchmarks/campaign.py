@@ -221,8 +221,8 @@ def page(rows: list[Row]) -> Iterator[str]:
     good = sum(entry.good for entry in rows)
     yield from (
         '# The automatic choice on systems that are not shipped', '',
-        'What `integrator: auto` chose for systems that it was not made for, and what a sweep over',
-        f'{len(_METHODS)} methods and steps a factor {_RATIO} apart finds. The error of the choice',
+        'What `integrator: auto` chose for systems that it was not made for, and what a sweep of',
+        f'{len(_METHODS)} methods and steps a factor {_RATIO} apart finds. The error of a choice',
         'is measured anew, at every step up to the horizon, against an exact orbit or DOP853 of',
         'scipy at 3e-14; energies are relative to the mean of abs(p . H_p). Cost is counted in',
         'gradients a simulated second, by which auto chooses. The ratio of times is that of this',
