@@ -7,12 +7,13 @@ from contextlib import contextmanager
 from inspect import cleandoc, Parameter, signature
 from typing import Annotated, Any, Literal, Union
 
+from hnn_vi_ros.conditions import Condition
 from hnn_vi_ros.errors import HnnViRosError, SceneError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.named_code import find_beside, import_named, NAMES_CODE
 from hnn_vi_ros.trials import Budget
 from hnn_vi_ros.yaml_file import StrictModel
-from pydantic import BaseModel, create_model, Field, model_validator
+from pydantic import BaseModel, create_model, Field, field_validator, model_validator
 
 
 class InitialState(StrictModel):
@@ -43,6 +44,24 @@ class PythonChoice(StrictModel):
     kind: Literal['python'] = Field(description='what a Python function of yours returns')
     factory: Annotated[str, NAMES_CODE] = Field(pattern=r'^[\w.]+:\w+$', description=(
         'package.module:function; called without arguments, returns a Hamiltonian'))
+
+
+class EventChoice(StrictModel):
+    """An instant that is watched for."""
+
+    when: str = Field(max_length=200, description=(
+        'an equation that comes true at the event, of coordinates c, momenta p_c, velocities v_c, '
+        'H, pi and numbers, with + - * / ** ( ) abs cos sin sqrt: angle1 = 0'))
+    direction: Literal['up', 'down', 'both'] = Field('both', description=(
+        'which changes of its left less its right side count'))
+    then: Literal['log', 'stop'] = Field('log', description=(
+        'log: it is published, recorded and shown; stop: and the run ends there'))
+
+    @field_validator('when')
+    @classmethod
+    def _check_when(cls, text: str) -> str:
+        Condition(text)
+        return text
 
 
 class AutoChoice(StrictModel):

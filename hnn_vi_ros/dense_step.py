@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.dense_output import collocation_output, DenseOutput, hermite_output
+from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.integrators.gauss import Gauss
 import numpy as np
 
@@ -63,6 +64,10 @@ class DenseStep:
             # H_q and H_p at the stages, which the step leaves for the start of the next solve.
             H_q, H_p = np.split(simulation.snapshot()['memory0.0.increments'][0], 2)
             self._slopes = np.hstack([H_p.reshape(stages, -1), -H_q.reshape(stages, -1)])
+
+    def undo(self) -> None:
+        """Put the simulation back to where it was before the step."""
+        self._simulation.restore(self._before)
 
     @cached_property
     def polynomial(self) -> DenseOutput:
@@ -184,14 +189,16 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
     dense = None
     for k, time in enumerate(times):
         step, share = whole_steps(time, simulation.step_size)
-        if share == 0.0:
-            simulation.advance(step - simulation.steps)
+        try:
+            if dense is None or dense.step != step:
+                simulation.advance(step - simulation.steps)
+                dense = simulation.dense_step() if share else None
+        except StoppedByEvent as stop:
+            # Samples inside of the step that may lie before the event are not taken.
+            raise stop.after(q[:k], p[:k]) from None
+        if dense is None:
             q[k], p[k] = simulation.q.ravel(), simulation.p.ravel()
-            on_sample()
-            continue
-        if dense is None or dense.step != step:
-            simulation.advance(step - simulation.steps)
-            dense = simulation.dense_step()
-        q[k], p[k] = dense.state(share)
+        else:
+            q[k], p[k] = dense.state(share)
         on_sample()
     return q, p

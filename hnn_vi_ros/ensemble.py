@@ -10,11 +10,13 @@ from typing import Any
 
 from hnn_vi_ros.checks import check_count, check_seconds
 from hnn_vi_ros.dense_step import record_at, whole_steps
+from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.events import watched
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.watch import (
-    energies_of, look, record_watched, show_many, tell, tell_many, Watch)
+from hnn_vi_ros.guards.watch import energies_of, look, show_many, tell, tell_many, Watch
 from hnn_vi_ros.phase_space import check_state, Trajectory
+from hnn_vi_ros.recorders import Commands, MOST_NUMBERS, recorders
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.system import System
@@ -23,11 +25,6 @@ import numpy as np
 # Trajectories that step together: a network's weights are read once for all of them. Larger
 # blocks gain no more, and each waits for its slowest trajectory.
 BLOCK = 32
-# Coordinates that the samples of a run may have in all; as many momenta come beside them: 4 GiB.
-_MOST_NUMBERS = 2**28
-
-# What a command is in time: values at a time [s], or at each sample.
-Commands = Callable[[float], Sequence[float]] | Sequence[Sequence[float]]
 
 
 def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
@@ -65,7 +62,8 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     Returns
     -------
     Trajectory
-        The first sample is the initial state, unless times says otherwise.
+        The first sample is the initial state, unless times says otherwise; the last one is where
+        an event ended the run, if one did.
 
     Warns
     -----
@@ -84,56 +82,27 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     """
     check_seconds('duration', duration)
     check_count('every', every)
-    simulation = Simulation.from_scene(_scene(scene).with_overrides(
-        step_size, integrator, _state(initial_state), _listed(effects)))
+    scene = _scene(scene).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects))
+    simulation = watched(Simulation.from_scene(scene), scene)
     watch = Watch(simulation, simulation.hamiltonian.barrier)
-    if times is None:
-        t, q, p = _record_evenly(simulation, duration, every, commands, watch)
-    elif commands is None:
-        t = _check_times(times, duration)
-        q, p = _record(simulation, t.size, t, watch)
-    else:
-        raise ValueError('times and commands cannot both be given: use every with commands')
+    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
+    t, takers = recorders(simulation, duration, every, times, commands, watch)
+    try:
+        for take in takers:
+            parts.append(take())
+    except StoppedByEvent as stop:
+        parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
+        t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
+    # Times that were asked for need not begin with the initial state.
+    first = int(times is not None)
+    t, (q, p) = t[first:], (np.vstack(halves) for halves in zip(*parts[first:], strict=True))
     energies = energies_of(simulation, q, p)
     if simulation.conservative:
         watch.show(simulation, t / simulation.step_size, (q, p), energies)
     tell(watch.alarms, simulation.step_size)
-    return Trajectory(t, q, p, energies[0], tuple(watch.alarms))
-
-
-def _record_evenly(simulation: Simulation, duration: float, every: int,
-                   commands: Commands | None, watch: Watch
-                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return t, q and p after each ``every`` steps, and at the end."""
-    interval = simulation.step_size * every
-    _check_memory(duration, interval, simulation.q.size)
-    samples, share = whole_steps(duration, interval)
-    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
-    t = np.arange(samples + 1) * every * simulation.step_size
-    if commands is None:
-        parts.append(_record(simulation, samples, every, watch))
-    else:
-        commands = _check_commands(commands, samples + bool(share))
-        parts.append(_record_commanded(simulation, samples, every, commands, watch))
-    if share:
-        t = np.append(t, duration)
-        if commands is not None:
-            _advance_commanded(simulation, int(share * every), commands, samples)
-            simulation.set_command(_command(commands, simulation.time, samples))
-        parts.append(_record(simulation, 1, t[-1:], watch))
-    return t, *(np.vstack(halves) for halves in zip(*parts, strict=True))
-
-
-def _record(simulation: Simulation, samples: int, every: int | np.ndarray, watch: Watch
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """Take samples, every so many steps or at given times; look on where work is done."""
-    if isinstance(every, int):
-        return (simulation.record(samples, every) if simulation.conservative
-                else record_watched(simulation, samples, every, watch))
-    if simulation.conservative:
-        return record_at(simulation, every)
-    watch.update(look(simulation))
-    return record_at(simulation, every, lambda: watch.update(look(simulation)))
+    return Trajectory(t, q, p, energies[0], tuple(watch.alarms),
+                      tuple(getattr(simulation, 'events', ())))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -160,62 +129,6 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
 def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
     """Return a sequence of effects as the list that a scene holds, and anything else as it is."""
     return list(effects) if isinstance(effects, tuple) else effects
-
-
-def _check_times(times: Sequence[float], duration: float) -> np.ndarray:
-    """Return times of samples as an array, or raise."""
-    t = np.array(times, dtype=np.float64)
-    if t.ndim != 1 or t.size == 0:
-        raise ValueError(f'times has shape {t.shape}, expected (N,): a list of at least one time')
-    if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all() and t[0] >= 0.0
-            and t[-1] <= duration):
-        raise ValueError(f'times must rise from 0 s at least to the duration, {duration:g} s, at '
-                         'most')
-    return t
-
-
-def _check_memory(duration: float, interval: float, dimension: int) -> None:
-    """Raise ValueError if the samples of a run do not fit into memory."""
-    samples = duration / interval
-    if samples * dimension > _MOST_NUMBERS:
-        raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
-                         f'{interval:g} s: more than memory holds; take a larger every')
-
-
-def _check_commands(commands: Commands, samples: int) -> Commands:
-    """Return rows of commands as an array, or raise if there are too few."""
-    if callable(commands):
-        return commands
-    rows = np.array(commands, dtype=np.float64)
-    if rows.ndim != 2 or len(rows) < samples:
-        raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
-                         'for each sample but the last; or give a function of the time')
-    return rows
-
-
-def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands,
-                      watch: Watch) -> tuple[np.ndarray, np.ndarray]:
-    """Take samples times every steps, with a command before each step."""
-    q, p = np.empty((2, samples, simulation.q.size))
-    watch.update(look(simulation))
-    for sample in range(samples):
-        _advance_commanded(simulation, every, commands, sample)
-        q[sample], p[sample] = simulation.q, simulation.p
-        watch.update(look(simulation))
-    return q, p
-
-
-def _advance_commanded(simulation: Simulation, steps: int, commands: Commands, sample: int
-                       ) -> None:
-    """Take steps after a sample, with a command before each: none ends by the time-out."""
-    for _ in range(steps):
-        simulation.set_command(_command(commands, simulation.time, sample))
-        simulation.advance(1)
-
-
-def _command(commands: Commands, time: float, sample: int) -> Sequence[float]:
-    """Return the command at a time, which lies after a sample."""
-    return commands(time) if callable(commands) else commands[sample]
 
 
 def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
@@ -271,6 +184,9 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     if threads is not None:
         check_count('threads', threads)
     scene = _scene(scene).resolved()
+    if scene.events:
+        raise ValueError('simulate_many watches for no events: leave the events out of '
+                         f'{scene.name}, or simulate one trajectory at a time')
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
     effects = scene.create_effects()
     system = System(hamiltonian, effects, integrator)
@@ -278,7 +194,7 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     q0, p0 = (part.reshape(-1, d) for part in check_state(q, p, d))
     if q0.size == 0:
         raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
-    if q0.size * samples > _MOST_NUMBERS:
+    if q0.size * samples > MOST_NUMBERS:
         raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
                          'holds; take fewer at a time')
     interval = duration / samples

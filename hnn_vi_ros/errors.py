@@ -2,6 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors that a user can meet; each message is one line: what, where, remedy."""
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.phase_space import Event
+    import numpy as np
+
 
 class HnnViRosError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -68,3 +74,25 @@ class StepFailure(HnnViRosError):
     def dated(self, t: float) -> 'StepFailure':
         """Return the failure at another time [s], such as that of a stamp."""
         return StepFailure(self.reason, t, self.h, self.residual, self.iterations)
+
+
+class StoppedByEvent(HnnViRosError):
+    """
+    An event came that ends the run; the state is that before the step in which it came.
+
+    Parameters
+    ----------
+    event : Event
+        Which.
+    q, p : np.ndarray, shape (N, d)
+        Samples that were taken before.
+
+    """
+
+    def __init__(self, event: 'Event', q: 'np.ndarray', p: 'np.ndarray'):
+        self.event, self.q, self.p = event, q, p
+        super().__init__(f'the event {event} ended the run')
+
+    def after(self, q: 'np.ndarray', p: 'np.ndarray') -> 'StoppedByEvent':
+        """Return it with samples that were taken before."""
+        return StoppedByEvent(self.event, q, p)

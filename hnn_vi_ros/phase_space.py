@@ -27,6 +27,40 @@ class Coordinate:
     p_unit: str = '1'
 
 
+@dataclass(frozen=True, eq=False)
+class Event:
+    """
+    An instant at which a condition on the state came true.
+
+    Parameters
+    ----------
+    when : str
+        The condition, an equation.
+    direction : str
+        ``'up'`` if its left less its right side went from below zero to above, else ``'down'``.
+    stops : bool
+        Whether it ends the run.
+    t : float
+        Simulated time [s].
+    q, p : np.ndarray, shape (d,)
+        The state there.
+    energy : float
+        H(q, p) [J].
+
+    """
+
+    when: str
+    direction: str
+    stops: bool
+    t: float
+    q: np.ndarray
+    p: np.ndarray
+    energy: float
+
+    def __str__(self) -> str:
+        return f'{self.when} ({self.direction}) at t = {self.t:.9g} s'
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """
@@ -42,6 +76,8 @@ class Trajectory:
         H(q, p) [J].
     alarms : tuple
         What guards found, the first Alarm of each kind; see guards. Of m trajectories, m tuples.
+    events : tuple of Event
+        What the scene's ``events`` ask for, in the order of time.
 
     """
 
@@ -50,6 +86,7 @@ class Trajectory:
     p: np.ndarray
     energy: np.ndarray
     alarms: tuple = ()
+    events: tuple[Event, ...] = ()
 
 
 def check_state(q: Sequence[float], p: Sequence[float], dimension: int

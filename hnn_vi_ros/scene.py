@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from hnn_vi_ros.calibration import Choice, remembered
 from hnn_vi_ros.choices import (
-    AutoChoice, call_factory, choices, InitialState, LearnedChoice, PythonChoice)
+    AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError
 from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, UnsupportedSystem
@@ -50,6 +50,7 @@ class Scene(StrictModel):
     on_failure: Literal[ON_FAILURE] = Field('substep', description=(  # type: ignore[valid-type]
         'what is done about a step that fails: it is taken in sub-steps; or by implicit_midpoint, '
         'as are all steps beyond the limit of stability of an explicit method; or the run stops'))
+    events: list[EventChoice] = Field([], max_length=100, description='what is watched for')
     invariants: list[InvariantChoice] = Field([], max_length=20, description=(
         'what the motion conserves beside H: published with the accuracy, and watched'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]

@@ -10,6 +10,7 @@ import sys
 from hnn_vi_ros import arguments
 from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.events import watched
 from hnn_vi_ros.lyapunov import lyapunov_time
 from hnn_vi_ros.resources import shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
@@ -44,7 +45,7 @@ def check(names: Sequence[str]) -> int:
     for name in names:
         try:
             scene = load_scene(name)
-            print(_in_a_line(scene, Simulation.from_scene(scene)))
+            print(_in_a_line(scene, watched(Simulation.from_scene(scene), scene)))
         except HnnViRosError as problem:
             print(f'scene: {problem}', file=sys.stderr)
             status = 1
@@ -90,7 +91,7 @@ def explain(scene: Scene) -> Iterator[str]:
     if isinstance(scene.integrator, AutoChoice):
         print('choosing a method ...', file=sys.stderr)
         scene = scene.resolved()
-    simulation = Simulation.from_scene(scene)
+    simulation = watched(Simulation.from_scene(scene), scene)
     hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
     yield f'{scene.name}: {scene.description}'
     yield f'file: {scene.source}'
@@ -107,6 +108,8 @@ def explain(scene: Scene) -> Iterator[str]:
     if scene.chosen is not None:
         budget, choice = scene.chosen
         yield f'  {choice.explain(budget)}'
+    for event in scene.events:
+        yield f'event {event.when} ({event.direction}): {event.then}'
     yield f'conservative: {"yes" if simulation.conservative else "no"}'
     print('measuring ...', file=sys.stderr)
     yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)

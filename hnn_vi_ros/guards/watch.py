@@ -5,7 +5,7 @@
 import math
 import warnings
 
-from hnn_vi_ros.errors import AlarmWarning
+from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.base import Alarm, Guard, Look
 from hnn_vi_ros.guards.box import BoxGuard
@@ -121,7 +121,11 @@ def record_watched(simulation: Simulation, samples: int, every: int, watch: Watc
     watch.update(look(simulation))
     parts, most = [simulation.record(0, every)], max(1, samples // _SHOWN)
     for first in range(0, samples, most):
-        parts.append(simulation.record(min(most, samples - first), every))
+        try:
+            parts.append(simulation.record(min(most, samples - first), every))
+        except StoppedByEvent as stop:
+            q, p = zip(*parts, (stop.q, stop.p), strict=True)
+            raise stop.after(np.vstack(q), np.vstack(p)) from None
         watch.update(look(simulation))
     q, p = zip(*parts, strict=True)
     return np.vstack(q), np.vstack(p)

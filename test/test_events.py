@@ -1,0 +1,214 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events of scenes: what their conditions may be, and that each is found, once and in time."""
+
+from helpers import Uncompiled
+from hnn_vi_ros.conditions import Condition
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.ensemble import simulate, simulate_many
+from hnn_vi_ros.errors import SceneError, StoppedByEvent
+from hnn_vi_ros.events import Watch, WatchedSimulation
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.scene_tool import explain
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
+SCENE = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: gauss8}
+step_size: 0.05
+initial_state: {q: [0.0], p: [1.0]}
+events:
+  - {when: x = 0.5, direction: up}
+  - {when: 'x ** 2 + 3 * p_x = 0', direction: down, then: log}
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Return the file of a scene with events."""
+    file = tmp_path / 'mine.yaml'
+    file.write_text(SCENE)
+    return file
+
+
+def oscillator(method: str, h: float, *watches: Watch, phase: float = 0.0,
+               effects=()) -> WatchedSimulation:
+    """Return x = cos(t + phase), watched."""
+    return WatchedSimulation(Simulation(
+        Uncompiled(HAMILTONIANS['harmonic_oscillator']()), INTEGRATORS[method](), h,
+        [np.cos(phase)], [-np.sin(phase)], effects), watches)
+
+
+# Conditions.
+
+@pytest.mark.parametrize('text, expected', [
+    ('x = 1', 1.0), ('p_x = x', -5.0), ('2 * x - p_x / 3 = 1', 4.0), ('-x = +2', -4.0),
+    ('v_x = 0', -1.5), ('H = 3.25', 0.0), ('(x + 1) ** 2 = 9', 0.0), ('abs(p_x) = sqrt(9)', 0.0),
+    ('cos(pi * x) = sin(0)', 1.0), ('1e1 = x', 8.0)])
+def test_condition_is_left_less_right_side(text, expected):
+    hamiltonian = HAMILTONIANS['harmonic_oscillator'](mass=2.0, stiffness=0.5)
+    condition = Condition(text)
+    condition.check(hamiltonian)
+    q, p = np.array([[2.0], [2.0]]), np.array([[-3.0], [-3.0]])
+    assert condition.values(hamiltonian, q, p).tolist() == pytest.approx([expected] * 2, abs=1e-15)
+    assert float(condition.values(hamiltonian, q[0], p[0])) == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize('text', [
+    'x', 'x == 1', 'x = y = 1', 'x = ', '= 1', 'x < 1', 'x = 1; y = 2', 'x = open("f")',
+    'x = __import__("os")', 'x = (1).real', 'x = [1][0]', 'x = y if y else 0', 'x = lambda: 1',
+    'x = "1"', 'x = True', 'x = 1j', 'x = sin()', 'x = sin(1, 2)', 'x = exit(x)', 'x = f"{x}"',
+    'x = x.__class__', 'x = sin(*x)', 'x = 1 @ 2', 'x ^ 2 = 1', 'x = ' + '(' * 150 + ')' * 40,
+    'x' * 300 + ' = 1', 'x = \0', 'x = (y := 1)'])
+def test_condition_that_is_no_plain_equation_is_refused(text):
+    with pytest.raises(ValueError, match='expected an equation'):
+        Condition(text)
+
+
+def test_condition_with_huge_powers_costs_no_time():
+    """In float64 they are infinite, not numbers of many digits."""
+    hamiltonian = HAMILTONIANS['harmonic_oscillator']()
+    value = Condition('x = 9 ** 9 ** 9 ** 9').values(hamiltonian, np.zeros(1), np.zeros(1))
+    assert value == -np.inf
+
+
+# Scenes.
+
+@pytest.mark.parametrize('old, new, message', [
+    ('x = 0.5', 'y = 0.5', "mine.yaml:6: events.0: .*no quantity 'y'; valid: x, p_x, v_x, H"),
+    ('x = 0.5', 'x', 'mine.yaml:6: events.0.when: .*expected an equation'),
+    ('x = 0.5', 'x = import_(os)', 'mine.yaml:6: events.0.when: .*not allowed'),
+    ('direction: up', 'direction: left', 'mine.yaml:6: events.0.direction: .*up.*down.*both'),
+    ('then: log', 'then: jump', 'mine.yaml:7: events.1.then: .*log.*stop')])
+def test_scene_event_mistake_is_answered_with_file_line_and_what_is_valid(path, old, new, message):
+    path.write_text(SCENE.replace(old, new))
+    with pytest.raises(SceneError, match=message):
+        simulate(path, 0.1)
+
+
+def test_scene_events_are_found_and_the_path_is_that_without_them(path):
+    run = simulate(path, 13.0, every=4)
+    # x = sin t reaches 1/2 upwards at pi/6, and sin^2 + 3 cos = 0 downwards where
+    # cos = (3 - sqrt(13)) / 2.
+    times = {event.when: [] for event in run.events}
+    for event in run.events:
+        times[event.when].append(event.t)
+        assert event.q[0] == pytest.approx(np.sin(event.t), abs=1e-12)
+        assert event.energy == pytest.approx(0.5, abs=1e-12)
+    turn = np.arccos(0.5 * (3.0 - np.sqrt(13.0)))
+    # gauss8 errs by 1e-14 a step of a twentieth of a radian; rounding of 260 steps.
+    assert times['x = 0.5'] == pytest.approx(np.pi * np.array([1, 13]) / 6.0, abs=1e-12)
+    assert times['x ** 2 + 3 * p_x = 0'] == pytest.approx(
+        turn + 2.0 * np.pi * np.arange(2), abs=1e-12)
+    assert [event.t for event in run.events] == sorted(event.t for event in run.events)
+    assert {event.direction for event in run.events} == {'up', 'down'}
+    path.write_text(SCENE.partition('events:')[0])
+    plain = simulate(path, 13.0, every=4)
+    assert plain.events == ()
+    assert np.array_equal(plain.q, run.q) and np.array_equal(plain.p, run.p)
+
+
+@pytest.mark.parametrize('arguments, samples', [
+    ({'every': 4}, 3), ({'times': [0.1, 0.33, 0.7]}, 2), ({'commands': lambda t: [0.0]}, 11)])
+def test_event_that_stops_ends_the_trajectory_there(path, arguments, samples):
+    path.write_text(SCENE.replace('direction: up', 'then: stop'))
+    more = {'effects': [{'kind': 'external_force', 'coordinates': ['x']}]} \
+        if 'commands' in arguments else {}
+    run = simulate(path, 2.0, **arguments, **more)
+    assert run.t[-1] == pytest.approx(np.pi / 6.0, abs=1e-12)
+    assert (run.q[-1, 0], run.events[-1].t) == (run.events[-1].q[0], run.t[-1])
+    assert run.q[-1, 0] == pytest.approx(0.5, abs=1e-15)
+    assert len(run.t) == len(run.q) == len(run.energy) == samples + 1
+    assert len(run.events) == 1
+
+
+def test_many_trajectories_with_events_are_refused(path):
+    with pytest.raises(ValueError, match='leave the events out of mine'):
+        simulate_many(path, [[0.0]], [[1.0]], 1.0)
+
+
+def test_scene_explained_tells_its_events(path):
+    text = []
+    for line in explain(load_scene(path)):
+        text.append(line)
+        if line.startswith('conservative'):
+            break
+    assert 'event x = 0.5 (up): log' in text
+
+
+# How well events are found.
+
+@pytest.mark.parametrize('h', [0.3, 1.0, 3.0])
+def test_events_are_found_to_round_off_in_long_steps(h):
+    """Of gauss16, at steps up to half a period, the path is cos t to 1e-11."""
+    simulation = oscillator('gauss16', h, Watch(Condition('x = 0.2')),
+                            Watch(Condition('v_x = 0'), 'down'))
+    simulation.advance(round(18.0 / h))
+    crossings = [event.t for event in simulation.events if event.when == 'x = 0.2']
+    turns = [event.t for event in simulation.events if event.when == 'v_x = 0']
+    first = np.arccos(0.2)
+    expected = np.sort([sign * first + 2.0 * np.pi * k for k in range(4) for sign in (-1, 1)])[1:]
+    assert crossings == pytest.approx(expected[expected < 18.0], abs=1e-9 if h > 2 else 1e-12)
+    assert turns == pytest.approx(2.0 * np.pi * np.arange(1, 3), abs=1e-9 if h > 2 else 1e-12)
+
+
+@pytest.mark.parametrize('phase', [0.05, 0.4, 0.8])
+@pytest.mark.parametrize('level', [0.999, 1.0 - 1e-9])
+@pytest.mark.parametrize('method', ['gauss16', 'gauss8', 'implicit_midpoint'])
+def test_condition_that_comes_true_twice_within_a_step_is_found_twice(method, level, phase):
+    """The top of x = cos t lies inside of a step of 1 s, which begins and ends below the level."""
+    simulation = oscillator(method, 1.0, Watch(Condition(f'x = {level!r}')), phase=-phase)
+    simulation.advance(1)
+    up, down = simulation.events
+    assert (up.direction, down.direction) == ('up', 'down')
+    assert up.t < phase < down.t if method != 'implicit_midpoint' else up.t < down.t
+    assert [up.q[0], down.q[0]] == pytest.approx([level] * 2, abs=1e-15)
+
+
+def test_condition_that_is_all_but_true_is_no_event():
+    simulation = oscillator('gauss16', 1.0, Watch(Condition('x = 1.000000001')), phase=-0.4)
+    simulation.advance(20)
+    assert simulation.events == []
+
+
+@pytest.mark.parametrize('direction, expected', [('up', 1), ('down', 1), ('both', 2)])
+def test_event_at_the_end_of_a_step_is_found_once(direction, expected):
+    """A free body, x = t / 4 - 1 and then back, is at zero exactly where a step ends."""
+    simulation = WatchedSimulation(Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
+        0.25, [-1.0], [0.25], [EFFECTS['impact']('x', 0.5, 'below')]),
+        [Watch(Condition('x = 0'), direction)])
+    simulation.advance(60)
+    assert [event.t for event in simulation.events] == [
+        t for t, way in ((4.0, 'up'), (8.0, 'down')) if direction in (way, 'both')]
+    assert len(simulation.events) == expected
+
+
+def test_event_at_the_initial_state_is_none():
+    simulation = oscillator('gauss8', 0.1, Watch(Condition('x = 1')), Watch(Condition('v_x = 0')))
+    simulation.advance(3)
+    assert simulation.events == []
+
+
+def test_events_between_impacts_in_a_step_lie_on_the_path_that_bounces():
+    simulation = WatchedSimulation(Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
+        1.0, [0.5], [-1.0], [EFFECTS['impact']('x')]), [Watch(Condition('x = 0.25'))])
+    simulation.advance(1)
+    assert [event.t for event in simulation.events] == pytest.approx([0.25, 0.75], abs=1e-15)
+
+
+def test_simulation_stands_before_the_step_of_an_event_that_stops_it():
+    simulation = oscillator('gauss8', 0.1, Watch(Condition('x = 0'), stops=True))
+    with pytest.raises(StoppedByEvent, match=r'x = 0 \(down\) at t = 1\.57') as raised:
+        simulation.record(30, 1)
+    assert (simulation.steps, raised.value.q.shape) == (15, (15, 1))
+    assert simulation.q[0] > 0.0
+    simulation.restart([1.0], [0.0])
+    assert simulation.events == []
