@@ -52,8 +52,9 @@ def begin(search: Search, distance: float, slope: float, bend: float) -> None:
     """Begin at t = 0."""
     nodes = search.nodes
     nodes[0, 0], nodes[0, 1], nodes[0, 2], nodes[0, 3] = 0.0, distance, slope, bend
-    search.count[:] = 0
-    search.widths[:] = np.inf
+    search.count[0], search.count[1] = 0, 0
+    for k in range(3):
+        search.widths[k] = np.inf
 
 
 @called

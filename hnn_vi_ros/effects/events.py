@@ -43,8 +43,7 @@ def bounce(step: Callable, high: bool) -> Callable:
         inner, (c, position, sign, restitution, search, kept), live, effect = options
         start, space = scratch(memory), memory[len(memory) - 1]
         copy_point(z, start)
-        kept[2] = live.resting
-        draws, impacts, total = _keep(live, kept), 0, 0
+        draws, impacts, total = _keep(live, kept, 2), 0, 0
         rest, part, rounding = h, h, 0.0
         # Settled: what comes next is known, and the trial was taken for its state alone.
         action, wanted, settled = TRY, h, False
@@ -54,7 +53,7 @@ def bounce(step: Callable, high: bool) -> Callable:
             outcome, residual, gradients = step(kernel, part, inner, start, z1, memory[:-1])
             total += gradients
             if outcome != OK:
-                live.resting[:] = kept[2]
+                _put_back(live, kept, 2, draws)
                 return outcome, residual, total
             distance = sign * (z1.q[c] - position)
             if live.resting[effect] > 0.0:
@@ -74,22 +73,22 @@ def bounce(step: Callable, high: bool) -> Callable:
                 if action == FREE:
                     wanted = rest
             if action == LOST or impacts > _MOST_IMPACTS:
-                live.resting[:] = kept[2]
+                _put_back(live, kept, 2, draws)
                 return NO_CONVERGENCE, residual, total
             if action == TRY or part != wanted and wanted > 0.0:
                 part, settled = wanted, action != TRY
-                _put_back(live, kept, draws)
+                _put_back(live, kept, 0, draws)
             elif action == FREE:
                 return OK, residual, total
             else:
                 if wanted == 0.0:
                     copy_point(start, z1)
-                    _put_back(live, kept, draws)
+                    _put_back(live, kept, 0, draws)
                 rest -= wanted
                 work, rests = _meet(kernel, z1, c, position, sign, restitution, space,
                                     rest, h, rounding)
                 if np.isnan(work):
-                    live.resting[:] = kept[2]
+                    _put_back(live, kept, 2, draws)
                     return NO_CONVERGENCE, residual, total
                 live.pending[effect] += work
                 live.resting[effect] = 1.0 if rests else 0.0
@@ -97,7 +96,7 @@ def bounce(step: Callable, high: bool) -> Callable:
                     return OK, residual, total
                 impacts += 1
                 copy_point(z1, start)
-                draws = _keep(live, kept)
+                draws = _keep(live, kept, 0)
                 speed, bend = _motion(kernel, start, c, space, high)
                 begin(search, 0.0, max(0.0, sign * speed), sign * bend)
                 part, settled = rest, False
@@ -108,16 +107,20 @@ def bounce(step: Callable, high: bool) -> Callable:
 
 
 @called
-def _keep(live: Live, kept: np.ndarray) -> int:
-    """Keep what the effects have done in the step so far; return the random numbers drawn."""
-    kept[0], kept[1] = live.pending, live.resting
+def _keep(live: Live, kept: np.ndarray, last: int) -> int:
+    """Keep what the effects did so far, in every second row; return the random numbers drawn."""
+    for row in range(0, last + 1, 2):
+        for k in range(live.pending.size):
+            kept[row, k], kept[row + 1, k] = live.pending[k], live.resting[k]
     return live.draws[1]
 
 
 @called
-def _put_back(live: Live, kept: np.ndarray, draws: int) -> None:
-    """Forget what the effects did in a trial."""
-    live.pending[:], live.resting[:] = kept[0], kept[1]
+def _put_back(live: Live, kept: np.ndarray, row: int, draws: int) -> None:
+    """Forget what the effects did in a trial, or in the step, which is in row 2."""
+    # Element by element: for slices numba compiles the texts of errors as well.
+    for k in range(live.pending.size):
+        live.pending[k], live.resting[k] = kept[row, k], kept[row + 1, k]
     live.draws[1] = draws
 
 

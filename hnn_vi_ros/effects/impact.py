@@ -66,7 +66,7 @@ class Impact(StepEffect):
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""
         return (coordinate_index(coordinates, self.coordinate), self.position, self.sign,
-                self.restitution, Search.empty(), np.zeros((3, live.pending.size)))
+                self.restitution, Search.empty(), np.zeros((4, live.pending.size)))
 
     def check_state(self, parameters: tuple, q: np.ndarray) -> None:
         """Raise ValueError if q, shape (d,), is behind the wall."""
