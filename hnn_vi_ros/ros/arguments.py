@@ -12,9 +12,9 @@ from hnn_vi_ros.ros.parameters import help_of, Specification
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene and /diagnostics; as far as the
-scene or a parameter calls for them ~/markers, ~/accuracy and /clock. It hears ~/initial_state
-and, where the scene has an input, ~/commands. Services: ~/set_pause, ~/step, ~/reset,
-~/start_recording, ~/stop_recording, and those of its lifecycle; ~ is /hnn_simulator."""
+scene or a parameter calls for them ~/markers, ~/events, ~/accuracy and /clock. It hears
+~/initial_state and, where the scene has an input, ~/commands. Services: ~/set_pause, ~/step,
+~/reset, ~/start_recording, ~/stop_recording, and those of its lifecycle; ~ is /hnn_simulator."""
 _REPLAY = """\
 It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/set_pause, ~/step;
 ~ is /hnn_replay. Each parameter is an option as well."""

@@ -12,6 +12,7 @@ from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
+from hnn_vi_ros.ros.event_topic import COMPONENT
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
@@ -87,7 +88,7 @@ class BridgePicture:
 
     def tell(self, message: DiagnosticArray, simulator: str) -> None:
         """
-        Show alarms as events, and what steps cost, at the newest sample.
+        Show alarms, and what steps cost, at the newest sample, and events at their own times.
 
         Parameters
         ----------
@@ -102,6 +103,10 @@ class BridgePicture:
             if status.name == f'{simulator[1:]}: health' and 'alarm' in values:
                 self._sink.event(f'{values["alarm"]}: {status.message}',
                                  'ERROR' if status.level == ERROR else 'WARN')
+            elif status.name == f'{simulator[1:]}: {COMPONENT}':
+                stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                self._sink.event(status.message, 'INFO', (
+                    stamp, math.floor(stamp * 1e-9 / self._step_size)))
             elif status.name == f'{simulator[1:]}: timing':
                 median, p99, pace = (float(values.get(name, math.nan)) for name in (
                     'microseconds_per_step_median', 'microseconds_per_step_p99',

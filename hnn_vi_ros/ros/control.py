@@ -233,7 +233,8 @@ class Control:
         if taken and self._progress is not None:
             self._progress(self._asked - self._left, self._left)
         if taken == 0:
-            self._end_request(Answer(False, 'a step failed: the state is the last good one'))
+            why = 'an event ended the run' if self._node.exit_status == 0 else 'a step failed'
+            self._end_request(Answer(False, f'{why}: the state is the last good one'))
             self._schedule()
         elif self._left == 0 and self._waiting is not None:
             if not self._run.at_sample:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What takes long before a run can begin, for a thread beside the one that serves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
 from typing import Any, NamedTuple
 import warnings
@@ -153,3 +153,10 @@ def _compile(scene: Scene, logger: RcutilsLogger) -> Simulation:
         logger.warning(str(warning.message))
     logger.info(f'scene {scene.source}: kernel compiled in {seconds:.2f} s')
     return simulation
+
+
+def with_start(scene: Scene, q: Sequence[float], p: Sequence[float]) -> Scene:
+    """Return the scene with another initial state."""
+    state = scene.initial_state.model_copy(
+        update={'q': list(map(float, q)), 'p': list(map(float, p))})
+    return scene.model_copy(update={'initial_state': state})

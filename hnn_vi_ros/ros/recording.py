@@ -168,9 +168,9 @@ class Recording:
                 self._bag_sink = None
                 self._give_up(problem)
 
-    def event(self, text: str, level: str) -> None:
-        """Show an event beside the samples; level is INFO, WARN or ERROR."""
-        self._show('event', text, level)
+    def event(self, text: str, level: str, at: tuple[int, int] | None = None) -> None:
+        """Show a line beside the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
+        self._show('event', text, level, at)
 
     def timing(self, figures: Figures) -> None:
         """Show what steps cost lately, and the pace, at the newest sample."""

@@ -16,6 +16,7 @@ from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
 from hnn_vi_ros.ros.described_scene import described_scene
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
+from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.messages import TICK_TOPICS
@@ -104,12 +105,17 @@ class RerunBridge(Node):
             raise ParameterError(f'parameter simulator = {simulator!r}: expected the full name '
                                  'of a node, such as /hnn_simulator') from problem
         name, kind = DIAGNOSTICS_TOPIC
+        events = EVENTS_TOPIC[0].replace('~', simulator)
+
+        def tell(message: DiagnosticArray) -> None:
+            self._tell(message, simulator)
+
         return {
             f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
             f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
             **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
                for last, topic in _TICK.items()},
-            name: (kind, lambda message: self._tell(message, simulator), _QUEUE, False)}
+            name: (kind, tell, _QUEUE, False), events: (EVENTS_TOPIC[1], tell, _QUEUE, False)}
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
@@ -120,7 +126,7 @@ class RerunBridge(Node):
                  for number, channel in run.reader.channels.items()}
         if run.states:
             self._show_states(run, [*run.states, *(
-                number for number, name in names.items() if name == 'diagnostics')])
+                number for number, name in names.items() if name in ('diagnostics', 'events'))])
         else:
             self._show_ticks(run, {
                 number: name for number, name in names.items() if name in _KINDS})

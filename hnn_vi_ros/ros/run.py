@@ -7,17 +7,19 @@ import math
 import time
 from typing import Any
 
-from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.errors import StepFailure, StoppedByEvent
+from hnn_vi_ros.events import watched
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from hnn_vi_ros.ros.event_topic import EventTopic
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.pacing import LONGEST_CALL, OverrunGuard, Pacer
-from hnn_vi_ros.ros.preparation import check_pace, Prepared
+from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.status_line import StatusLine
@@ -57,18 +59,18 @@ class Run:
                  stop: Callable[[int, str], None]):
         self._node, self._topics, self._stop, self._values = node, topics, stop, values
         self._scene, self.recording = prepared.scene, prepared.recording
-        self.simulation = prepared.simulation
+        self.simulation = watched(prepared.simulation, prepared.scene)
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step = 1, math.inf
         self.sampler = Sampler(self.simulation, values['publish_rate'], prepared.origin)
         self.pacer = Pacer(self.sampler.tick, values['real_time_factor'])
-        self._diagnostics = DiagnosticsPublisher(
-            node, topics.diagnostics, self._scene.name)
+        self._diagnostics = DiagnosticsPublisher(node, topics.diagnostics, self._scene.name)
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
         topics.open(self.simulation, monitor, self._scene.mechanism, prepared.box,
                     values['frame_id'], self._record_heard)
+        self._events = EventTopic(node, topics.open_events, self._scene.name, self.simulation)
         self._begin(monitor)
         self._tell_scene(prepared.report)
         for event in prepared.events:
@@ -167,6 +169,10 @@ class Run:
         rescued = simulation.rescued
         try:
             seconds = self._monitor.advance(n)
+        except StoppedByEvent as stop:
+            self._events.hand_out(self.sampler, self.recording)
+            self._stop(0, f'stopped by the event {stop.event.when}')
+            return 0
         except StepFailure as failure:
             self._health.add_failure(
                 failure.dated(self.sampler.time), simulation.steps, self._stamp)
@@ -176,6 +182,7 @@ class Run:
             else:
                 self._stop(1, f'stopped {where}')
             return 0
+        self._events.hand_out(self.sampler, self.recording)
         if n == self._batch:
             self._batch = 2 * n if seconds < 0.2 * LONGEST_CALL else max(1, n // 2)
         if simulation.rescued > rescued:
@@ -247,9 +254,8 @@ class Run:
                 raise problem.dated(origin / 1e9) from problem
             raise
         self._start = self._next_start
-        q, p = (list(map(float, x)) for x in self._start)
         # The files tell where they begin.
-        self._scene = _with_start(self._scene, q, p)
+        self._scene = with_start(self._scene, *self._start)
         self.sampler = Sampler(self.simulation, self._values['publish_rate'], origin)
         monitor = self._make_monitor()
         self._topics.follow(monitor)
@@ -288,9 +294,3 @@ class Run:
         complete = self.recording.close()
         self.recording.report()
         return complete
-
-
-def _with_start(scene: Scene, q: list[float], p: list[float]) -> Scene:
-    """Return the scene with another initial state."""
-    state = scene.initial_state.model_copy(update={'q': q, 'p': p})
-    return scene.model_copy(update={'initial_state': state})

@@ -99,6 +99,10 @@ class Sampler:
         """Return the stamp of a step [ns]."""
         return stamp_of(step, self._simulation.step_size, self._origin)
 
+    def place_of(self, time: float) -> tuple[int, int]:
+        """Return the stamp [ns] of a time since step 0 [s], and the step before it."""
+        return (self._origin + round(time * 1e9), math.floor(time / self._simulation.step_size))
+
     def sample(self) -> Sample:
         """Return the state, and the energies that belong to it."""
         simulation = self._simulation

@@ -9,6 +9,7 @@ from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
+from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.graph import wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
@@ -40,7 +41,8 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 # All that there can be: what a scene does not call for is known, but does not exist.
 ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
-        *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC)),
+        *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
+        EVENTS_TOPIC)),
     Endpoint('~/scene', 'publisher'),
     Endpoint('~/commands', 'subscription'), Endpoint('~/initial_state', 'subscription'))
 
@@ -113,6 +115,10 @@ class Topics:
             heard = self.hear(*COMMANDS_TOPIC, self._on_command)
             self._commands = describe_topic(
                 heard.topic_name, Float64MultiArray, heard.qos_profile)
+
+    def open_events(self) -> Publisher:
+        """Make the topic of events, for a scene that has any."""
+        return self._publisher(*EVENTS_TOPIC, _ALARMS)
 
     def follow(self, monitor: Monitor) -> None:
         """Take the accuracy from what is measured of a run, in its initial state."""

@@ -112,12 +112,12 @@ class RerunSink:
         else:
             self._send_if_due()
 
-    def event(self, text: str, level: str = 'INFO') -> None:
-        """Show a line of text at the time of the newest sample; level INFO, WARN or ERROR."""
+    def event(self, text: str, level: str = 'INFO', at: tuple[int, int] | None = None) -> None:
+        """Show a line at a stamp [ns] and step, by default the newest sample's; as ROS' levels."""
         if self._closed:
             raise RecordingError('the rerun recording is closed; open a new one')
-        stamp, step = (self._newest.stamp, self._newest.step) if self._newest else self._begin
-        self._events.append((stamp, step, text, level))
+        newest = (self._newest.stamp, self._newest.step) if self._newest else self._begin
+        self._events.append((*(at or newest), text, level))
         if self._stream.live:
             self._send_events()
         else:

@@ -13,13 +13,14 @@ from processes import finish, start
 import pytest
 
 POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
-# All that a scene can call for: commands, and a mechanism that is drawn.
+# All that a scene can call for: commands, events, and a mechanism that is drawn.
 SCENE = """\
 hamiltonian: {kind: double_pendulum}
 effects: [{kind: external_force, coordinates: [angle1]}]
 integrator: {kind: generalized_leapfrog}
 step_size: 0.002
 initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
+events: [{when: angle1 = angle2}]
 mechanism: double_pendulum
 """
 

@@ -1,0 +1,89 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events of a scene on ~/events, in the bag, in the picture and in the end of the run."""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.ros import bridge_picture
+from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+import numpy as np
+from peer import peer, SIMULATOR
+from processes import finish, start
+import rclpy
+from rclpy.serialization import deserialize_message
+
+# sin t: upwards through 1/2 at pi/6 + 2 pi k, and at its top at pi/2.
+SCENE = """\
+hamiltonian: {kind: harmonic_oscillator}
+integrator: {kind: gauss8}
+step_size: 0.01
+initial_state: {q: [0.0], p: [1.0]}
+events:
+  - {when: x = 0.5, direction: up}
+  - {when: v_x = 0, then: stop}
+"""
+EXPECTED = [('x = 0.5', np.pi / 6.0), ('v_x = 0', np.pi / 2.0)]
+
+
+def values(message: DiagnosticArray) -> dict[str, str]:
+    """Return the values of the only status of an event."""
+    status, = message.status
+    assert status.name == f'{SIMULATOR[1:]}: event'
+    assert status.message.startswith(status.values[0].value)
+    return {item.key: item.value for item in status.values}
+
+
+def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypatch):
+    (tmp_path / 'events.yaml').write_text(SCENE)
+    process = start(tmp_path, scene='events.yaml', record_path='bag', rerun_sink='none',
+                    real_time_factor='0.5')
+    heard = []
+    with peer() as other:
+        other.node.create_subscription(DiagnosticArray, f'{SIMULATOR}/events', heard.append, 10)
+        other.spin_until(lambda: len(heard) == 2)
+        status, output = finish(process)[:2]
+    assert status == 0, output
+    reader = BagReader(tmp_path / 'bag')
+    channel, = (number for number, channel in reader.channels.items()
+                if channel.topic == f'{SIMULATOR}/events')
+    recorded = list(reader.messages([channel]))
+    assert len(recorded) == 2
+    for message, logged, (when, t) in zip(heard, recorded, EXPECTED, strict=True):
+        found, stamp = values(message), message.header.stamp
+        assert found['when'] == when
+        # To the nanosecond of a stamp; x and H to round-off.
+        assert abs(stamp.sec + stamp.nanosec * 1e-9 - t) <= 1.1e-9
+        assert abs(float(found['x']) - np.sin(t)) < 1e-13
+        assert abs(float(found['H [J]']) - 0.5) < 1e-13
+        assert deserialize_message(logged.data, DiagnosticArray) == message
+        assert logged.time == stamp.sec * 10**9 + stamp.nanosec
+    # The run ends in the step of the event: no sample comes after it.
+    assert reader.last <= recorded[-1].time + 10**7
+    assert verify(tmp_path / 'bag').good
+    assert_bridge_shows(tmp_path, monkeypatch)
+
+
+def assert_bridge_shows(folder, monkeypatch):
+    """Show the bag by the bridge, and compare the times of its events."""
+    shown = []
+
+    class Sink(bridge_picture.RerunSink):
+
+        def event(self, text, level='INFO', at=None):
+            shown.append((text, level, at))
+            super().event(text, level, at)
+
+    monkeypatch.setattr(bridge_picture, 'RerunSink', Sink)
+    rclpy.init(args=['--ros-args', '-p', 'rerun_sink:=file', '-p',
+                     f'rerun_path:={folder / "bag.rrd"}'])
+    try:
+        node = RerunBridge()
+        assert node.show_bag(folder / 'bag') > 100
+        node.close()
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    assert [(text.partition(' (')[0], level) for text, level, _ in shown] == [
+        (when, 'INFO') for when, _ in EXPECTED]
+    assert [at[1] for *_, at in shown] == [52, 157]
