@@ -83,7 +83,9 @@ class Condition:
         # Last of all: a coordinate may be named as another's momentum.
         values |= {name: q[..., i] for i, name in enumerate(names)}
         with np.errstate(all='ignore'):
-            return np.broadcast_to(self._difference(values), np.shape(q)[:-1])
+            difference = self._difference(values)
+        shape = np.shape(q)[:-1]
+        return difference if np.shape(difference) == shape else np.broadcast_to(difference, shape)
 
     def _read(self, side: str) -> Value:
         try:

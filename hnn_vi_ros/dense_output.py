@@ -89,8 +89,8 @@ class DenseOutput:
             z = legendre.legval(2.0 * theta - 1.0, self._coefficients)
         else:
             z = polynomial.polyval(theta, self._coefficients)
-        q, p = np.split(np.moveaxis(z, 0, -1), 2, axis=-1)
-        return q, p
+        z, n = z.T, len(z) // 2
+        return z[..., :n], z[..., n:]
 
 
 def hermite_output(h: float, z0: np.ndarray, v0: np.ndarray, z1: np.ndarray, v1: np.ndarray,

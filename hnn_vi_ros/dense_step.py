@@ -104,8 +104,7 @@ class DenseStep:
         """
         for share, (z, _) in ((0.0, self._start), (1.0, self._end)):
             if theta == share:
-                q, p = np.split(z, 2)
-                return q.copy(), p.copy()
+                return z[:z.size // 2].copy(), z[z.size // 2:].copy()
         method = self._simulation.integrator
         if not method.goes_on_from_state or (
                 self._plain and self.polynomial.order >= method.order):

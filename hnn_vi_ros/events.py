@@ -117,8 +117,12 @@ class WatchedSimulation:
     def dense_step(self) -> DenseStep:
         """Take one step, or raise as ``record``; return it with the states inside of it."""
         dense = self._simulation.dense_step()
+        q, p = dense.polynomial(_PLACES)
+        # The ends are known, and what is known of them decides.
+        (q[0], p[0]), (q[-1], p[-1]) = dense.state(0.0), dense.state(1.0)
         found = sorted(((theta, rises, watch) for watch in self._watches
-                        for theta, rises in self._find(dense, watch)), key=lambda one: one[0])
+                        for theta, rises in self._find(dense, watch, q, p)),
+                       key=lambda one: one[0])
         for theta, rises, watch in found:
             event = self._event(dense, theta, rises, watch)
             self.events.append(event)
@@ -135,7 +139,8 @@ class WatchedSimulation:
                      steps * self._simulation.step_size, q, p,
                      float(self._simulation.hamiltonian.energy(q, p)))
 
-    def _find(self, dense: DenseStep, watch: Watch) -> Iterator[tuple[float, bool]]:
+    def _find(self, dense: DenseStep, watch: Watch, q: np.ndarray, p: np.ndarray
+              ) -> Iterator[tuple[float, bool]]:
         """Yield the share of the step and whether the value rises, for each event of a kind."""
         hamiltonian, condition = self._simulation.hamiltonian, watch.condition
 
@@ -145,10 +150,12 @@ class WatchedSimulation:
         def seen(theta: float | np.ndarray) -> np.ndarray:
             return condition.values(hamiltonian, *dense.polynomial(theta))
 
-        values = np.array(seen(_PLACES))
-        # The ends are known, and what is known of them decides.
-        values[0], values[-1] = value(0.0), value(1.0)
-        for start, end in _brackets(values, seen, value):
+        values = condition.values(hamiltonian, q, p)
+        # Most steps are far from it: nearer to zero than they vary no values come within one.
+        size = np.abs(values)
+        if size.min() > values.max() - values.min():
+            return
+        for start, end in _brackets(np.array(values), seen, value):
             rises = end[1] > 0.0 or start[1] < 0.0
             if watch.direction != ('down' if rises else 'up'):
                 yield _root(value, start, end), rises
