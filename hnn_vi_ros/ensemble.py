@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.checks import check_count, check_seconds
-from hnn_vi_ros.dense_step import record_at, whole_steps
+from hnn_vi_ros.dense_step import whole_steps
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.events import watched
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.watch import energies_of, look, show_many, tell, tell_many, Watch
+from hnn_vi_ros.guards.watch import energies_of, show_many, tell, tell_many, Watch
 from hnn_vi_ros.phase_space import check_state, Trajectory
-from hnn_vi_ros.recorders import Commands, MOST_NUMBERS, recorders
+from hnn_vi_ros.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.system import System
@@ -231,7 +231,7 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         # Each trajectory has noise of its own.
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
         watch = Watch(simulation, None, kinds=(EnergyGuard,))
-        q_block, p_block = _record(simulation, samples, every, watch)
+        q_block, p_block = record_samples(simulation, samples, every, watch)
         for own in alarms[block]:
             own += watch.alarms
         q_all[1:, block] = q_block.reshape(samples, -1, d)

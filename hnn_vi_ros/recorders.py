@@ -49,13 +49,13 @@ def recorders(simulation: Simulation, duration: float, every: int,
         if commands is not None:
             raise ValueError('times and commands cannot both be given: use every with commands')
         t = _check_times(times, duration)
-        return np.append(0.0, t), [lambda: _record(simulation, t.size, t, watch)]
+        return np.append(0.0, t), [lambda: record_samples(simulation, t.size, t, watch)]
     interval = simulation.step_size * every
     _check_memory(duration, interval, simulation.q.size)
     samples, share = whole_steps(duration, interval)
     t = np.arange(samples + 1) * every * simulation.step_size
     if commands is None:
-        takers = [lambda: _record(simulation, samples, every, watch)]
+        takers = [lambda: record_samples(simulation, samples, every, watch)]
     else:
         commands = _check_commands(commands, samples + bool(share))
         takers = [lambda: _record_commanded(simulation, samples, every, commands, watch)]
@@ -66,8 +66,8 @@ def recorders(simulation: Simulation, duration: float, every: int,
     return t, takers
 
 
-def _record(simulation: Simulation, samples: int, every: int | np.ndarray, watch: Watch
-            ) -> tuple[np.ndarray, np.ndarray]:
+def record_samples(simulation: Simulation, samples: int, every: int | np.ndarray, watch: Watch
+                   ) -> tuple[np.ndarray, np.ndarray]:
     """Take samples, every so many steps or at given times; look on where work is done."""
     if isinstance(every, int):
         return (simulation.record(samples, every) if simulation.conservative
@@ -131,7 +131,7 @@ def _record_last(simulation: Simulation, steps: int, duration: float, commands: 
         last = 0 if callable(commands) else len(commands) - 1
         _advance_commanded(simulation, steps, commands, last)
         simulation.set_command(_command(commands, simulation.time, last))
-    return _record(simulation, 1, np.array([duration]), watch)
+    return record_samples(simulation, 1, np.array([duration]), watch)
 
 
 def _advance_commanded(simulation: Simulation, steps: int, commands: Commands, sample: int
