@@ -77,7 +77,7 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
                        memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _momentum_equation, _momentum_tangent, problem, p1, memory, options.max_iterations)
-    if outcome == OK and is_doubtful(memory, h):
+    if outcome == OK and is_doubtful(memory.slope, h):
         outcome = IN_DOUBT
         memory.candidate[:], memory.count[1] = p1, 1
     if outcome == OK:
@@ -125,7 +125,7 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
                        memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _coordinate_equation, _coordinate_tangent, problem, q1, memory, options.max_iterations)
-    if outcome == OK and is_doubtful(memory, h):
+    if outcome == OK and is_doubtful(memory.slope, h):
         outcome = IN_DOUBT
         memory.candidate[:], memory.count[1] = q1, 1
     if outcome == OK:
@@ -135,7 +135,7 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
 
 
 @inlined
-def is_doubtful(memory: Memory, h: float) -> bool:
+def is_doubtful(slope: np.ndarray, h: float) -> bool:
     """
     Tell whether a solution need not be the one that is connected to h = 0.
 
@@ -143,13 +143,13 @@ def is_doubtful(memory: Memory, h: float) -> bool:
     largest slope of G that was met in this solve and the one before it, and its range once more,
     must stay below half of that. Solvers that do not look at slopes leave NaN: no doubt.
     """
-    low, high = memory.slope[0], memory.slope[1]
+    low, high = slope[0], slope[1]
     if math.isnan(high):
         return False
-    if math.isfinite(memory.slope[2]):
-        before = memory.slope[2] * h
+    if math.isfinite(slope[2]):
+        before = slope[2] * h
         low, high = min(low, before), max(high, before)
-    memory.slope[2] = memory.slope[1] / h
+    slope[2] = slope[1] / h
     return 2.0 * high - low >= _CLEAR
 
 
