@@ -59,12 +59,13 @@ class EnergyScale:
         self._middle = middle if middle.any() else None
         self._angles = angles if angles.any() else None
         self._gauge = hamiltonian.gauge
-        self._sum, self._count, self._largest, self._first = 0.0, 0, 0.0, 0.0
+        self._sum, self._time, self._largest, self._first = 0.0, 0.0, 0.0, 0.0
         self.turned = False
 
-    def add(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray) -> float:
+    def add(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray,
+            weight: float = 1.0) -> float:
         """
-        Take the next sample, all of them equally far apart in time; return the scale [J].
+        Take the next sample; return the scale [J].
 
         Parameters
         ----------
@@ -72,6 +73,8 @@ class EnergyScale:
             The state, or those of m trajectories, whose energies add up.
         dH_dq, dH_dp : np.ndarray, of the shape of q
             -p' and q' there.
+        weight : float, optional
+            Time since the sample before, in any unit.
 
         """
         if self._gauge is not None:
@@ -84,10 +87,10 @@ class EnergyScale:
             self._first = max(self._first, 0.5 * (potential + virial))
         # What is not finite is not in play; the energy itself tells.
         if math.isfinite(virial):
-            self._sum += virial
-            self._count += 1
+            self._sum += weight * virial
+            self._time += weight
             self._largest = max(self._largest, virial)
-            mean = self._sum / self._count
+            mean = self._sum / self._time
             self.turned = self.turned or self._largest - virial >= mean > 0.0
             self.value = mean if self.turned else self._first
         return self.value

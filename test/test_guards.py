@@ -117,6 +117,15 @@ def test_barrier_guard_speaks_when_the_band_reaches_the_gap():
     assert guard.band == pytest.approx(1.1)
 
 
+def test_barrier_guard_speaks_where_the_modified_energy_is_beyond_what_h_is_below():
+    """What is conserved is H~: 1.2 J at first, over a barrier of 1.1 J; and 0.9 J below it."""
+    for modified, said in ((1.2, True), (0.9, False)):
+        guard = BarrierGuard('separatrix', 1.1)
+        found = [guard.update(sample(step, energy=1.0, modified_energy=modified + 0.01 * step))
+                 for step in range(3)]
+        assert any(alarm is not None for alarm in found) is said
+
+
 def test_energy_guard_is_silent_while_the_energy_oscillates():
     t = np.arange(20_000)
     for period in (3.0, 50.0, 600.0):

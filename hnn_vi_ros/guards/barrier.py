@@ -5,7 +5,7 @@
 import math
 
 from hnn_vi_ros.guards.band import BandGuard
-from hnn_vi_ros.guards.base import Alarm, Observed
+from hnn_vi_ros.guards.base import accounted_energy, Alarm, Observed
 
 
 class BarrierGuard(BandGuard):
@@ -17,7 +17,7 @@ class BarrierGuard(BandGuard):
     name : str
         What the barrier is: 'separatrix', 'escape barrier'.
     energy : float
-        That of the barrier [J]; the motion's is that of the first sample.
+        That of the barrier [J]; the motion's is that of the first sample, H~ where it is known.
 
     """
 
@@ -30,7 +30,11 @@ class BarrierGuard(BandGuard):
 
     def _limit(self, sample: Observed) -> float:
         if math.isnan(self._gap):
-            self._gap = abs(self._energy - sample.energy)
+            # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
+            # of it that H is on.
+            plain = self._energy - sample.energy
+            kept = self._energy - accounted_energy(sample)
+            self._gap = abs(kept) if plain * kept > 0.0 else 0.0
         return self._gap
 
     def _alarm(self, step: int, limit: float) -> Alarm:

@@ -36,15 +36,16 @@ class SampledScale:
     def __init__(self, hamiltonian: Hamiltonian):
         self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
         self._last: Observed | None = None
-        self._first, self._size, self._value = 0, 0.0, 0.0
+        self._first, self._newest, self._size, self._value = 0, 0, 0.0, 0.0
 
     def __call__(self, sample: Observed) -> float:
         """Return the scale [J] as of a sample, the newest one or that before it again."""
         if sample is not self._last:
             if self._last is None:
-                self._first = sample.step
-            self._last = sample
-            scale = self._scale.add(sample.q, sample.p, sample.dH_dq, sample.dH_dp)
+                self._first = self._newest = sample.step
+            weight = max(sample.step - self._newest, 1)
+            self._last, self._newest = sample, sample.step
+            scale = self._scale.add(sample.q, sample.p, sample.dH_dq, sample.dH_dp, weight)
             steps = sample.step - self._first + 1
             if not self._scale.turned:
                 scale *= 1.0 + _EARLY / steps
