@@ -230,8 +230,10 @@ def page(rows: list[Row]) -> Iterator[str]:
         'or the cost is more than 1.5 times the best of the sweep.', '',
         f'Held at that cost: {good} of {len(rows)} rows, of the {len(systems()) * len(BUDGETS)} '
         'that there are to be measured.',
-        'Made by `python -m benchmarks.campaign` in `test/`, which goes on where it ended, on',
-        f'{machine()}, commit {", ".join(sorted({entry.commit for entry in rows}))}.', '')
+        'Made in `test/`, where it goes on with the rows that are missing, by',
+        '`python -m benchmarks.campaign --out ../docs/automatic-choice.json '
+        '--table ../docs/automatic-choice.md`',
+        f'on {machine()}, commit {", ".join(sorted({entry.commit for entry in rows}))}.', '')
     yield from table(rows)
 
 
