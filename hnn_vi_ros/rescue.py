@@ -2,29 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is done about steps that fail, or that an explicit method cannot take."""
 
+from collections.abc import Callable
+from functools import cache
 import math
 from typing import NamedTuple
 
+from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NO_SOLUTION, OK, Point
+from hnn_vi_ros.integrators.arithmetic import copy_point, largest
+from hnn_vi_ros.integrators.base import BEYOND, Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.modified_midpoint import ModifiedMidpoint
-from hnn_vi_ros.integrators.stability_watch import StabilityWatch
 from hnn_vi_ros.loops import advance, assemble, take_substeps
-from hnn_vi_ros.staggered_rescue import StaggeredRescue
 from hnn_vi_ros.system import System
 import numpy as np
 
 ON_FAILURE = ('substep', 'implicit', 'stop')
 # A step that fails is tried again in at most 2^6 = 64 sub-steps.
 _HALVINGS = 6
-# In 2^4 at least where the energy to be kept is one that the parts keep to their order only.
-_MODIFIED = 4
-# An explicit method comes back when h omega has been below this share of its limit for long.
-_BACK = 0.9
+# An explicit method comes back when h omega has been below this share of its limit for long: the
+# changes of method, at each of which the energy may change, become ever fewer.
+_BACK, _CALM = 0.9, 16.0
 # Frequencies times h at which the stability of a method is looked at.
 _FREQUENCIES = np.arange(0.05, 8.0, 0.05)
 
@@ -35,9 +34,7 @@ class Rescue:
 
     First the later links of the method's own chain of solvers, then what the scene says:
 
-    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method; of a method of order 1 without
-      effects at first 16, 32, 64 for the energy that it nearly conserves, see ModifiedMidpoint,
-      which for variational_euler is in the staggered pair, see StaggeredRescue;
+    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method;
     - ``implicit``: a step of the implicit midpoint rule, which has no limit of stability. An
       explicit method is watched as well: where h omega exceeds its limit, with omega the
       highest frequency of the motion's linearisation J H''(z), its steps would not fail but
@@ -73,7 +70,6 @@ class Rescue:
         if on_failure not in ON_FAILURE:
             raise ValueError(f'on_failure = {on_failure!r}; valid: {", ".join(ON_FAILURE)}')
         self._system, self._on_failure = system, on_failure
-        self._staggered = StaggeredRescue(system.kernel)
         self.ways = [system.integrator]
         if on_failure == 'implicit' and not system.hamiltonian.canonical:
             raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
@@ -111,33 +107,20 @@ class Rescue:
         if solved.ok:
             return solved
         spent = solved.gradients
-        if self._staggers(way) and solved.outcome == NO_SOLUTION:
-            ok, gradients = self._staggered.take_step(h, z, z1, memory[0])
-            spent += gradients
-            if ok:
-                return solved._replace(ok=True, rescued=True, gradients=spent)
-        for store in memory:
-            store.count[1] = 0
-        for method, link, parts in self._others(way, h):
+        for method, link, parts in self._others(way):
             ok, gradients = self._in_parts(method, link, parts, h, z, z1)
             spent += gradients
             if ok:
                 # What came before is no guide to the next start.
                 for store in memory:
                     store.count[0] = 0
-                return solved._replace(ok=True, rescued=True, gradients=spent)
-        return solved._replace(gradients=spent)
-
-    def _staggers(self, way: int) -> bool:
-        """Tell whether a step without a solution goes on in the staggered pair."""
-        return (self._on_failure == 'substep' and self.ways[way].staggered
-                and not self._system.kernel.channels)
+                return Taken(True, True, spent, solved.residual)
+        return Taken(False, False, spent, solved.residual)
 
     def _by_other_solvers(self, way: int, h: float, z: Point, z1: Point,
                           memory: tuple[Memory, ...]) -> 'Taken':
         """Take the step with the later links of the way's own chain."""
-        kernel, method, spent = self._system.kernel, self.ways[way], 0
-        residual, outcome, several = math.nan, NO_CONVERGENCE, False
+        kernel, method, spent, residual = self._system.kernel, self.ways[way], 0, math.nan
         for link in range(1, method.links):
             loop, step, options = assemble(advance, kernel, method, link)
             q, p = np.empty((2, 1, z.q.size))
@@ -145,24 +128,16 @@ class Rescue:
                 step, kernel, h, options, 0, 1, z, z1, memory, q, p)
             spent += gradients
             if outcome == OK:
-                several = any(store.count[1] == 2 for store in memory)
-                break
-        for store in memory:
-            store.count[1] = 3 if store.count[1] == 3 else 0
-        return Taken(outcome == OK, False, spent, residual, outcome, several)
+                return Taken(True, False, spent, residual)
+        return Taken(False, False, spent, residual)
 
-    def _others(self, way: int, h: float) -> list[tuple[Integrator, int, int]]:
+    def _others(self, way: int) -> list[tuple[Integrator, int, int]]:
         """Return method, link of its chain and number of parts, in the order of trial."""
         if self._on_failure == 'implicit' and way == 0:
             return [(self._implicit, link, 1) for link in range(self._implicit.links)]
         substep = self.ways[way].substep() if self._on_failure == 'substep' else None
-        if substep is None:
-            return []
-        others = [(substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
-        if self.ways[way].correction == 0.0 or self._system.kernel.channels:
-            return others
-        modified = ModifiedMidpoint(self.ways[way].correction * h)
-        return [(modified, 0, 2 ** k) for k in range(_MODIFIED, _HALVINGS + 1)] + others
+        return [] if substep is None else [
+            (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
 
     def _in_parts(self, method: Integrator, link: int, parts: int, h: float, z: Point, z1: Point
                   ) -> tuple[bool, int]:
@@ -193,10 +168,6 @@ class Taken(NamedTuple):
         Evaluated for it.
     residual : float
         Of the last solver of the chain.
-    outcome : int
-        Of the same.
-    several : bool
-        Whether that solver found another solution than one before it.
 
     """
 
@@ -204,13 +175,66 @@ class Taken(NamedTuple):
     rescued: bool
     gradients: int
     residual: float
-    outcome: int
-    several: bool
 
-    @property
-    def unsolvable(self) -> bool:
-        """Return whether that solver found that there is no solution."""
-        return self.outcome == NO_SOLUTION
+
+class StabilityWatch:
+    """
+    A step that is taken only while h omega stays between two bounds, and else ends as BEYOND.
+
+    At once where h omega reaches the highest value; or after many calm steps, with h omega below
+    the lowest one. As many as _CALM at first; each time that the highest value is reached, twice
+    as many.
+
+    omega^2 = abs((J H'')^2 v) / abs(v) for a v that each step maps and keeps: by the power method
+    it turns into the fastest oscillation of the motion linearised at z.
+    """
+
+    @staticmethod
+    def inner_step(integrator: Integrator) -> Callable:
+        """Return the step of the method."""
+        return integrator.step
+
+    @staticmethod
+    @cache
+    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+        """Return the step with its watch; its options are those of the step and the interval."""
+        @inlined
+        def watched(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+            """Take one step; see Integrator."""
+            inner, low, high = options
+            space = memory[len(memory) - 1]
+            calm, wanted = space.count, space.triangle[0]
+            # NaN is neither low nor high: it will be found not finite.
+            extent = abs(h) * _frequency(kernel, z, space)
+            if extent >= high:
+                wanted[0] = max(_CALM, 2.0 * wanted[0])
+                return BEYOND, 0.0, 2
+            calm[0] = calm[0] + 1 if extent < low else 0
+            if calm[0] > wanted[0]:
+                return BEYOND, 0.0, 2
+            outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])
+            return outcome, residual, gradients + 2
+        return watched
+
+
+@inlined
+def _frequency(kernel: Kernel, z: Point, space: Memory) -> float:
+    """Return omega at z, and keep v."""
+    v_q, v_p, w_q, w_p = space.values[0], space.values[1], space.values[2], space.values[3]
+    if max(largest(v_q), largest(v_p)) == 0.0:
+        # A direction without a symmetry that a mode could have as well.
+        for i in range(v_q.size):
+            v_q[i], v_p[i] = math.cos(1.0 + i * i), math.sin(2.0 + i * i)
+    growth = 1.0
+    for _ in range(2):
+        kernel.hessian_vector(kernel.parameters, z.q, z.p, v_q, v_p, w_q, w_p)
+        size = max(largest(w_q), largest(w_p))
+        growth *= size
+        for i in range(v_q.size):
+            v_q[i] = w_p[i] / size if size > 0.0 else 0.0
+            v_p[i] = -w_q[i] / size if size > 0.0 else 0.0
+    return math.sqrt(growth)
 
 
 def stability_limit(integrator: Integrator) -> float:

@@ -54,17 +54,18 @@ class Simulation:
         H with the potentials among the effects.
     conservative, takes_commands : bool
         Whether no effect does work, and whether one takes commands.
-    steps, gradients : int
-        Steps since the initial state; gradients and Hessian-vector products evaluated in them.
+    steps : int
+        Steps taken since the initial state.
     q, p : np.ndarray, shape (d,) or (m d,), with forces (d,) or (m, d)
         The state; copy it before the next ``advance``.
     dH_dq, dH_dp : np.ndarray, of the shape of q
         -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
-    rescued, unsolvable, several_solutions : int
-        Steps that were taken in parts, or by the implicit midpoint rule instead; those of them
-        without a solution connected to h = 0; those where a solver met another one beside it.
+    rescued : int
+        Steps that were taken in parts, or by the implicit midpoint rule instead.
     residual : float
         Relative residual of the last implicit step [1].
+    gradients : int
+        Gradients and Hessian-vector products evaluated in steps since the initial state.
 
     Raises
     ------
@@ -102,8 +103,7 @@ class Simulation:
         self._system.check_state(q, p)
         self._system.live.reset(stream)
         self._system.live.clock[0] = step * self.step_size
-        self.steps, self.gradients, self.residual = step, 0, 0.0
-        self.rescued = self.unsolvable = self.several_solutions = 0
+        self.steps, self.rescued, self.gradients, self.residual = step, 0, 0, 0.0
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._way, self._memories = 0, self._rescue.memories(n)
@@ -257,7 +257,7 @@ class Simulation:
             if outcome == BEYOND and (self._way == 0 or done > changed):
                 self._change_way()
                 changed = done
-            elif outcome == OK or (outcome := self._take_failed_step(outcome)) != OK:
+            elif outcome == OK or not self._take_failed_step():
                 break
             else:
                 self.steps += 1
@@ -292,13 +292,12 @@ class Simulation:
         self._evaluate_gradient()
         self.gradients += 1
 
-    def _take_failed_step(self, outcome: int) -> int:
-        """Take one step in another way; return the outcome, the worst if none will do."""
+    def _take_failed_step(self) -> bool:
+        """Take one step in another way; False if none will do."""
         taken = self._rescue.take_step(
             self._way, self.step_size, self._z, self._z1, self._memories[self._way])
         self.gradients += taken.gradients
         self.rescued += taken.rescued or (taken.ok and self._way != 0)
-        self.unsolvable += taken.rescued and taken.unsolvable
-        self.several_solutions += taken.several
-        self.residual = self.residual if np.isnan(taken.residual) else taken.residual
-        return OK if taken.ok else taken.outcome if taken.unsolvable else outcome
+        if not np.isnan(taken.residual):
+            self.residual = taken.residual
+        return taken.ok

@@ -79,7 +79,7 @@ def rattle(step: Callable, functions: tuple[Callable, ...] = ()) -> Callable:
         inner, constraints, live, _ = options
         start, space = scratch(memory), memory[len(memory) - 1]
         # The last step's solution is the first guess.
-        multipliers = space.candidate[:constraints.defect.size]
+        multipliers = space.newton[:constraints.defect.size]
         evaluate(constraints, z.q, constraints.old)
         constraints.pending[:] = live.pending
         size = largest(z.q) + largest(constraints.lengths)

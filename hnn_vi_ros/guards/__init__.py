@@ -10,7 +10,6 @@ from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
-from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.simulation import Simulation
 
 # Of the energy scale, where no others are asked for: see ResolutionGuard and EnergyGuard.
@@ -45,6 +44,3 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
         yield BarrierGuard(*barrier)
-    if not method.explicit:
-        for kind in SolutionGuard.KINDS:
-            yield SolutionGuard(simulation, kind)

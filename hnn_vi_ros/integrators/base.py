@@ -12,13 +12,10 @@ import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.
 OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT = 0, 1, 2, 3, 4, 5
-IN_DOUBT, NO_SOLUTION = 6, 7
 REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            BEYOND: 'beyond the limit of stability',
            NO_MASS: 'H_pp is not positive definite, so that there are no masses',
-           REDUNDANT: 'it depends on the constraints before it; leave it out',
-           IN_DOUBT: 'which of several solutions is the right one is not known',
-           NO_SOLUTION: 'eq. (6) has no solution here: det(I + h H_qp) changes sign'}
+           REDUNDANT: 'it depends on the constraints before it; leave it out'}
 
 
 class Point(NamedTuple):
@@ -55,25 +52,18 @@ class Memory(NamedTuple):
 
     Parameters
     ----------
-    count : np.ndarray, shape (2,)
-        How many earlier solutions ``increments`` holds; whether ``candidate`` holds a solution
-        that is in doubt (1), one that another took the place of (2), or the staggered momentum
-        that the next step goes on from (3), see StaggeredRescue.
-    slope : np.ndarray, shape (3,)
-        The least and the largest slope of G between iterates of this solve, NaN if they were too
-        close; the largest of the solve before it over its step [1/s].
+    count : np.ndarray, shape (1,)
+        How many earlier solutions ``increments`` holds.
     increments : np.ndarray, shape (3, N)
         Earlier solutions less their starting points, the newest first.
     scale, own_scale : np.ndarray, shape (N,)
         Sizes to which residuals are relative: of the largest unknown of its kind, and its own.
-    unknowns : np.ndarray, shape (N,)
-        For methods whose unknowns are not arrays of the new point.
-    base : np.ndarray, shape (N,)
-        The solution of the same equation with h = 0.
+    unknowns, base : np.ndarray, shape (N,)
+        For methods whose unknowns or starting point are not arrays of the new point.
     accepted : np.ndarray, shape (N,)
         The last iterate that was good enough.
-    candidate : np.ndarray, shape (N,)
-        See count.
+    newton : np.ndarray, shape (N,)
+        A Newton step.
     values, residuals, basis : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their residuals, by Anderson's method.
     triangle : np.ndarray, shape (4, 4)
@@ -84,14 +74,13 @@ class Memory(NamedTuple):
     """
 
     count: np.ndarray
-    slope: np.ndarray
     increments: np.ndarray
     scale: np.ndarray
     own_scale: np.ndarray
     unknowns: np.ndarray
     base: np.ndarray
     accepted: np.ndarray
-    candidate: np.ndarray
+    newton: np.ndarray
     values: np.ndarray
     residuals: np.ndarray
     basis: np.ndarray
@@ -103,8 +92,7 @@ class Memory(NamedTuple):
         """Return the memory of an equation of n unknowns before its first solution."""
         side = n if n <= largest_matrix else 0
         shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side)]
-        return cls(np.zeros(2, dtype=np.int64), np.full(3, np.nan),
-                   *[np.zeros(shape, dtype) for shape in shapes])
+        return cls(np.zeros(1, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes])
 
 
 class Integrator(ABC):
@@ -134,10 +122,6 @@ class Integrator(ABC):
         False if the map is as good for a field u' = f(u) in any coordinates.
     takes_canonical : bool
         False if it is made for coordinates that are not canonical, on which no effect acts.
-    staggered : bool
-        Whether the step is A o Psi o A^-1; see StaggeredMomentum.
-    correction : float
-        c / h of the energy H + c H_q . H_p that a method of order 1 nearly conserves [1]; else 0.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
@@ -157,8 +141,6 @@ class Integrator(ABC):
     uses_hamiltonian: ClassVar[bool] = True
     takes_forces: ClassVar[bool] = True
     goes_on_from_state: ClassVar[bool] = True
-    staggered: ClassVar[bool] = False
-    correction: ClassVar[float] = 0.0
     separable_only: bool = False
     canonical_only: ClassVar[bool] = True
     takes_canonical: ClassVar[bool] = True

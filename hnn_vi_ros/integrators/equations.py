@@ -2,21 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two implicit equations of the Euler-type methods: one for momenta, one for coordinates."""
 
-import math
 from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import IN_DOUBT, Memory, OK
+from hnn_vi_ros.integrators.base import Memory, OK
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 import numpy as np
 
 
 # Unknowns smaller than this are as good as zero: eps times it is the smallest normal number.
 _LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
-# Of the eigenvalue of G' at which solutions meet.
-_CLEAR = 0.5
 
 
 class _Problem(NamedTuple):
@@ -63,13 +60,8 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
         Outcome, relative residual [1], gradients.
 
     """
-    # The first solve of all starts from h = 0: its iterates tell whether the way from there is
-    # clear.
-    fresh = options.extrapolate and math.isnan(memory.slope[2])
-    memory.slope[0], memory.slope[1] = math.nan, math.nan
     for i in range(p.size):
-        memory.base[i] = p[i]
-        p1[i] = p[i] if fresh else p[i] - h * guess[i]
+        p1[i] = p[i] - h * guess[i]
     set_scale(memory.scale, memory.own_scale, p, guess, h, kernel, 0)
     if options.extrapolate:
         extrapolate(memory, p, p1)
@@ -77,9 +69,6 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
                        memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _momentum_equation, _momentum_tangent, problem, p1, memory, options.max_iterations)
-    if outcome == OK and is_doubtful(memory.slope, h):
-        outcome = IN_DOUBT
-        memory.candidate[:], memory.count[1] = p1, 1
     if outcome == OK:
         remember(memory, p, p1)
         _finish(p, p_carry, -h, dH_dq1, p1, p1_carry)
@@ -111,13 +100,8 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
         Outcome, relative residual [1], gradients.
 
     """
-    # The first solve of all starts from h = 0: its iterates tell whether the way from there is
-    # clear.
-    fresh = options.extrapolate and math.isnan(memory.slope[2])
-    memory.slope[0], memory.slope[1] = math.nan, math.nan
     for i in range(q.size):
-        memory.base[i] = q[i]
-        q1[i] = q[i] if fresh else q[i] + h * guess[i]
+        q1[i] = q[i] + h * guess[i]
     set_scale(memory.scale, memory.own_scale, q, guess, h, kernel, 1)
     if options.extrapolate:
         extrapolate(memory, q, q1)
@@ -125,32 +109,10 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
                        memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _coordinate_equation, _coordinate_tangent, problem, q1, memory, options.max_iterations)
-    if outcome == OK and is_doubtful(memory.slope, h):
-        outcome = IN_DOUBT
-        memory.candidate[:], memory.count[1] = q1, 1
     if outcome == OK:
         remember(memory, q, q1)
         _finish(q, q_carry, h, dH_dp1, q1, q1_carry)
     return outcome, residual, gradients
-
-
-@inlined
-def is_doubtful(slope: np.ndarray, h: float) -> bool:
-    """
-    Tell whether a solution need not be the one that is connected to h = 0.
-
-    Between two solutions, and at the end of that connection, G' has an eigenvalue of 1. The
-    largest slope of G that was met in this solve and the one before it, and its range once more,
-    must stay below half of that. Solvers that do not look at slopes leave NaN: no doubt.
-    """
-    low, high = slope[0], slope[1]
-    if math.isnan(high):
-        return False
-    if math.isfinite(slope[2]):
-        before = slope[2] * h
-        low, high = min(low, before), max(high, before)
-    slope[2] = slope[1] / h
-    return 2.0 * high - low >= _CLEAR
 
 
 @inlined

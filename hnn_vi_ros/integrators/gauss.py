@@ -166,7 +166,6 @@ def _start(options: Tableau, store: Memory, slopes: np.ndarray, z: Point, h: flo
                 for k in range(s):
                     dq += options.start[j, k] * slopes[(s + k) * n + i]
                     dp -= options.start[j, k] * slopes[k * n + i]
-            store.base[j * n + i], store.base[(s + j) * n + i] = z.q[i], z.p[i]
             x[j * n + i] = z.q[i] + h * dq
             x[(s + j) * n + i] = z.p[i] + h * dp
 

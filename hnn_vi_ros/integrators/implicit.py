@@ -3,7 +3,7 @@
 """What the methods that solve an equation in each step have in common."""
 
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.newton import continuation
+from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
 
 SOLVERS = ('chain', 'fixed_point')
@@ -16,9 +16,8 @@ class ImplicitIntegrator(Integrator):
     A method whose step solves equations of n unknowns each, unless ``unknowns`` says otherwise.
 
     The chain of solvers: an extrapolated start; the secant method where the unknowns are
-    independent, else Anderson's; for a step that these do not solve, or whose solution may not be
-    the one that is connected to h = 0, that connection by Newton's method; for a step for which
-    there is none, sub-steps of a symmetric method.
+    independent, else Anderson's; for a step that these do not solve, Newton's method; for one
+    that Newton's does not solve either, sub-steps of a symmetric method.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ class ImplicitIntegrator(Integrator):
         if self.solver == 'fixed_point':
             return SolverOptions(fixed_point, False, self.max_iterations)
         if link == 1:
-            return SolverOptions(continuation, False, _NEWTON_ITERATIONS)
+            return SolverOptions(newton, True, _NEWTON_ITERATIONS)
         solve = secant if self.scalar and dimension == 1 else anderson
         return SolverOptions(solve, True, self.max_iterations)
 

@@ -28,8 +28,6 @@ import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
 _DEPTH = 3
-# How far apart iterates are, relative to the scale, between which a slope is looked at.
-_APART = 1e-11
 GO_ON = -1
 # What a residual is relative to: at first the scale of the largest unknown, then each one's own;
 # or an iterate that was good enough is gone back to.
@@ -86,8 +84,6 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
                                          stage, k == max_iterations)
-        if k > 1:
-            _note_slopes(value, defect, old_value, old_defect, memory.own_scale, memory.slope)
         if outcome != GO_ON:
             return outcome, residual, k
         if stage == COMMON and _is_hopeless(k, residual, previous):
@@ -123,9 +119,6 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
         value, defect = memory.values[k % rows], memory.residuals[k % rows]
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
                                          stage, k == max_iterations)
-        if k == 2:
-            _note_stretch(value, defect, memory.values[1], memory.residuals[1], memory.scale,
-                          memory.slope)
         if outcome != GO_ON:
             return outcome, residual, k
         if stage == COMMON and _is_hopeless(k, residual, previous):
@@ -210,36 +203,6 @@ def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
     for i in range(x.size):
         accepted[i] = x[i]
     return GO_ON, own, OWN
-
-
-@inlined
-def _note_slopes(value: np.ndarray, defect: np.ndarray, old_value: np.ndarray,
-                 old_defect: np.ndarray, scale: np.ndarray, slope: np.ndarray) -> None:
-    """Widen the range of the slopes of G by those between two iterates, each unknown by itself."""
-    for i in range(value.size):
-        change = value[i] - old_value[i]
-        distance = change - scale[i] * (defect[i] - old_defect[i])
-        if abs(distance) > _APART * scale[i]:
-            # A comparison with NaN, where there is none yet, is false.
-            if not change / distance >= slope[0]:
-                slope[0] = change / distance
-            if not change / distance <= slope[1]:
-                slope[1] = change / distance
-
-
-@inlined
-def _note_stretch(value: np.ndarray, defect: np.ndarray, old_value: np.ndarray,
-                  old_defect: np.ndarray, scale: np.ndarray, slope: np.ndarray) -> None:
-    """Set the slopes to abs(G(x) - G(y)) / abs(x - y) for two iterates, relative to the scale."""
-    changes, distances = 0.0, 0.0
-    for i in range(value.size):
-        if 0.0 < scale[i] < math.inf:
-            change = (value[i] - old_value[i]) / scale[i]
-            distance = change - (defect[i] - old_defect[i])
-            changes += change * change
-            distances += distance * distance
-    if distances > _APART * _APART:
-        slope[0] = slope[1] = math.sqrt(changes / distances)
 
 
 @inlined

@@ -30,7 +30,6 @@ class SymplecticEuler(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
-    correction = -0.5
 
     @staticmethod
     @inlined

@@ -28,7 +28,6 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
-    correction = 0.5
 
     @staticmethod
     @inlined

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The variational integrator of the paper, its equation (6)."""
 
-import math
-
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, NO_SOLUTION, Point
+from hnn_vi_ros.integrators.base import Memory, Point
 from hnn_vi_ros.integrators.equations import solve_momenta
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -39,16 +37,13 @@ class VariationalEuler(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
-    keeps_gradient, staggered = True, True
+    keeps_gradient = True
 
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
              memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        if memory[0].count[1] == 3:
-            # The state is not on the map's own set: a step before had no solution.
-            return NO_SOLUTION, math.nan, 0
         for i in range(z.q.size):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z.dH_dp[i])
         # The paper starts from (q_n, p_n), whose gradient is at hand.

@@ -86,7 +86,7 @@ class VariationalMidpoint(ImplicitIntegrator):
              memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         n, store = z.q.size, memory[0]
-        x, rates = store.unknowns, store.candidate
+        x, rates = store.unknowns, store.newton
         for i in range(n):
             store.base[i], store.base[n + i] = z.q[i], z.p[i]
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
