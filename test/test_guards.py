@@ -126,6 +126,15 @@ def test_barrier_guard_speaks_where_the_modified_energy_is_beyond_what_h_is_belo
         assert any(alarm is not None for alarm in found) is said
 
 
+def test_barrier_guard_judges_methods_of_order_2_by_the_energy_itself():
+    """H~ is kept, but H comes as far as the barrier: the motion may leave what H confines it to."""
+    for order, said in ((1, False), (2, True)):
+        guard = BarrierGuard('escape barrier', 1.1, order)
+        found = [guard.update(sample(step, energy=1.0 + 0.06 * step, modified_energy=1.0))
+                 for step in range(3)]
+        assert any(alarm is not None for alarm in found) is said
+
+
 def test_energy_guard_is_silent_while_the_energy_oscillates():
     t = np.arange(20_000)
     for period in (3.0, 50.0, 600.0):

@@ -43,4 +43,4 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     for name, function in hamiltonian.invariants.items():
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
-        yield BarrierGuard(*barrier)
+        yield BarrierGuard(*barrier, method.order)

@@ -17,14 +17,19 @@ class BarrierGuard(BandGuard):
     name : str
         What the barrier is: 'separatrix', 'escape barrier'.
     energy : float
-        That of the barrier [J]; the motion's is that of the first sample, H~ where it is known.
+        That of the barrier [J]; the motion's is that of the first sample.
+    order : int, optional
+        Of the method. With order 1 the band of H says nothing: H~ is judged where it is known.
+        From order 2 on it is H: where H~ stays on one side of the barrier the motion may still
+        leave, by as much as H and H~ differ, the region that H below it confines it to.
 
     """
 
     kind = 'not resolved'
 
-    def __init__(self, name: str, energy: float):
+    def __init__(self, name: str, energy: float, order: int = 1):
         super().__init__()
+        self._plain = order > 1
         self.kind, self._name = f'{name} not resolved', name
         self._energy, self._gap = energy, math.nan
 
@@ -33,9 +38,12 @@ class BarrierGuard(BandGuard):
             # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
             # of it that H is on.
             plain = self._energy - sample.energy
-            kept = self._energy - accounted_energy(sample)
+            kept = self._energy - self._value(sample)
             self._gap = abs(kept) if plain * kept > 0.0 else 0.0
         return self._gap
+
+    def _value(self, sample: Observed) -> float:
+        return sample.energy - sample.work if self._plain else accounted_energy(sample)
 
     def _alarm(self, step: int, limit: float) -> Alarm:
         return Alarm(self.kind, step, self.band, limit,

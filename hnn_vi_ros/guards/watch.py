@@ -89,7 +89,7 @@ class Watch:
         shown = np.array(sorted(chosen))
         slopes = hamiltonian.gradient(q[shown], p[shown])
         for i, H_q, H_p in zip(shown, *slopes, strict=True):
-            self.update(Look(int(steps[i]), q[i], p[i], H_q, H_p, float(energy[i]),
+            self.update(Look(round(steps[i]), q[i], p[i], H_q, H_p, float(energy[i]),
                              float(modified[i])))
 
 
