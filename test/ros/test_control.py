@@ -60,6 +60,9 @@ class Steps:
 class Timers:
     """A node whose timers are called by hand."""
 
+    # Nothing has ended the run.
+    exit_status = None
+
     def __init__(self):
         self.callbacks: list[Callable[[], None]] = []
         self.executor = SimpleNamespace(wake=lambda: None)
