@@ -79,7 +79,7 @@ class Control:
         self.active, self.stopped = True, False
         if self.paused:
             self._run.tell('paused until ~/set_pause ends it', 'INFO')
-        if not self._timers:
+        if self._timer is None and not self._timers:
             self._add_timer(DISCOVERY_PERIOD, self._start_when_discovered)
         self._schedule()
 
