@@ -127,7 +127,7 @@ def test_barrier_guard_speaks_where_the_modified_energy_is_beyond_what_h_is_belo
 
 
 def test_barrier_guard_judges_methods_of_order_2_by_the_energy_itself():
-    """H~ is kept, but H comes as far as the barrier: the motion may leave what H confines it to."""
+    """H~ is kept, but H comes as far as the barrier: the motion may leave where it is confined."""
     for order, said in ((1, False), (2, True)):
         guard = BarrierGuard('escape barrier', 1.1, order)
         found = [guard.update(sample(step, energy=1.0 + 0.06 * step, modified_energy=1.0))

@@ -50,14 +50,14 @@ FAULTS = [
             '        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,'
             ' previous,\n'
             '                                         stage, k == max_iterations)\n'
-            '        if outcome != _GO_ON:\n'
+            '        if outcome != GO_ON:\n'
             '            return outcome, residual, k\n'
             '        if stage == COMMON and _is_hopeless(k, residual, previous):\n',
             '    for k in range(1, 4):\n'
             '        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,'
             ' previous,\n'
             '                                         stage, k == 3)\n'
-            '        if outcome != _GO_ON:\n'
+            '        if outcome != GO_ON:\n'
             '            return outcome, residual, k\n'
             '        if stage == COMMON and _is_hopeless(k, residual, previous):\n')),
           'verification/test_symplecticity.py', 'own_two_form and tao and variational_euler'),
