@@ -109,24 +109,8 @@ class DenseStep:
         if not method.goes_on_from_state or (
                 self._plain and self.polynomial.order >= method.order):
             return self.polynomial(theta)
-        return self._part(theta)
-
-    def _part(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the end of a step of theta h; the simulation stays as it is."""
         simulation = self._simulation
-        h, now = simulation.step_size, simulation.snapshot()
-        counts = simulation.gradients, simulation.rescued, simulation.residual
-        # Steps of other lengths are no guide to the start of this one's equations.
-        simulation.restore({name: np.zeros_like(value) if name.endswith('.count') else value
-                            for name, value in self._before.items()})
-        simulation.step_size = theta * h
-        try:
-            simulation.advance(1)
-            return simulation.q.ravel().copy(), simulation.p.ravel().copy()
-        finally:
-            simulation.step_size = h
-            simulation.restore(now)
-            simulation.gradients, simulation.rescued, simulation.residual = counts
+        return simulation.trial(self._before, theta * simulation.step_size)
 
 
 def _end(simulation: 'Simulation') -> tuple[np.ndarray, np.ndarray]:

@@ -27,9 +27,9 @@ _END = 1e-5
 
 
 @dataclass(frozen=True)
-class Watch:
+class EventFunction:
     """
-    A condition that is watched for.
+    A condition; an event is the instant at which it comes true.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class WatchedSimulation:
     ----------
     simulation : Simulation
         Of one trajectory; all that is not listed below is its own.
-    watches : sequence of Watch
+    functions : sequence of EventFunction
         What is watched for.
 
     Attributes
@@ -71,8 +71,8 @@ class WatchedSimulation:
 
     """
 
-    def __init__(self, simulation: Simulation, watches: Sequence[Watch]):
-        self._simulation, self._watches = simulation, list(watches)
+    def __init__(self, simulation: Simulation, functions: Sequence[EventFunction]):
+        self._simulation, self._functions = simulation, list(functions)
         self.events: list[Event] = []
 
     def __getattr__(self, name: str) -> Any:
@@ -120,29 +120,30 @@ class WatchedSimulation:
         q, p = dense.polynomial(_PLACES)
         # The ends are known, and what is known of them decides.
         (q[0], p[0]), (q[-1], p[-1]) = dense.state(0.0), dense.state(1.0)
-        found = sorted(((theta, rises, watch) for watch in self._watches
-                        for theta, rises in self._find(dense, watch, q, p)),
+        found = sorted(((theta, rises, function) for function in self._functions
+                        for theta, rises in self._find(dense, function, q, p)),
                        key=lambda one: one[0])
-        for theta, rises, watch in found:
-            event = self._event(dense, theta, rises, watch)
+        for theta, rises, function in found:
+            event = self._event(dense, theta, rises, function)
             self.events.append(event)
             if event.stops:
                 dense.undo()
                 raise StoppedByEvent(event, *np.empty((2, 0, event.q.size)))
         return dense
 
-    def _event(self, dense: DenseStep, theta: float, rises: bool, watch: Watch) -> Event:
+    def _event(self, dense: DenseStep, theta: float, rises: bool, function: EventFunction
+               ) -> Event:
         q, p = dense.state(theta)
         # One product and one rounding at the end of a step, as the simulation has it.
         steps = dense.step + 1 if theta == 1.0 else dense.step + theta
-        return Event(watch.condition.text, 'up' if rises else 'down', watch.stops,
+        return Event(function.condition.text, 'up' if rises else 'down', function.stops,
                      steps * self._simulation.step_size, q, p,
                      float(self._simulation.hamiltonian.energy(q, p)))
 
-    def _find(self, dense: DenseStep, watch: Watch, q: np.ndarray, p: np.ndarray
+    def _find(self, dense: DenseStep, function: EventFunction, q: np.ndarray, p: np.ndarray
               ) -> Iterator[tuple[float, bool]]:
         """Yield the share of the step and whether the value rises, for each event of a kind."""
-        hamiltonian, condition = self._simulation.hamiltonian, watch.condition
+        hamiltonian, condition = self._simulation.hamiltonian, function.condition
 
         def value(theta: float) -> float:
             return float(condition.values(hamiltonian, *dense.state(theta)))
@@ -157,7 +158,7 @@ class WatchedSimulation:
             return
         for start, end in _brackets(np.array(values), seen, value):
             rises = end[1] > 0.0 or start[1] < 0.0
-            if watch.direction != ('down' if rises else 'up'):
+            if function.direction != ('down' if rises else 'up'):
                 yield _root(value, start, end), rises
 
 
@@ -173,13 +174,13 @@ def watched(simulation: Simulation, scene: 'Scene') -> 'Simulation | WatchedSimu
     """
     if not scene.events:
         return simulation
-    watches = []
+    functions = []
     for i, choice in enumerate(scene.events):
-        watch = Watch(Condition(choice.when), choice.direction, choice.then == 'stop')
+        function = EventFunction(Condition(choice.when), choice.direction, choice.then == 'stop')
         with scene.placed('events', i):
-            watch.condition.check(simulation.hamiltonian)
-        watches.append(watch)
-    return WatchedSimulation(simulation, watches)
+            function.condition.check(simulation.hamiltonian)
+        functions.append(function)
+    return WatchedSimulation(simulation, functions)
 
 
 Place = tuple[float, float]

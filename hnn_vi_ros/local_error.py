@@ -36,23 +36,11 @@ def local_error(simulation: Simulation) -> float:
     """
     if any(label.partition('_')[0] == 'thermostat' for label in simulation.works):
         return math.nan
-    h, kept = simulation.step_size, simulation.snapshot()
-    counts = simulation.gradients, simulation.rescued, simulation.residual
-    # What was solved before is for steps of h: each begins like the first of a run.
-    fresh = {name: np.zeros_like(value) if name.endswith('.count') else value
-             for name, value in kept.items()}
-    ends = []
+    h, start = simulation.step_size, simulation.snapshot()
     try:
-        for parts in (1, 2):
-            simulation.restore(fresh)
-            simulation.step_size = h / parts
-            simulation.advance(parts)
-            ends.append(np.concatenate([simulation.q, simulation.p], axis=None))
+        once, twice = (np.concatenate(simulation.trial(start, h / parts, parts))
+                       for parts in (1, 2))
     except StepFailure:
         return math.nan
-    finally:
-        simulation.step_size = h
-        simulation.restore(kept)
-        simulation.gradients, simulation.rescued, simulation.residual = counts
-    difference = float(np.abs(ends[0] - ends[1]).max())
+    difference = float(np.abs(once - twice).max())
     return difference / (1.0 - 0.5 ** simulation.integrator.order)

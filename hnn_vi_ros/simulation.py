@@ -217,6 +217,45 @@ class Simulation:
             array[...] = snapshot[name]
         self._update_gradient()
 
+    def trial(self, snapshot: dict[str, np.ndarray], step_size: float, steps: int = 1
+              ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of another length from a snapshot, and go back to where the simulation stands.
+
+        Parameters
+        ----------
+        snapshot : dict
+            Of this simulation.
+        step_size : float
+            In place of h [s].
+        steps : int, optional
+            How many.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (d,) or (m d,)
+            q and p after them.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite.
+
+        """
+        h, now = self.step_size, self.snapshot()
+        counts = self.gradients, self.rescued, self.residual
+        # Steps of another length are no guide to the start of this one's equations.
+        self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
+                      for name, value in snapshot.items()})
+        self.step_size = step_size
+        try:
+            self.advance(steps)
+            return self.q.ravel().copy(), self.p.ravel().copy()
+        finally:
+            self.step_size = h
+            self.restore(now)
+            self.gradients, self.rescued, self.residual = counts
+
     def _update_gradient(self) -> None:
         """Make the public gradient that of the state."""
         if self._rescue.ways[self._way].keeps_gradient:

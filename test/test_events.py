@@ -7,7 +7,7 @@ from hnn_vi_ros.conditions import Condition
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.ensemble import simulate, simulate_many
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
-from hnn_vi_ros.events import Watch, WatchedSimulation
+from hnn_vi_ros.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
@@ -37,12 +37,12 @@ def path(tmp_path):
     return file
 
 
-def oscillator(method: str, h: float, *watches: Watch, phase: float = 0.0,
+def oscillator(method: str, h: float, *functions: EventFunction, phase: float = 0.0,
                effects=()) -> WatchedSimulation:
     """Return x = cos(t + phase), watched."""
     return WatchedSimulation(Simulation(
         Uncompiled(HAMILTONIANS['harmonic_oscillator']()), INTEGRATORS[method](), h,
-        [np.cos(phase)], [-np.sin(phase)], effects), watches)
+        [np.cos(phase)], [-np.sin(phase)], effects), functions)
 
 
 # Conditions.
@@ -147,8 +147,8 @@ def test_scene_explained_tells_its_events(path):
 @pytest.mark.parametrize('h', [0.3, 1.0, 3.0])
 def test_events_are_found_to_round_off_in_long_steps(h):
     """Of gauss16, at steps up to half a period, the path is cos t to 1e-11."""
-    simulation = oscillator('gauss16', h, Watch(Condition('x = 0.2')),
-                            Watch(Condition('v_x = 0'), 'down'))
+    simulation = oscillator('gauss16', h, EventFunction(Condition('x = 0.2')),
+                            EventFunction(Condition('v_x = 0'), 'down'))
     simulation.advance(round(18.0 / h))
     crossings = [event.t for event in simulation.events if event.when == 'x = 0.2']
     turns = [event.t for event in simulation.events if event.when == 'v_x = 0']
@@ -163,7 +163,7 @@ def test_events_are_found_to_round_off_in_long_steps(h):
 @pytest.mark.parametrize('method', ['gauss16', 'gauss8', 'implicit_midpoint'])
 def test_condition_that_comes_true_twice_within_a_step_is_found_twice(method, level, phase):
     """The top of x = cos t lies inside of a step of 1 s, which begins and ends below the level."""
-    simulation = oscillator(method, 1.0, Watch(Condition(f'x = {level!r}')), phase=-phase)
+    simulation = oscillator(method, 1.0, EventFunction(Condition(f'x = {level!r}')), phase=-phase)
     simulation.advance(1)
     up, down = simulation.events
     assert (up.direction, down.direction) == ('up', 'down')
@@ -172,7 +172,8 @@ def test_condition_that_comes_true_twice_within_a_step_is_found_twice(method, le
 
 
 def test_condition_that_is_all_but_true_is_no_event():
-    simulation = oscillator('gauss16', 1.0, Watch(Condition('x = 1.000000001')), phase=-0.4)
+    simulation = oscillator('gauss16', 1.0, EventFunction(Condition('x = 1.000000001')),
+                            phase=-0.4)
     simulation.advance(20)
     assert simulation.events == []
 
@@ -183,7 +184,7 @@ def test_event_at_the_end_of_a_step_is_found_once(direction, expected):
     simulation = WatchedSimulation(Simulation(
         Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
         0.25, [-1.0], [0.25], [EFFECTS['impact']('x', 0.5, 'below')]),
-        [Watch(Condition('x = 0'), direction)])
+        [EventFunction(Condition('x = 0'), direction)])
     simulation.advance(60)
     assert [event.t for event in simulation.events] == [
         t for t, way in ((4.0, 'up'), (8.0, 'down')) if direction in (way, 'both')]
@@ -191,7 +192,8 @@ def test_event_at_the_end_of_a_step_is_found_once(direction, expected):
 
 
 def test_event_at_the_initial_state_is_none():
-    simulation = oscillator('gauss8', 0.1, Watch(Condition('x = 1')), Watch(Condition('v_x = 0')))
+    simulation = oscillator('gauss8', 0.1, EventFunction(Condition('x = 1')),
+                            EventFunction(Condition('v_x = 0')))
     simulation.advance(3)
     assert simulation.events == []
 
@@ -199,13 +201,13 @@ def test_event_at_the_initial_state_is_none():
 def test_events_between_impacts_in_a_step_lie_on_the_path_that_bounces():
     simulation = WatchedSimulation(Simulation(
         Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
-        1.0, [0.5], [-1.0], [EFFECTS['impact']('x')]), [Watch(Condition('x = 0.25'))])
+        1.0, [0.5], [-1.0], [EFFECTS['impact']('x')]), [EventFunction(Condition('x = 0.25'))])
     simulation.advance(1)
     assert [event.t for event in simulation.events] == pytest.approx([0.25, 0.75], abs=1e-15)
 
 
 def test_simulation_stands_before_the_step_of_an_event_that_stops_it():
-    simulation = oscillator('gauss8', 0.1, Watch(Condition('x = 0'), stops=True))
+    simulation = oscillator('gauss8', 0.1, EventFunction(Condition('x = 0'), stops=True))
     with pytest.raises(StoppedByEvent, match=r'x = 0 \(down\) at t = 1\.57') as raised:
         simulation.record(30, 1)
     assert (simulation.steps, raised.value.q.shape) == (15, (15, 1))

@@ -4,7 +4,10 @@
 
 import math
 
+from hnn_vi_ros.conditions import Condition
 from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.local_error import local_error
@@ -40,6 +43,17 @@ def test_local_error_leaves_the_run_bit_identical():
         assert np.array_equal([*watched.q, *watched.p], [*alone.q, *alone.p])
     assert (watched.steps, watched.gradients, watched.time) == (
         alone.steps, alone.gradients, alone.time)
+
+
+def test_local_error_finds_no_events_and_does_not_end_the_run():
+    alone = oscillator('variational_euler', 0.1)
+    stop = EventFunction(Condition('x = 1.04'), stops=True)
+    simulation = WatchedSimulation(oscillator('variational_euler', 0.1), [stop])
+    assert local_error(simulation) == local_error(alone)
+    assert simulation.events == []
+    with pytest.raises(StoppedByEvent):
+        simulation.advance(1)
+    assert local_error(simulation) == local_error(alone)
 
 
 def test_local_error_of_noise_is_not_a_number():

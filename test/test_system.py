@@ -115,8 +115,8 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'base', 'constraints', 'crossings', 'events', 'input_map', 'kernels', 'masses', 'noise',
-          'ornstein_uhlenbeck', 'points', 'rattle', 'splitting', 'wrapped'}
+SHARED = {'base', 'bouncing', 'constraints', 'crossings', 'input_map', 'kernels', 'masses',
+          'noise', 'ornstein_uhlenbeck', 'points', 'rattle', 'splitting', 'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)

@@ -7,8 +7,8 @@ from functools import cache
 from typing import Literal
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, StepEffect
+from hnn_vi_ros.effects.bouncing import bounce
 from hnn_vi_ros.effects.crossings import Search
-from hnn_vi_ros.effects.events import bounce
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.phase_space import Coordinate
