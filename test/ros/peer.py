@@ -67,8 +67,30 @@ class Peer:
         """Return the client of a service of the simulator, ready."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, f'{SIMULATOR}/{name}')
+            self.spin_until(self._clients[name].service_is_ready)
+            self._wait_for_way_back()
         self.spin_until(self._clients[name].service_is_ready)
         return self._clients[name]
+
+    def _wait_for_way_back(self) -> None:
+        """
+        Wait until the simulator has discovered all that was made here.
+
+        It drops a response whose reader it does not know yet, and readers become known in the
+        order in which they were made: the first response that comes to a new one shows it.
+        """
+        probe = self.node.create_client(GetState, f'{SIMULATOR}/get_state')
+        self.spin_until(probe.service_is_ready)
+        futures = []
+
+        def answered() -> bool:
+            if len(futures) < time.monotonic() - begin:
+                futures.append(probe.call_async(GetState.Request()))
+            return any(future.done() for future in futures)
+
+        begin = time.monotonic()
+        self.spin_until(answered)
+        self.node.destroy_client(probe)
 
     def call(self, kind: type, name: str, **fields: Any) -> Any:
         """Call a service of the simulator and wait for the response."""
