@@ -24,7 +24,7 @@ from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
-from hnn_vi_ros.ros.topics import LATCHED
+from hnn_vi_ros.ros.topics import EVENTS_QOS, LATCHED
 from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.state_message import decode_state, State
 import rclpy
@@ -115,7 +115,7 @@ class RerunBridge(Node):
             f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
             **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
                for last, topic in _TICK.items()},
-            name: (kind, tell, _QUEUE, False), events: (EVENTS_TOPIC[1], tell, _QUEUE, False)}
+            name: (kind, tell, _QUEUE, False), events: (EVENTS_TOPIC[1], tell, EVENTS_QOS, False)}
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""

@@ -36,6 +36,8 @@ _TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An alarm is not to be replaced by the next report before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+# Events are rare, and each counts: who subscribes late, or is found late, has them all the same.
+EVENTS_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
 # All that there can be: what a scene does not call for is known, but does not exist.
@@ -118,7 +120,7 @@ class Topics:
 
     def open_events(self) -> Publisher:
         """Make the topic of events, for a scene that has any."""
-        return self._publisher(*EVENTS_TOPIC, _ALARMS)
+        return self._publisher(*EVENTS_TOPIC, EVENTS_QOS)
 
     def follow(self, monitor: Monitor) -> None:
         """Take the accuracy from what is measured of a run, in its initial state."""

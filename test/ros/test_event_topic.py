@@ -5,6 +5,7 @@
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.ros import bridge_picture
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.topics import EVENTS_QOS
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 import numpy as np
@@ -40,7 +41,7 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
                     real_time_factor='0.5')
     heard = []
     with peer() as other:
-        other.node.create_subscription(DiagnosticArray, f'{SIMULATOR}/events', heard.append, 10)
+        other.node.create_subscription(DiagnosticArray, f'{SIMULATOR}/events', heard.append, EVENTS_QOS)
         other.spin_until(lambda: len(heard) == 2)
         status, output = finish(process)[:2]
     assert status == 0, output
