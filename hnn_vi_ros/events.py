@@ -12,7 +12,6 @@ from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 
 if TYPE_CHECKING:
     from hnn_vi_ros.scene import Scene
@@ -225,6 +224,8 @@ def _dips(values: np.ndarray, k: int, seen: Callable, value: Callable[[float], f
     if values[k - 1] * values[k] <= 0.0 or \
             min(sign * values[k - 1], sign * values[k]) > np.ptp(near):
         return []
+    # Imported here: only scenes with events wait the half second that this takes.
+    from scipy.optimize import minimize_scalar
     start, end = float(_PLACES[k - 1]), float(_PLACES[k])
 
     def lowest(function: Callable) -> tuple[float, float]:
@@ -247,6 +248,7 @@ def _root(value: Callable[[float], float], start: Place, end: Place) -> float:
     """Return where the value is zero between two places, to round-off."""
     if end[1] == 0.0:
         return end[0]
+    from scipy.optimize import brentq
 
     def of_sign(theta: float) -> float:
         # At an end the value is what it was taken for there.
