@@ -120,7 +120,9 @@ def find_reference(problem: Problem, budget: Budget, base: float, known: Survey)
     before, best, last, stuck = None, None, math.inf, 0
     while stuck < _STUCK:
         states = _path(problem, known.method, instants, steps, limit)
-        if states is not None and before is not None:
+        if states is None:
+            stuck += 1
+        elif before is not None:
             n = min(len(states), len(before))
             distance = float(np.abs(states[:n] - before[:n]).max())
             stuck = 0 if distance < 0.5 * last else stuck + 1

@@ -18,6 +18,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.references import EXACT, make_reference
 from hnn_vi_ros.trials import Budget, Method, Problem
 import numpy as np
+from plain_systems import Plain
 import pytest
 
 ENERGY, PATH = 'energy_error', 'path_error'
@@ -135,6 +136,19 @@ def test_step_that_the_publish_rate_bounds_is_said():
 def test_path_that_round_off_hides_is_not_called_chaotic():
     with pytest.raises(CalibrationError, match='round-off: the motion is regular'):
         calibrate(problem('exact_pendulum'), Budget(PATH, 1e-17, 20.0))
+
+
+def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
+    """Beside an oscillation something moves slowly to where H is not defined, at t = 200 s."""
+    monkeypatch.setattr('hnn_vi_ros.trials._PLAIN', 3000)
+
+    def gradient(q, p):
+        return np.array([q[0], 0.0]) if q[1] < 1.0 else np.full(2, np.nan), p
+
+    end = Plain(lambda q, p: 0.5 * float(p @ p + q[0] ** 2), gradient, 2)
+    slow = Problem(end, (), np.array([1.0, 0.0]), np.array([0.0, 5e-3]))
+    with pytest.raises(CalibrationError, match='no path can be computed'):
+        calibrate(slow, Budget(PATH, 1e-5, 6400.0))
 
 
 def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(monkeypatch):
