@@ -41,7 +41,8 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
                     real_time_factor='0.5')
     heard = []
     with peer() as other:
-        other.node.create_subscription(DiagnosticArray, f'{SIMULATOR}/events', heard.append, EVENTS_QOS)
+        other.node.create_subscription(
+            DiagnosticArray, f'{SIMULATOR}/events', heard.append, EVENTS_QOS)
         other.spin_until(lambda: len(heard) == 2)
         status, output = finish(process)[:2]
     assert status == 0, output
