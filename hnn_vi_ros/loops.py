@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from hnn_vi_ros.compilation import compiled, compiled_loop, compiled_options
 from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.integrators.arithmetic import copy_point, is_finite
+from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
 from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
 import numpy as np
 
@@ -26,7 +26,8 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
         copy_point(z1, z)
         if (done + 1) % every == 0:
             sample = done // every
-            q_out[sample], p_out[sample] = z.q, z.p
+            copy_array(z.q, q_out[sample])
+            copy_array(z.p, p_out[sample])
     return OK, max(first, q_out.shape[0] * every), gradients, residual, spent
 
 

@@ -9,7 +9,7 @@ from hnn_vi_ros.compilation import called, inlined, is_own
 from hnn_vi_ros.effects.constraints import Constraints, evaluator
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.integrators.arithmetic import copy_point, largest, plus
+from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
 from hnn_vi_ros.integrators.base import (
     Integrator, Memory, NO_CONVERGENCE, OK, Point, REDUNDANT)
 from hnn_vi_ros.linear_algebra import DEPENDENT, solve_in_order
@@ -81,12 +81,12 @@ def rattle(step: Callable, functions: tuple[Callable, ...] = ()) -> Callable:
         # The last step's solution is the first guess.
         multipliers = space.newton[:constraints.defect.size]
         evaluate(constraints, z.q, constraints.old)
-        constraints.pending[:] = live.pending
+        copy_array(live.pending, constraints.pending)
         size = largest(z.q) + largest(constraints.lengths)
         previous, residual, spent = np.inf, np.inf, 0
         for iteration in range(_ITERATIONS):
             copy_point(z, start)
-            live.pending[:] = constraints.pending
+            copy_array(constraints.pending, live.pending)
             _kick(constraints.old, multipliers, 0.5 * h, start)
             for k in range(len(memory) - 1):
                 # Trials of one step are no guide to the next start.
@@ -103,7 +103,7 @@ def rattle(step: Callable, functions: tuple[Callable, ...] = ()) -> Callable:
                 outcome = _solve(constraints, constraints.old, h)
                 if outcome != OK:
                     break
-            constraints.right[:] = constraints.defect
+            copy_array(constraints.defect, constraints.right)
             outcome = _solve(constraints, constraints.new, 0.5 * h)
             if outcome != OK:
                 break
@@ -161,7 +161,7 @@ def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: P
     spent = 0
     for k in range(constraints.defect.size):
         v_q[:] = 0.0
-        v_p[:] = constraints.old[k]
+        copy_array(constraints.old[k], v_p)
         response = constraints.response[k]
         response[:] = 0.0
         for _ in range(_VARIATIONS):

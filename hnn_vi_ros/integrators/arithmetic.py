@@ -61,6 +61,18 @@ def is_finite(z: Point) -> bool:
 
 
 @inlined
+def copy_array(source: np.ndarray, target: np.ndarray) -> None:
+    """
+    Copy an array of shape (n,) into another.
+
+    For ``target[:] = source`` numba compiles the text of an error of shapes as well, which takes
+    longer than a whole step.
+    """
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@inlined
 def copy_point(source: Point, target: Point) -> None:
     """Copy every array of a point into those of another."""
     for i in range(source.q.size):

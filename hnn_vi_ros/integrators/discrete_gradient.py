@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.integrators.arithmetic import largest, plus
+from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
@@ -64,7 +64,7 @@ class DiscreteGradient(ImplicitIntegrator):
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
         _set_scale(store.scale, kernel, h, z)
         # The rounding of H, of all coordinates together, enters the equation of each.
-        store.own_scale[:] = store.scale
+        copy_array(store.scale, store.own_scale)
         if options.extrapolate:
             extrapolate(store, store.base, x)
         problem = _Problem(kernel, h, z, store.basis[3], z1.dH_dq, z1.dH_dp, store.scale,

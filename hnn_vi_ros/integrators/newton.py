@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge
 from hnn_vi_ros.linear_algebra import solve_linear
@@ -41,7 +42,7 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         if k == max_iterations or memory.matrix.shape[0] != n:
             break
         if stage == BACK:
-            x[:] = value
+            copy_array(value, x)
             continue
         previous = residual
         known = memory.residuals[2]

@@ -23,6 +23,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NOT_FINITE, OK
 import numpy as np
 
@@ -68,7 +69,7 @@ def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: n
             return outcome, residual, k
         previous = residual
         if k < max_iterations:
-            x[:] = value
+            copy_array(value, x)
     return NO_CONVERGENCE, residual, max_iterations
 
 

@@ -8,7 +8,7 @@ from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.hamiltonians.symplectic_form import raise_index, slope
-from hnn_vi_ros.integrators.arithmetic import largest, plus
+from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
@@ -92,7 +92,7 @@ class VariationalMidpoint(ImplicitIntegrator):
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
         _set_scale(store.scale, kernel, h, z)
         # The rounding of H, of all coordinates together, enters the equation of each.
-        store.own_scale[:] = store.scale
+        copy_array(store.scale, store.own_scale)
         if options.extrapolate:
             extrapolate(store, store.base, x)
         problem = _Problem(kernel, h, z, store.basis[3], rates, store.scale, store.values[3],
