@@ -9,19 +9,20 @@ from pathlib import Path
 from types import FunctionType
 
 from hnn_vi_ros.hamiltonians.base import Kernel
+from hnn_vi_ros.linking import LINK_ONLY, Part
 import numba
 from numba.extending import register_jitable
 
 # Plain Python when called from Python; compiled and inlined when called from a compiled function.
 # A call that is not inlined passes every field of every array and counts its references.
-inlined = register_jitable(forceinline=True)
+inlined = register_jitable(forceinline=True, **LINK_ONLY)
 # The same, for what is called so seldom that a call costs less than a larger function to compile.
-called = register_jitable
+called = register_jitable(**LINK_ONLY)
 
 _PACKAGE = __name__.partition('.')[0]
 # Modules beside those in the folders of `sources`: compiled as well, or by which it is composed.
-_MODULES = ('compilation', 'dense_output', 'linear_algebra', 'loops', 'rescue', 'simulation',
-            'system')
+_MODULES = ('bare_arrays', 'compilation', 'dense_output', 'linear_algebra', 'linking', 'loops',
+            'rescue', 'simulation', 'system')
 
 
 @cache
@@ -37,7 +38,7 @@ def compiled(function: Callable, name: str) -> Callable:
         What tells it from every other function that is compiled, in any process.
 
     """
-    dispatcher = numba.njit(function, forceinline=True)
+    dispatcher = Part(function, targetoptions={'forceinline': True})
     _give_identity(dispatcher, name)
     return dispatcher
 

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 
+from hnn_vi_ros.bare_arrays import bare
 from hnn_vi_ros.compilation import compiled, compiled_loop, compiled_options
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
@@ -15,6 +16,8 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
             z: Point, z1: Point, memory: tuple[Memory, ...], q_out: np.ndarray,
             p_out: np.ndarray) -> tuple[int, int, int, float, int]:
     """Take the steps from the first on, and sample; stop before one that fails."""
+    kernel, options, z, z1, memory, q_out, p_out = bare(
+        (kernel, options, z, z1, memory, q_out, p_out))
     gradients, residual, spent = 0, 0.0, 0
     for done in range(first, q_out.shape[0] * every):
         outcome, residual, spent = step(kernel, h, options, z, z1, memory)
@@ -34,6 +37,7 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
 def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,
                   z: Point, z1: Point, memory: tuple[Memory, ...]) -> tuple[bool, int]:
     """Go from z on by equal sub-steps of a symmetric method, whose end is in z and z1."""
+    kernel, options, z, z1, memory = bare((kernel, options, z, z1, memory))
     gradients = 0
     for _ in range(parts):
         outcome, _, spent = substep(kernel, h / parts, options, z, z1, memory)

@@ -4,13 +4,14 @@
 
 import math
 
+from hnn_vi_ros.linking import part
 import numba
 import numpy as np
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
-@numba.njit(cache=True)
+@part()
 def _mix(x: np.uint64) -> np.uint64:
     """Return the output function of SplitMix64, a bijection of 64-bit numbers."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -18,14 +19,14 @@ def _mix(x: np.uint64) -> np.uint64:
     return x ^ (x >> np.uint64(31))
 
 
-@numba.njit(cache=True)
+@part()
 def _uniform(key: np.uint64, count: np.uint64) -> float:
     """Return the count-th number of the sequence of a key, in (0, 1]."""
     bits = _mix(key + (count + np.uint64(1)) * _GOLDEN) >> np.uint64(11)
     return (float(bits) + 1.0) * 2.0 ** -53
 
 
-@numba.njit(cache=True)
+@part()
 def _key(seed: int, draws: np.ndarray) -> np.uint64:
     """Return the key of a stream of numbers."""
     return _mix(_mix(np.uint64(seed) + _GOLDEN) ^ _mix(np.uint64(draws[2])))

@@ -16,7 +16,7 @@ from hnn_vi_ros.hamiltonians.perceptron_memory import Relu, Sine, Softplus, TILE
 from hnn_vi_ros.hamiltonians.vector_sine import sine_and_cosine
 from hnn_vi_ros.hamiltonians.vector_softplus import softplus_and_slope
 from hnn_vi_ros.hamiltonians.vector_tanh import tanh
-import numba
+from hnn_vi_ros.linking import LINK_ONLY, part
 from numba.extending import overload
 import numpy as np
 
@@ -24,7 +24,7 @@ import numpy as np
 # non-finite states would be optimised away.
 FASTMATH = {'contract', 'reassoc', 'nsz', 'arcp'}
 _OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy', 'forceinline': True}
-_inlined = numba.njit(cache=True, **_OPTIONS)
+_inlined = part(**_OPTIONS)
 
 
 class Reference(NamedTuple):
@@ -92,7 +92,7 @@ def scale_tangent(parameters: tuple, s: int, layer: int, first: int, last: int) 
 
 # In the loops below, an index without a sign cannot count from the end of an array, the check of
 # which would keep them from vectorising.
-@overload(activate, jit_options=_OPTIONS)
+@overload(activate, jit_options={**_OPTIONS, **LINK_ONLY})
 def _activate(parameters, s, layer, first, last):
     def of_tanh(parameters, s, layer, first, last):
         sizes, rows, _, nodes, _ = parameters
@@ -114,7 +114,7 @@ def _activate(parameters, s, layer, first, last):
     return of_others
 
 
-@overload(scale, jit_options=_OPTIONS)
+@overload(scale, jit_options={**_OPTIONS, **LINK_ONLY})
 def _scale(parameters, s, layer, row, first, last):
     def of_tanh(parameters, s, layer, row, first, last):
         nodes = parameters[3]
@@ -129,7 +129,7 @@ def _scale(parameters, s, layer, row, first, last):
     return of_others if hasattr(parameters, 'instance_class') else of_tanh
 
 
-@overload(scale_forth, jit_options=_OPTIONS)
+@overload(scale_forth, jit_options={**_OPTIONS, **LINK_ONLY})
 def _scale_forth(parameters, s, layer, first, last):
     def of_tanh(parameters, s, layer, first, last):
         scale(parameters, s, layer, 2 * parameters[0].size, first, last)
@@ -148,7 +148,7 @@ def _scale_forth(parameters, s, layer, first, last):
     return of_others
 
 
-@overload(scale_tangent, jit_options=_OPTIONS)
+@overload(scale_tangent, jit_options={**_OPTIONS, **LINK_ONLY})
 def _scale_tangent(parameters, s, layer, first, last):
     def of_tanh(parameters, s, layer, first, last):
         nodes, g = parameters[3], parameters[0].size

@@ -7,6 +7,7 @@ from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 from hnn_vi_ros.hamiltonians.outputs import (
     evaluate_outputs, output_tangents, pack_outputs, part_gradient, weigh)
+from hnn_vi_ros.linking import part
 import numba
 import numpy as np
 
@@ -118,7 +119,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
             product_q[a + i] += space[2, i]
 
 
-@numba.njit(cache=True, error_model='numpy', forceinline=True)
+@part(error_model='numpy', forceinline=True)
 def _first_order(root: tuple, entries: np.ndarray, space: np.ndarray, q: np.ndarray,
                  p: np.ndarray) -> None:
     """Fill A in the first row of entries, p_i u_j in the second, u in the first of space."""
@@ -131,7 +132,7 @@ def _first_order(root: tuple, entries: np.ndarray, space: np.ndarray, q: np.ndar
             k += 1
 
 
-@numba.njit(cache=True, error_model='numpy', forceinline=True)
+@part(error_model='numpy', forceinline=True)
 def _times(A: np.ndarray, u: np.ndarray, product: np.ndarray) -> None:
     k = 0
     for i in range(u.size):
@@ -141,7 +142,7 @@ def _times(A: np.ndarray, u: np.ndarray, product: np.ndarray) -> None:
             k += 1
 
 
-@numba.njit(cache=True, error_model='numpy', forceinline=True)
+@part(error_model='numpy', forceinline=True)
 def _times_transposed(A: np.ndarray, p: np.ndarray, product: np.ndarray) -> None:
     product[:] = 0.0
     k = 0

@@ -11,6 +11,7 @@ from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 from hnn_vi_ros.hamiltonians.outputs import part_gradient
+from hnn_vi_ros.linking import part
 import numba
 import numpy as np
 
@@ -200,7 +201,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
             product_q[a + i] = -along_q[i]
 
 
-@numba.njit(cache=True, error_model='numpy')
+@part(error_model='numpy')
 def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
     """Fill v, L_q and L_v in the first rows of the space by Newton's method for L_v(q, v) = p."""
     network, mass, start, space, matrices = parameters
@@ -235,7 +236,7 @@ def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
     L_q[:] = np.nan
 
 
-@numba.njit(cache=True, error_model='numpy')
+@part(error_model='numpy')
 def _invert_mass(parameters: tuple, q: np.ndarray, v: np.ndarray) -> None:
     """Fill the second matrix with L_vv^-1 at (q, v)."""
     network, mass, _, space, matrices = parameters

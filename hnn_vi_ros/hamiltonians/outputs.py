@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import perceptron
 from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.learned import padded
 from hnn_vi_ros.hamiltonians.perceptron_memory import pack
-import numba
+from hnn_vi_ros.linking import part
 import numpy as np
 
 
@@ -35,14 +35,14 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple
     return packed, np.ascontiguousarray(weights[-1]), np.ascontiguousarray(biases[-1])
 
 
-@numba.njit(cache=True, error_model='numpy')
+@part(error_model='numpy')
 def part_gradient(network: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                   dH_dp: np.ndarray) -> None:
     """Fill the gradient of one network: a call, since inlining several compiles for long."""
     perceptron.gradient(network, q, p, dH_dq, dH_dp)
 
 
-@numba.njit(cache=True, error_model='numpy')
+@part(error_model='numpy')
 def evaluate_outputs(parameters: tuple, q: np.ndarray, p: np.ndarray, y: np.ndarray) -> None:
     """Fill the outputs, shape (k,), at a state, q and p of shape (d,)."""
     network, last, bias = parameters
@@ -54,7 +54,7 @@ def evaluate_outputs(parameters: tuple, q: np.ndarray, p: np.ndarray, y: np.ndar
             y[k] += last[k, i] * nodes[0, sizes.size - 1, i]
 
 
-@numba.njit(cache=True, error_model='numpy')
+@part(error_model='numpy')
 def output_tangents(parameters: tuple, y: np.ndarray) -> None:
     """Fill the change of the outputs along the direction of the last Hessian-vector product."""
     network, last, _ = parameters
@@ -65,7 +65,7 @@ def output_tangents(parameters: tuple, y: np.ndarray) -> None:
             y[k] += last[k, i] * nodes[0, 3 * sizes.size - 1, i]
 
 
-@numba.njit(cache=True, error_model='numpy')
+@part(error_model='numpy')
 def weigh(parameters: tuple, c: np.ndarray) -> None:
     """Make the network of one output c . y."""
     network, last, _ = parameters

@@ -15,13 +15,15 @@ tiles of eight rows of weights.
 from hnn_vi_ros.hamiltonians.activations import (
     activate, FASTMATH, scale, scale_forth, scale_tangent)
 from hnn_vi_ros.hamiltonians.perceptron_memory import MAX_STATES, ROW, TILE
+from hnn_vi_ros.linking import part
 import numba
 import numpy as np
 
 _compiled = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy')
-# The gradient is inlined even into the caller's loop: across a call each array that is passed on
-# is counted, and a count is as slow as twenty additions.
+# The gradient is inlined even into the caller's loop: behind a call nothing is known of the arrays
+# that it is given, and each is counted, which is as slow as twenty additions.
 _inlined = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy', forceinline=True)
+_part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 
 # Weights that are used forward and back while they stay in the nearest cache, 32 KiB.
 _BLOCK = 4096
@@ -70,7 +72,7 @@ def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndar
         _store(parameters, first, n, 3 * sizes.size, product_q, product_p)
 
 
-@_inlined
+@_part
 def _load(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
           ) -> None:
     sizes, _, _, nodes, _ = parameters
@@ -81,7 +83,7 @@ def _load(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray,
             nodes[s, row, d + i] = p[(first + s) * d + i]
 
 
-@_inlined
+@_part
 def _store(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
            ) -> None:
     sizes, _, _, nodes, _ = parameters
@@ -92,7 +94,7 @@ def _store(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray
             p[(first + s) * d + i] = nodes[s, row, d + i]
 
 
-@_inlined
+@_part
 def _propagate(parameters: tuple, n_states: int, tangent: bool) -> None:
     """Fill g_0 from a_0 of the first states; with tangent, g_0' from a_0' too."""
     sizes, rows, _, nodes, _ = parameters
@@ -112,7 +114,7 @@ def _propagate(parameters: tuple, n_states: int, tangent: bool) -> None:
         _first_layer_back(parameters, s, tangent)
 
 
-@_inlined
+@_part
 def _forward(parameters: tuple, n_states: int, n_layers: int, tangent: bool) -> int:
     """Fill a_1 to the activations of layer n_layers; return the tile where the next begins."""
     sizes = parameters[0]
@@ -130,7 +132,7 @@ def _forward(parameters: tuple, n_states: int, n_layers: int, tangent: bool) -> 
     return at
 
 
-@_inlined
+@_part
 def _back(parameters: tuple, n_states: int, at: int, layer: int, forth: bool, tangent: bool
           ) -> None:
     """Go back through a layer, and first forth if it is the last: its weights are read once."""
@@ -145,14 +147,14 @@ def _back(parameters: tuple, n_states: int, at: int, layer: int, forth: bool, ta
             _block_back(parameters, at, s, layer, first, last, tangent)
 
 
-@_inlined
+@_part
 def _blocks(n_in: int, n_tiles: int) -> tuple[int, int]:
     """Return how many blocks n_tiles tiles of n_in columns make, and the tiles of each."""
     size = max(1, _BLOCK // (TILE * n_in))
     return (n_tiles + size - 1) // size, size
 
 
-@_inlined
+@_part
 def _block_forth(parameters: tuple, at: int, s: int, layer: int, first: int, last: int,
                  tangent: bool) -> None:
     sizes = parameters[0]
@@ -163,7 +165,7 @@ def _block_forth(parameters: tuple, at: int, s: int, layer: int, first: int, las
         scale_forth(parameters, s, layer, first, last)
 
 
-@_inlined
+@_part
 def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last: int,
                 tangent: bool) -> None:
     sizes = parameters[0]
@@ -175,7 +177,7 @@ def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last
     _transposed_product(parameters, at, s, g + layer, sizes[layer - 1], first, last)
 
 
-@_inlined
+@_part
 def _first_layer(parameters: tuple, s: int, tangent: bool) -> None:
     sizes = parameters[0]
     _columns(parameters, s, 0)
@@ -185,7 +187,7 @@ def _first_layer(parameters: tuple, s: int, tangent: bool) -> None:
         scale_forth(parameters, s, 1, 0, sizes[1] // TILE)
 
 
-@_inlined
+@_part
 def _first_layer_back(parameters: tuple, s: int, tangent: bool) -> None:
     sizes = parameters[0]
     if tangent:
@@ -195,7 +197,7 @@ def _first_layer_back(parameters: tuple, s: int, tangent: bool) -> None:
     _transposed_columns(parameters, s, sizes.size)
 
 
-@_inlined
+@_part
 def _columns(parameters: tuple, s: int, row: int) -> None:
     """Set row + 1 to W_1 times row: W_1 has few columns, too few to vectorise along its rows."""
     sizes, rows, _, nodes, _ = parameters
@@ -206,7 +208,7 @@ def _columns(parameters: tuple, s: int, row: int) -> None:
             nodes[s, row + 1, i] = before + rows[j, i] * x + rows[j + 1, i] * y
 
 
-@_inlined
+@_part
 def _transposed_columns(parameters: tuple, s: int, row: int) -> None:
     """Set row to W_1^T times row + 1."""
     sizes, rows, _, nodes, _ = parameters
@@ -218,7 +220,7 @@ def _transposed_columns(parameters: tuple, s: int, row: int) -> None:
         nodes[s, row, j], nodes[s, row, j + 1] = x, y
 
 
-@_inlined
+@_part
 def _product(parameters: tuple, at: int, s: int, row: int, n_in: int, first: int, last: int
              ) -> None:
     """Set tiles first to last of a row to W_l times the row before."""
@@ -241,7 +243,7 @@ def _product(parameters: tuple, at: int, s: int, row: int, n_in: int, first: int
         z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7] = z0, z1, z2, z3, z4, z5, z6, z7
 
 
-@_inlined
+@_part
 def _transposed_product(parameters: tuple, at: int, s: int, row: int, n_in: int,
                         first: int, last: int) -> None:
     """Add to the row before what tiles first to last of a row contribute by W_l^T."""

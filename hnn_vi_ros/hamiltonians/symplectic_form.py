@@ -9,6 +9,7 @@ from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 from hnn_vi_ros.hamiltonians.outputs import pack_outputs, weigh
 from hnn_vi_ros.linear_algebra import solve_linear
+from hnn_vi_ros.linking import part
 import numba
 import numpy as np
 
@@ -148,13 +149,13 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return perceptron.energy(parameters[0], q, p)
 
 
-@_compiled
+@part(error_model='numpy')
 def slope(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
     """Fill H'(u), shape (2 d,), at one state."""
     perceptron.gradient(parameters[0], q, p, covector[:q.size], covector[q.size:])
 
 
-@_compiled
+@part(error_model='numpy')
 def raise_index(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
     """Turn a covector c, shape (2 d,), into W(u)^-1 c at one state; NaN if W is singular."""
     _, form, mass, rows, two_form, unit, _ = parameters

@@ -6,6 +6,7 @@ from hnn_vi_ros.hamiltonians import perceptron
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
 from hnn_vi_ros.hamiltonians.outputs import part_gradient
+from hnn_vi_ros.linking import part
 import numba
 import numpy as np
 
@@ -74,7 +75,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
     _add_velocity(inverse, v_p, product_p)
 
 
-@numba.njit(cache=True, error_model='numpy', forceinline=True)
+@part(error_model='numpy', forceinline=True)
 def _add_velocity(inverse: np.ndarray, p: np.ndarray, velocity: np.ndarray) -> None:
     d = inverse.shape[0]
     for a in range(0, p.size, d):

@@ -1,0 +1,150 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Functions that are compiled only as parts of others, at a third of what numba takes for them.
+
+Numba optimises each function as if it were to be called by itself, writes machine code for it,
+and does all that again wherever it is inlined: of a step with its solver and its gradient only
+the outermost result is ever called. Functions that are compiled by LinkOnly are translated and
+inlined into their callers, whose own compilation optimises them, once.
+
+This is the one file that uses numba's compiler passes and code libraries.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import _dynfunc
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_lock import require_global_compiler_lock
+from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.lowering import Lower
+from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
+
+
+class _Library(JITCodeLibrary):
+    """Code to be linked into other libraries: inlined within itself, neither optimised nor run."""
+
+    link_only = True
+
+    def finalize(self) -> None:
+        """Link what this code calls, and inline it."""
+        if not self.link_only:
+            super().finalize()
+            return
+        require_global_compiler_lock()
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        # The first of the two rounds of passes of numba's own libraries.
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=self._codegen._loopvect, slp_vectorize=False,
+            opt=self._codegen._opt_level, cost='cheap')
+        passes.run(self._final_module, builder)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def defines(self, variable: str) -> bool:
+        """Tell whether the code itself holds a global variable."""
+        try:
+            self._final_module.get_global_variable(variable)
+        except NameError:
+            return False
+        return True
+
+
+class _Lower(Lower):
+    """Numba's translation into LLVM's language, whose environment is defined where it is used."""
+
+    def emit_environment_object(self) -> None:
+        """Leave the environment out until something asks for it."""
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(NativeLowering):
+    """Numba's last pass, into a library that is only linked."""
+
+    _name = 'link_only_lowering'
+
+    @property
+    def lowering_class(self) -> type[Lower]:
+        """Return what translates a function."""
+        return _Lower
+
+    def run_pass(self, state: dict) -> bool:
+        """Translate a function, and register it for those that call it."""
+        context = state.targetctx
+        state.library = library = _Library(context.codegen(), state.func_id.func_qualname)
+        # A copy: numba finds compiled functions by the flags of their callers.
+        state.flags = state.flags.copy()
+        state.flags.no_compile = True
+        super().run_pass(state)
+        function, environment = state['cr'].fndesc, state['cr'].env
+        if library.defines(context.get_env_name(function)):
+            # What it may print or raise is made in Python, from an environment that numba finds
+            # by its address: this one has to be loaded.
+            library.link_only = False
+            library.enable_object_caching()
+            entry = context.get_executable(library, function, environment)
+        else:
+            # Callers find a function by this object, so that each needs one of its own.
+            entry = _dynfunc.make_function(
+                function.lookup_module(), function.qualname.split('.')[-1], 'linked only', 0,
+                environment, (library,))
+        context.insert_user_function(entry, function, [library])
+        state.reload_init.extend(library._reload_init)
+        state['cr'] = state['cr']._replace(cfunc=entry)
+        return True
+
+
+class LinkOnly(CompilerBase):
+    """Numba's compiler, for functions that are never called from Python."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        """Return numba's passes with the last one replaced."""
+        whole = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes = PassManager('link_only')
+        for kind, description in whole.passes:
+            passes.add_pass(_Lowering if kind is NativeLowering else kind, description)
+        passes.finalize()
+        return [passes]
+
+
+class Part(CPUDispatcher):
+    """
+    A function that is compiled where compiled code calls it, once for all callers.
+
+    Called from Python it is plain Python.
+
+    Parameters
+    ----------
+    function : callable
+        In numba's subset.
+    targetoptions : dict
+        For numba's compiler.
+    others
+        For numba, which makes such an object anew from a cache on disk.
+
+    """
+
+    def __init__(self, py_func: Callable, locals: dict | None = None,  # noqa: A002
+                 targetoptions: dict | None = None, pipeline_class: type = LinkOnly):
+        super().__init__(py_func, locals, {**_OPTIONS, **(targetoptions or {})}, pipeline_class)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run as plain Python."""
+        return self.py_func(*arguments)
+
+
+def part(**options: Any) -> Callable[[Callable], Part]:
+    """Return a decorator that makes a function a Part, with these options of numba.njit."""
+    return lambda function: Part(function, targetoptions=options)
+
+
+_OPTIONS = {'nopython': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
+# The same for what numba makes of a decorator such as register_jitable, once for each set of
+# options that a caller has.
+LINK_ONLY = {'pipeline_class': LinkOnly, **_OPTIONS}

@@ -1,0 +1,132 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Functions that are only linked into others, and loops whose arrays nobody counts."""
+
+from collections.abc import Callable
+import re
+
+from hnn_vi_ros.bare_arrays import bare
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.linking import LinkOnly, Part, part
+from hnn_vi_ros.loops import advance
+from hnn_vi_ros.simulation import Simulation
+import numba
+from numba.core.codegen import JITCodeLibrary
+from numba.core.event import install_recorder
+import numpy as np
+import pytest
+
+
+def doubled(function: Part) -> numba.core.dispatcher.Dispatcher:
+    @numba.njit
+    def twice(x):
+        return 2.0 * function(x)
+    return twice
+
+
+def test_parts_of_one_name_and_type_stay_apart():
+    def shifted(by: float) -> Part:
+        @part()
+        def shift(x):
+            return x + by
+        return shift
+
+    assert [doubled(shifted(by))(1.0) for by in (0.5, 10.0, 3.0)] == [3.0, 22.0, 8.0]
+
+
+def test_part_is_plain_python_where_python_calls_it():
+    @part(forceinline=True)
+    def name(x):
+        return type(x).__name__
+
+    assert name(1) == 'int' and not name.overloads
+
+
+def test_part_is_neither_optimised_nor_loaded(monkeypatch):
+    @part()
+    def square(x):
+        return x * x
+
+    finished = []
+    load = JITCodeLibrary._finalize_specific
+    monkeypatch.setattr(JITCodeLibrary, '_finalize_specific',
+                        lambda library: finished.append(library.name) or load(library))
+    function = doubled(square)
+    assert function(3.0) == 18.0
+    assert square.overloads and function.__name__ in ''.join(finished)
+    assert not any('square' in name for name in finished)
+
+
+def test_part_that_prints_finds_its_environment(capfd):
+    @part()
+    def tell(x):
+        print('x is', x)
+        return x
+
+    assert doubled(tell)(3.0) == 6.0
+    assert capfd.readouterr().out == 'x is 3.0\n'
+
+
+def test_error_in_a_part_reaches_python():
+    @part()
+    def inverse(x):
+        return 1.0 / x
+
+    with pytest.raises(ZeroDivisionError):
+        doubled(inverse)(0.0)
+
+
+def test_unpickled_part_is_compiled_alike():
+    # As numba makes one anew from a cache on disk.
+    @part()
+    def square(x):
+        return x * x
+
+    copy = Part._rebuild(**{**square._reduce_states(), 'uuid': 'another'})
+    assert copy._compiler.pipeline_class is LinkOnly
+
+
+def test_bare_arrays_are_the_same_memory_and_their_owners_keep_them():
+    @numba.njit
+    def fill(state, number):
+        (x, parts), number = bare((state, number))
+        for k in range(parts[0].size):
+            parts[0][k] = x[k] + number
+        return number
+
+    x, y = np.arange(3.0), np.empty(3)
+    before = (x.base, y.base)
+    assert fill((x, (y, 1)), 2.0) == 2.0
+    assert y.tolist() == [2.0, 3.0, 4.0] and (x.base, y.base) == before
+    assert bare(x) is x
+
+
+def run(loop: Callable) -> tuple[numba.core.event.RecordingListener, float, float]:
+    """Take five steps from one state; return what was compiled for it, and the end."""
+    simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](),
+                            INTEGRATORS['implicit_midpoint'](), 0.1, [1.0], [0.5])
+    _, step, options = simulation._loops[0]
+    q, p = np.empty((2, 1, 1))
+    with install_recorder('numba:compile') as recorder:
+        outcome, done, *_ = loop(step, simulation._kernel, 0.1, options, 0, 5, simulation._z,
+                                 simulation._z1, simulation._memories[0], q, p)
+    assert (outcome, done) == (0, 5)
+    return recorder, float(q[0, 0]), float(p[0, 0])
+
+
+def test_loop_of_an_implicit_step_counts_no_references_and_makes_no_texts():
+    loop = numba.njit(advance)
+    recorder, *end = run(loop)
+    modules = {event.data['dispatcher'].py_func.__module__ for _, event in recorder.buffer}
+    assert 'hnn_vi_ros.loops' in modules and 'numba.cpython.unicode' not in modules
+    (code,) = loop.inspect_llvm().values()
+    bodies = dict(re.findall(
+        r'^define [^@]*@"?([\w.$]+)"?\([^\n]*\{\n(.*?)^\}', code, re.M | re.S))
+    # Those that Python calls count what they unpack of their arguments.
+    counting = [name for name, body in bodies.items()
+                if re.search(r'call .*@NRT_(?:incref|decref)', body)]
+    assert any('advance' in name and name not in counting for name in bodies)
+    assert counting and all('cpython' in name for name in counting)
+    # Neither may reorder or fuse operations: plain Python ends in the same numbers.
+    assert run(advance)[1:] == tuple(end)
