@@ -67,6 +67,7 @@ def _guarded(number: int, stream: TextIO | None) -> TextIO:
     return io.TextIOWrapper(
         io.BufferedWriter(_Lossy(number, 'w', closefd=False)),
         encoding=stream.encoding if stream else 'utf-8',
-        errors=stream.errors if stream else 'backslashreplace',
+        # A letter that a terminal cannot show, or a name that is no text, is to end nothing.
+        errors='backslashreplace',
         line_buffering=terminal or number == 2,
         write_through=stream.write_through if stream else False)

@@ -226,3 +226,12 @@ def test_error_of_the_command_line_is_one_line_with_the_name(words, what, capsys
 
 def test_activations_of_the_command_line_are_those_that_can_be_imported():
     assert set(learning.ACTIVATIONS) == set(ACTIVATIONS)
+
+
+def test_letter_that_an_output_cannot_show_is_printed_escaped():
+    result = subprocess.run(
+        [sys.executable, '-c', 'from hnn_vi_ros.cli import scene; scene()', '--list'],
+        env=os.environ | {'PYTHONIOENCODING': 'ascii'}, capture_output=True, timeout=60,
+        check=False)
+    assert (result.returncode, result.stderr) == (0, b'')
+    assert r'H\xe9non' in result.stdout.decode('ascii')
