@@ -11,7 +11,6 @@ from hnn_vi_ros.conditions import Condition
 from hnn_vi_ros.errors import HnnViRosError, SceneError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.named_code import find_beside, import_named, NAMES_CODE
-from hnn_vi_ros.trials import Budget
 from hnn_vi_ros.yaml_file import StrictModel
 from pydantic import BaseModel, create_model, Field, field_validator, model_validator
 
@@ -82,13 +81,6 @@ class AutoChoice(StrictModel):
         if (self.energy_error is None) == (self.path_error is None):
             raise ValueError('give either energy_error or path_error')
         return self
-
-    @property
-    def budget(self) -> Budget:
-        """Return the budget."""
-        if self.energy_error is not None:
-            return Budget('energy_error', self.energy_error, self.horizon)
-        return Budget('path_error', self.path_error, self.horizon)
 
 
 def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:

@@ -8,6 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.automatic_choice import resolve
+from hnn_vi_ros.build import build
 from hnn_vi_ros.checks import check_count, check_seconds
 from hnn_vi_ros.dense_step import whole_steps
 from hnn_vi_ros.errors import StoppedByEvent
@@ -82,9 +84,9 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     """
     check_seconds('duration', duration)
     check_count('every', every)
-    scene = _scene(scene).with_overrides(
-        step_size, integrator, _state(initial_state), _listed(effects))
-    simulation = watched(Simulation.from_scene(scene), scene)
+    scene, _ = resolve(_scene(scene).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects)))
+    simulation = watched(build(scene), scene)
     watch = Watch(simulation, simulation.hamiltonian.barrier)
     parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
     t, takers = recorders(simulation, duration, every, times, commands, watch)
@@ -183,7 +185,7 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     check_count('samples', samples)
     if threads is not None:
         check_count('threads', threads)
-    scene = _scene(scene).resolved()
+    scene, _ = resolve(_scene(scene))
     if scene.events:
         raise ValueError('simulate_many watches for no events: leave the events out of '
                          f'{scene.name}, or simulate one trajectory at a time')

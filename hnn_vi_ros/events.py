@@ -4,17 +4,15 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TYPE_CHECKING
+from typing import Any, Literal
 
 from hnn_vi_ros.conditions import Condition
 from hnn_vi_ros.dense_step import DenseStep
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.phase_space import Event
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
-
-if TYPE_CHECKING:
-    from hnn_vi_ros.scene import Scene
 
 # Where in a step the polynomial is looked at, in shares of it.
 _PLACES = np.linspace(0.0, 1.0, 9)
@@ -161,7 +159,7 @@ class WatchedSimulation:
                 yield _root(value, start, end), rises
 
 
-def watched(simulation: Simulation, scene: 'Scene') -> 'Simulation | WatchedSimulation':
+def watched(simulation: Simulation, scene: Scene) -> 'Simulation | WatchedSimulation':
     """
     Return a simulation that watches for the events of its scene; itself where there are none.
 

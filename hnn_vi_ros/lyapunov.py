@@ -4,19 +4,16 @@
 
 from collections.abc import Sequence
 import math
-from typing import TYPE_CHECKING
 
 from hnn_vi_ros.checks import check_seconds
 from hnn_vi_ros.diagnostics import state_scales
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.system import System
 import numpy as np
-
-if TYPE_CHECKING:
-    from hnn_vi_ros.scene import Scene
 
 # Steps from one renormalisation to the next, and of the first horizon that is looked at.
 _EVERY, _FIRST = 32, 1024
@@ -27,7 +24,7 @@ _DISTANCE = 1e-7
 _CHAOTIC = 10.0
 
 
-def lyapunov_time(scene: 'Scene', duration: float | None = None) -> float:
+def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
     """
     Return the time in which neighbouring motions part by the factor e [s].
 
@@ -39,7 +36,7 @@ def lyapunov_time(scene: 'Scene', duration: float | None = None) -> float:
     Parameters
     ----------
     scene : Scene
-        From ``load_scene``.
+        From ``load_scene``; one with the integrator auto through ``automatic_choice.resolve``.
     duration : float, optional
         Simulated time up to which chaos is looked for [s]; by default 2^17 steps.
 
@@ -65,7 +62,6 @@ def lyapunov_time(scene: 'Scene', duration: float | None = None) -> float:
     """
     if duration is not None:
         check_seconds('duration', duration)
-    scene = scene.resolved()
     steps = 2 ** 17 if duration is None else max(_FIRST, duration / scene.step_size)
     state = scene.initial_state
     return time_between_motions(

@@ -12,13 +12,12 @@ from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest
-from hnn_vi_ros.integrators.base import BEYOND, Integrator, Memory, OK, Point
+from hnn_vi_ros.integrators.base import BEYOND, Integrator, Memory, OK, ON_FAILURE, Point
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.loops import advance, assemble, take_substeps
 from hnn_vi_ros.system import System
 import numpy as np
 
-ON_FAILURE = ('substep', 'implicit', 'stop')
 # A step that fails is tried again in at most 2^6 = 64 sub-steps.
 _HALVINGS = 6
 # An explicit method comes back when h omega has been below this share of its limit for long: the

@@ -10,7 +10,6 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
-from hnn_vi_ros.calibration import Choice, remembered
 from hnn_vi_ros.choices import (
     AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
 from hnn_vi_ros.effects import EFFECTS
@@ -21,14 +20,12 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.checkpoint import file_digest
 from hnn_vi_ros.hamiltonians.confined import load_learned
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
 from hnn_vi_ros.invariants import InvariantChoice, invariants_of
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
 from hnn_vi_ros.named_code import trusting
-from hnn_vi_ros.rescue import ON_FAILURE
 from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.scene_origin import Origin
-from hnn_vi_ros.trials import Budget, Problem
 from hnn_vi_ros.yaml_file import read_yaml, StrictModel
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr, ValidationError
@@ -63,7 +60,6 @@ class Scene(StrictModel):
         return self
 
     _origin: Origin = PrivateAttr(Origin())
-    _chosen: tuple[Budget, Choice] | None = PrivateAttr(None)
 
     @property
     def source(self) -> Path:
@@ -113,42 +109,19 @@ class Scene(StrictModel):
         changes = {name: value for name, value in given.items() if value is not None}
         return self.changed(changes) if changes else self
 
-    @property
-    def chosen(self) -> tuple[Budget, Choice] | None:
-        """Return what the integrator auto was asked for, and chose."""
-        return self._chosen
-
-    def resolved(self, largest_step: float | None = None) -> 'Scene':
+    def create_integrator(self) -> Integrator:
         """
-        Return this scene with a method and a step size in place of the integrator auto, if any.
-
-        Parameters
-        ----------
-        largest_step : float, optional
-            A time that the step must divide where the scene names none, such as that between two
-            samples [s].
+        Build the integrator that the scene names.
 
         Raises
         ------
-        HnnViRosError
-            No method holds the budget, or the scene cannot be built.
+        SceneError
+            A parameter is out of its range, or no method is named: it is auto.
 
         """
-        if not isinstance(self.integrator, AutoChoice):
-            return self
-        problem = Problem(self.create_hamiltonian(), tuple(self.create_effects()),
-                          np.array(self.initial_state.q), np.array(self.initial_state.p))
-        budget = self.integrator.budget
-        with self.placed('integrator'):
-            choice = remembered(problem, budget, self.step_size or largest_step,
-                                self.model_dump_json())
-        scene = self.changed({'step_size': choice.step_size,
-                              'integrator': {'kind': choice.method, **choice.arguments}})
-        scene._chosen = replace(budget, energy_scale=choice.energy_scale), choice
-        return scene
-
-    def create_integrator(self) -> Integrator:
-        """Build the integrator that the scene names; SceneError for a parameter out of range."""
+        if isinstance(self.integrator, AutoChoice):
+            raise SceneError(f'{self.place("integrator")}: auto names no method yet; '
+                             'automatic_choice.resolve(scene) returns a scene with one')
         return self._construct(INTEGRATORS, self.integrator, 'integrator')
 
     def create_effects(self) -> list[Effect]:

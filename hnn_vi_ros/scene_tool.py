@@ -8,6 +8,8 @@ import math
 import sys
 
 from hnn_vi_ros import arguments
+from hnn_vi_ros.automatic_choice import resolve
+from hnn_vi_ros.build import build
 from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.events import watched
@@ -44,8 +46,8 @@ def check(names: Sequence[str]) -> int:
     status = 0
     for name in names:
         try:
-            scene = load_scene(name)
-            print(_in_a_line(scene, watched(Simulation.from_scene(scene), scene)))
+            scene, _ = resolve(load_scene(name))
+            print(_in_a_line(scene, watched(build(scene), scene)))
         except HnnViRosError as problem:
             print(f'scene: {problem}', file=sys.stderr)
             status = 1
@@ -90,8 +92,8 @@ def explain(scene: Scene) -> Iterator[str]:
     """
     if isinstance(scene.integrator, AutoChoice):
         print('choosing a method ...', file=sys.stderr)
-        scene = scene.resolved()
-    simulation = watched(Simulation.from_scene(scene), scene)
+    scene, chosen = resolve(scene)
+    simulation = watched(build(scene), scene)
     hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
     yield f'{scene.name}: {scene.description}'
     yield f'file: {scene.source}'
@@ -105,9 +107,8 @@ def explain(scene: Scene) -> Iterator[str]:
         yield f'  {"conservative" if effect.conservative else "does work"}'
     yield from _choice('integrator', scene.integrator)
     yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
-    if scene.chosen is not None:
-        budget, choice = scene.chosen
-        yield f'  {choice.explain(budget)}'
+    if chosen is not None:
+        yield f'  {chosen.choice.explain(chosen.budget)}'
     for event in scene.events:
         yield f'event {event.when} ({event.direction}): {event.then}'
     yield f'conservative: {"yes" if simulation.conservative else "no"}'

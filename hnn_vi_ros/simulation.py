@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Sequence
 import time
-from typing import TYPE_CHECKING
 import warnings
 
 from hnn_vi_ros.compilation import entry_point
@@ -12,7 +11,6 @@ from hnn_vi_ros.dense_step import DenseStep
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.learned import warn_of_scheme
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import BEYOND, Integrator, NOT_FINITE, OK, Point, REASONS
 from hnn_vi_ros.loops import advance, assemble
@@ -20,9 +18,6 @@ from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.rescue import Rescue
 from hnn_vi_ros.system import System
 import numpy as np
-
-if TYPE_CHECKING:
-    from hnn_vi_ros.scene import Scene
 
 
 class Simulation:
@@ -134,16 +129,6 @@ class Simulation:
         self._system.command(values)
         self._evaluate_gradient()
         self._update_gradient()
-
-    @classmethod
-    def from_scene(cls, scene: 'Scene') -> 'Simulation':
-        """Build what a scene describes; HnnViRosError where its parts do not fit together."""
-        scene = scene.resolved()
-        parts = scene.create_hamiltonian(), scene.create_integrator(), scene.step_size
-        effects, state = scene.create_effects(), scene.initial_state
-        warn_of_scheme(parts[0], scene.integrator.kind, scene.step_size)
-        with scene.placed('initial_state'):
-            return cls(*parts, state.q, state.p, effects, scene.on_failure)
 
     @property
     def time(self) -> float:

@@ -7,6 +7,8 @@ from functools import cache
 import math
 
 from benchmarks import campaign
+from hnn_vi_ros.automatic_choice import resolve
+from hnn_vi_ros.build import build
 from hnn_vi_ros.calibration import calibrate, CANDIDATES, Choice, remembered
 from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
@@ -14,7 +16,6 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.references import EXACT, make_reference
 from hnn_vi_ros.trials import Budget, Method, Problem
 import numpy as np
@@ -207,21 +208,21 @@ def test_scene_with_the_integrator_auto_is_simulated(scene):
 
 def test_choice_is_remembered(scene, monkeypatch):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
-    first = mine.resolved()
+    _, first = resolve(mine)
     monkeypatch.setattr('hnn_vi_ros.calibration.calibrate', None)
-    assert mine.resolved().chosen == first.chosen
+    assert resolve(mine)[1] == first
     # Another budget is another question.
     with pytest.raises(TypeError):
-        scene('energy_error: 1e-6, horizon: 100.0').resolved()
+        resolve(scene('energy_error: 1e-6, horizon: 100.0'))
 
 
 def test_choice_that_cannot_be_read_is_made_anew(tmp_path, scene):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
-    mine.resolved()
+    resolve(mine)
     (file,) = (tmp_path / 'cache').rglob('*.json')
     for damaged in ('', '{', '{"method": "gauss4"}', '[]'):
         file.write_text(damaged)
-        assert mine.resolved().chosen[1].method in CANDIDATES
+        assert resolve(mine)[1].choice.method in CANDIDATES
     assert 'step_size' in file.read_text()
 
 
@@ -236,11 +237,16 @@ def test_mistake_in_a_budget_is_answered_with_its_place(scene, integrator, expec
         scene(integrator)
 
 
+def test_simulation_is_built_only_of_a_scene_whose_method_was_chosen(scene):
+    with pytest.raises(SceneError, match=r'mine.yaml:2: integrator: auto names no method yet'):
+        build(scene('energy_error: 1e-5, horizon: 100.0'))
+
+
 def test_scene_without_step_size_needs_the_integrator_auto(scene):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
     with pytest.raises(SceneError, match='step_size'):
         mine.with_overrides(integrator='gauss4')
-    assert Simulation.from_scene(mine.with_overrides(0.01, 'gauss4')).step_size == 0.01
+    assert build(mine.with_overrides(0.01, 'gauss4')).step_size == 0.01
 
 
 def test_effect_that_no_candidate_takes_is_refused(scene):
@@ -248,7 +254,7 @@ def test_effect_that_no_candidate_takes_is_refused(scene):
            '  - {kind: thermostat, temperature: 0.1, rate: 1.0}\n'
            '  - {kind: holonomic_constraint, point: [angle], anchor: [0.0], length: 2.5}\n')
     with pytest.raises((SceneError, UnsupportedSystem), match='does not combine'):
-        scene('energy_error: 1e-5, horizon: 100.0', two).resolved()
+        resolve(scene('energy_error: 1e-5, horizon: 100.0', two))
 
 
 def test_remembered_tells_largest_steps_apart(tmp_path, monkeypatch):

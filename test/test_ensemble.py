@@ -6,6 +6,7 @@ from pathlib import Path
 import warnings
 
 from helpers import EPS
+from hnn_vi_ros.build import build
 from hnn_vi_ros.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.errors import AlarmWarning, StepFailure
 from hnn_vi_ros.guards.watch import look, Watch
@@ -92,7 +93,7 @@ def test_simulate_warns_of_what_the_guards_find_and_returns_it(tmp_path):
     assert [alarm.kind for alarm in trajectory.alarms] == ['under-resolved']
     assert caught[0].filename == __file__
     # Of the very guards of the node, sample by sample.
-    simulation = Simulation.from_scene(scene.with_overrides(
+    simulation = build(scene.with_overrides(
         initial_state=dict(zip('qp', CLOSE, strict=True))))
     watch = Watch(simulation, None)
     watch.update(look(simulation))

@@ -7,6 +7,7 @@ import warnings
 
 from helpers import Uncompiled
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import families, model_card
@@ -291,7 +292,7 @@ def test_scene_warns_in_one_line_when_the_scheme_is_not_that_of_the_training(
     scene.write_text(SCENE.format(model=model, integrator=integrator, step_size=step_size))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
-        Simulation.from_scene(load_scene(scene))
+        build(load_scene(scene))
     texts = [str(warning.message) for warning in caught]
     assert len(texts) == said
     for text in texts:
@@ -304,4 +305,4 @@ def test_scene_of_a_damaged_family_names_file_and_line(tmp_path):
     scene = tmp_path / 'scene.yaml'
     scene.write_text(SCENE.format(model=model, integrator='implicit_midpoint', step_size=0.1))
     with pytest.raises(HnnViRosError, match='scene.yaml:2: hamiltonian: .*singular'):
-        Simulation.from_scene(load_scene(scene))
+        build(load_scene(scene))

@@ -24,6 +24,8 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 LAYERS = {
     'ros': 'ros', 'studies': 'studies', 'learning': 'learning', 'sinks': 'sinks', 'cli': 'cli',
     'scene': 'scene', 'ensemble': 'scene', 'scene_tool': 'cli',
+    **dict.fromkeys(('automatic_choice', 'build', 'calibration', 'events', 'lyapunov',
+                     'path_reference'), 'scene'),
     'recover_bag': 'cli', '__init__': 'cli',
 }
 ARROWS = {

@@ -3,6 +3,7 @@
 """Steps that fail, or would grow: what each word of on_failure does about them."""
 
 from helpers import Uncompiled
+from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.ensemble import simulate_many
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
@@ -180,9 +181,9 @@ def test_scene_says_what_is_done_about_a_step_that_fails(tmp_path):
     assert load_scene(scene).on_failure == 'substep'
     # h omega = 2.2: |H| grows by 5.9 a step, and after 500 of them is no number.
     with pytest.raises(StepFailure, match='not finite'):
-        Simulation.from_scene(load_scene(scene)).advance(1000)
+        build(load_scene(scene)).advance(1000)
     scene.write_text(f'{SCENE}on_failure: implicit\n')
-    simulation = Simulation.from_scene(load_scene(scene))
+    simulation = build(load_scene(scene))
     simulation.advance(1000)
     # The midpoint rule conserves a quadratic energy.
     assert simulation.energy == pytest.approx(2.42, rel=1e-12)

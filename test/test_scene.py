@@ -4,10 +4,10 @@
 
 from pathlib import Path
 
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.resources import shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
 from hypothesis import given, HealthCheck, settings, strategies
 import pytest
 
@@ -141,19 +141,19 @@ def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write
 def test_scene_effect_mistake_is_answered_with_file_line_key_and_remedy(
         write, old, new, expected):
     with pytest.raises(HnnViRosError, match=expected) as caught:
-        Simulation.from_scene(load_scene(write(ACTED_ON.replace(old, new, 1))))
+        build(load_scene(write(ACTED_ON.replace(old, new, 1))))
     assert '\n' not in str(caught.value)
 
 
 def test_scene_method_that_cannot_take_an_effect_is_refused_where_it_stands(write):
     scene = load_scene(write(ACTED_ON.replace('damping', 'thermostat\n    temperature: 1')))
     with pytest.raises(UnsupportedSystem, match='thermostat.*: generalized_leapfrog') as caught:
-        Simulation.from_scene(load_scene(write(
+        build(load_scene(write(
             ACTED_ON.replace('damping', 'thermostat\n    temperature: 1')
             .replace('generalized_leapfrog', 'rk4'))))
     assert 'mine.yaml:8: integrator: ' in str(caught.value)
     with pytest.raises(UnsupportedSystem, match='mine.yaml: integrator: rk4 cannot'):
-        Simulation.from_scene(scene.with_overrides(integrator='rk4'))
+        build(scene.with_overrides(integrator='rk4'))
 
 
 def test_scene_override_is_not_placed_in_the_file(write):
@@ -195,7 +195,7 @@ def test_scene_path_that_is_missing_or_a_folder_is_refused(tmp_path):
 def test_scene_that_cannot_be_built_says_why(write, old, new, error, expected):
     scene = load_scene(write(GOOD.replace(old, new, 1)))
     with pytest.raises(error, match=expected) as caught:
-        Simulation.from_scene(scene)
+        build(scene)
     assert '\n' not in str(caught.value)
 
 

@@ -3,6 +3,7 @@
 """Shipped models of every family, each by its fitting method: T = 1000 s without drift."""
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.hamiltonians import model_card
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.exact_data import sample_exact
@@ -20,7 +21,7 @@ HORIZON, BLOCKS, SAMPLES = 1000.0, 50, 100
 
 def loaded(name: str) -> tuple[Scene, Simulation]:
     scene = load_scene(name)
-    return scene, Simulation.from_scene(scene)
+    return scene, build(scene)
 
 
 def test_every_family_has_a_shipped_scene():

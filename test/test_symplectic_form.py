@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from helpers import random_checkpoint
+from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Kernel
@@ -322,7 +323,7 @@ def test_shipped_form_has_the_field_of_the_double_pendulum_in_velocities():
 @pytest.mark.timeout(300)
 def test_learned_form_of_the_double_pendulum_keeps_its_energy_for_1000_s():
     scene = load_scene('double_pendulum_velocity')
-    run = Simulation.from_scene(scene)
+    run = build(scene)
     q, p = run.record(1000, round(1.0 / scene.step_size))
     energy = run.hamiltonian.energy(q, p)
     low, high = np.concatenate(run.hamiltonian.box).T

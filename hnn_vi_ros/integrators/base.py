@@ -16,6 +16,8 @@ REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            BEYOND: 'beyond the limit of stability',
            NO_MASS: 'H_pp is not positive definite, so that there are no masses',
            REDUNDANT: 'it depends on the constraints before it; leave it out'}
+# What may be done about a step that fails; see Rescue.
+ON_FAILURE = ('substep', 'implicit', 'stop')
 
 
 class Point(NamedTuple):

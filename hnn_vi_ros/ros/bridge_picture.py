@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
@@ -17,7 +18,6 @@ from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.rerun_sink import RerunSink
 from hnn_vi_ros.sinks.rerun_stream import Target
 from hnn_vi_ros.sinks.sample import Sample
@@ -53,7 +53,7 @@ class BridgePicture:
     """
 
     def __init__(self, scene: Scene, target: Target, name: str):
-        simulation = Simulation.from_scene(scene)
+        simulation = build(scene)
         hamiltonian = simulation.hamiltonian
         box = hamiltonian.box or look_ahead(simulation, _SEEN).box
         self._step_size, self._energy0 = simulation.step_size, simulation.energy

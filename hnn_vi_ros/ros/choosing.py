@@ -4,6 +4,7 @@
 
 from typing import NamedTuple
 
+from hnn_vi_ros.automatic_choice import budget_of, Chosen, resolve
 from hnn_vi_ros.calibration import Choice
 from hnn_vi_ros.choices import AutoChoice
 from hnn_vi_ros.scene import Scene
@@ -18,10 +19,10 @@ class Event(NamedTuple):
     level: str
 
 
-def resolve(scene: Scene, largest_step: float, real_time_factor: float, logger: RcutilsLogger
-            ) -> tuple[Scene, list[Event]]:
+def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: RcutilsLogger
+           ) -> tuple[Scene, Chosen | None, list[Event]]:
     """
-    Return a scene that names its method and step size, and what is to be told of the choice.
+    Return a scene that names its method and step size, the choice, and what is to be told of it.
 
     Parameters
     ----------
@@ -41,12 +42,12 @@ def resolve(scene: Scene, largest_step: float, real_time_factor: float, logger: 
 
     """
     if isinstance(scene.integrator, AutoChoice):
-        budget = scene.integrator.budget
+        budget = budget_of(scene.integrator)
         logger.info(
             f'scene {scene.source}: calibrating for {budget.kind} {budget.error:g} up to '
             f'{budget.horizon:g} s; some seconds once, longer where methods are to be compiled')
-    scene = scene.resolved(largest_step)
-    return scene, told(*scene.chosen, real_time_factor) if scene.chosen else []
+    scene, chosen = resolve(scene, largest_step)
+    return scene, chosen, told(*chosen, real_time_factor) if chosen else []
 
 
 def told(budget: Budget, choice: Choice, real_time_factor: float) -> list[Event]:

@@ -7,8 +7,10 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
+from hnn_vi_ros.automatic_choice import Chosen
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.choosing import Event, resolve
+from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recording import Recording
@@ -36,6 +38,8 @@ class Prepared(NamedTuple):
     ----------
     scene : Scene
         What is simulated, resolved.
+    chosen : Chosen or None
+        What the integrator auto chose, if the scene has it.
     simulation : Simulation
         Made of it, compiled, in its initial state.
     box : tuple of np.ndarray, shape (d, 2) each
@@ -52,6 +56,7 @@ class Prepared(NamedTuple):
     """
 
     scene: Scene
+    chosen: Chosen | None
     simulation: Simulation
     box: tuple[np.ndarray, np.ndarray]
     report: dict[str, Any]
@@ -91,7 +96,7 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
     factor = values['real_time_factor']
     scene, step, origin = _load(values)
     begin('choosing the integrator')
-    scene, events = resolve(scene, 1.0 / values['publish_rate'], factor, logger)
+    scene, chosen, events = choose(scene, 1.0 / values['publish_rate'], factor, logger)
     begin('compiling the kernel')
     simulation = _compile(scene, logger)
     if step:
@@ -109,7 +114,7 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
     if values['explain'] and scene.effects:
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
-    report = scene_report(scene, simulation, origin, cost, values['explain'])
+    report = scene_report(scene, simulation, origin, cost, values['explain'], chosen)
     if values['autostart']:
         while not discovery.over:
             begin('waiting for subscribers')
@@ -119,7 +124,7 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, values, topics, box, report, sampler)
-    return Prepared(scene, simulation, box, report, recording, events, origin)
+    return Prepared(scene, chosen, simulation, box, report, recording, events, origin)
 
 
 def _load(values: dict) -> tuple[Scene, int, int]:
@@ -147,7 +152,7 @@ def check_pace(real_time_factor: float, tick: float) -> None:
 def _compile(scene: Scene, logger: RcutilsLogger) -> Simulation:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
-        simulation = Simulation.from_scene(scene)
+        simulation = build(scene)
         seconds = simulation.compile()
     for warning in caught:
         logger.warning(str(warning.message))

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.described_scene import described_scene, ONE_RUN, only_scene
 from hnn_vi_ros.ros.held_state import STATE_FILE
@@ -51,7 +52,7 @@ class Resumption:
 
     def simulation(self) -> Simulation:
         """Return a simulation that stands where the log ends; HnnViRosError if none can be."""
-        simulation = Simulation.from_scene(self.scene)
+        simulation = build(self.scene)
         state = self.scene.initial_state
         simulation.restart(state.q, state.p, step=self.step)
         return simulation

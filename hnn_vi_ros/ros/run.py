@@ -59,6 +59,7 @@ class Run:
                  stop: Callable[[int, str], None]):
         self._node, self._topics, self._stop, self._values = node, topics, stop, values
         self._scene, self.recording = prepared.scene, prepared.recording
+        self._chosen = prepared.chosen
         self.simulation = watched(prepared.simulation, prepared.scene)
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
@@ -79,14 +80,14 @@ class Run:
             node.get_logger().warning(self.sampler.deviation)
 
     def _make_monitor(self) -> Monitor:
-        scene, sampler, values = self._scene, self.sampler, self._values
+        sampler, values = self.sampler, self._values
         scale = SampledScale(hamiltonian := self.simulation.hamiltonian)
         guards = [*make_guards(self.simulation, scale, values['energy_band_limit'],
                                values['energy_change_limit'], hamiltonian.barrier)]
         if values['real_time_factor']:
             guards.append(OverrunGuard(self.pacer))
         return Monitor(
-            self.simulation, sampler.every, sampler.tick, scene.chosen and scene.chosen[0],
+            self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.budget,
             lambda text, first: self.tell(text, 'WARN', first), guards, scale)
 
     def _begin(self, monitor: Monitor) -> None:

@@ -7,12 +7,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.automatic_choice import Chosen
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 
 
-def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_step: int = 0
-                   ) -> dict[str, Any]:
+def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_step: int = 0,
+                   chosen: Chosen | None = None) -> dict[str, Any]:
     """
     Return the scene with all defaults, what auto chose, and where it and H come from.
 
@@ -25,13 +26,14 @@ def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_
     origin, first_step : int
         Stamp of step 0 [ns], and the step at the scene's initial state: what else a run needs
         that is to be had again.
+    chosen : Chosen or None
+        What the integrator auto chose, if it was asked.
 
     """
-    chosen = {}
-    if scene.chosen is not None:
-        chosen = dict(zip(('budget', 'choice'), map(asdict, scene.chosen), strict=True))
+    choice = {} if chosen is None else {
+        'budget': asdict(chosen.budget), 'choice': asdict(chosen.choice)}
     begin = {'source': _place(scene.source), 'origin': origin, 'first_step': first_step}
-    return (scene.model_dump() | chosen | simulation.hamiltonian.provenance
+    return (scene.model_dump() | choice | simulation.hamiltonian.provenance
             | {'model_files': scene.model_digests} | begin)
 
 
@@ -44,8 +46,8 @@ def _place(file: Path) -> str:
 
 
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
-                 microseconds_per_step: float | None = None, explain: bool = False
-                 ) -> dict[str, Any]:
+                 microseconds_per_step: float | None = None, explain: bool = False,
+                 chosen: Chosen | None = None) -> dict[str, Any]:
     """
     Return the resolved scene, with what is live in it: what ~/scene and the log tell.
 
@@ -62,9 +64,11 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
     explain : bool
         Whether to tell that, and to measure what each effect adds; compiles a kernel for each.
         Without it equal runs tell the same.
+    chosen : Chosen or None
+        What the integrator auto chose, if it was asked.
 
     """
-    report = resolved_scene(scene, simulation, origin, simulation.steps) | {
+    report = resolved_scene(scene, simulation, origin, simulation.steps, chosen) | {
         'live_effects': [effect.model_dump() for effect in scene.effects],
         'conservative': simulation.conservative,
     }

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.ros.held_state import restore_state
@@ -124,7 +125,7 @@ def _missing(run: RecordedRun, begin: int) -> str:
 
 def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
     """Return a simulation of the bag's beginning, its first state changed by a small part."""
-    simulation = Simulation.from_scene(run.scene)
+    simulation = build(run.scene)
     for name, value in simulation.hamiltonian.provenance.items():
         if run.described.get(name, value) != value:
             raise RecordingError(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import math
 import time
 
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
@@ -58,7 +59,7 @@ def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -
     """
     effects = scene.effects
     kept = [effects, [], *(effects[:i] + effects[i + 1:] for i in range(len(effects)))]
-    simulations = [Simulation.from_scene(scene)]
+    simulations = [build(scene)]
     steps = _calibrate(simulations[0], scene, batch_time)
     for variant in kept[1:]:
         simulations.append(_try_to_run(scene.model_copy(update={'effects': variant}), steps))
@@ -87,7 +88,7 @@ def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
 def _try_to_run(variant: Scene, steps: int) -> Simulation | None:
     """Build and warm up a part of the scene; None where it cannot do without the rest."""
     try:
-        simulation = Simulation.from_scene(variant)
+        simulation = build(variant)
         _run(simulation, variant, steps)
     except HnnViRosError:
         return None

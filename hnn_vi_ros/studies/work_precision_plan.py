@@ -12,6 +12,7 @@ import math
 from pathlib import Path
 from typing import Annotated
 
+from hnn_vi_ros.automatic_choice import resolve
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -93,7 +94,7 @@ def prepare(arguments: argparse.Namespace, name: str, out: Path | None) -> Study
     """
     grid = load_yaml(share_folder() / 'config' / 'studies' / 'work_precision.yaml', Grid,
                      ParameterError)
-    scene = load_scene(name).resolved()
+    scene, _ = resolve(load_scene(name))
     if scene.effects:
         raise ParameterError(f'{scene.source}: lists effects; accuracy is studied on the motion '
                              'of H alone: give a scene without effects')

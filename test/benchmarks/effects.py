@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
+from hnn_vi_ros.build import build
 from hnn_vi_ros.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
@@ -62,7 +63,7 @@ def rows(settings: Settings) -> Iterator[Row]:
 def _conservative(name: str, steps: int, settings: Settings) -> Row:
     """Compare the scene, all effects installed, with its method compiled over H by hand."""
     scene = load_scene(name)
-    simulation = Simulation.from_scene(scene)
+    simulation = build(scene)
     hamiltonian, method = scene.create_hamiltonian(), scene.create_integrator()
     step_bare, z = bare(hamiltonian, method, scene.step_size, simulation.q, simulation.p, steps)
     simulation.advance(steps)

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import time
 
 from benchmarks.measurement import compare, interleave, Row, Settings
+from hnn_vi_ros.build import build
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.look_ahead import look_ahead
@@ -17,7 +18,6 @@ from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import rclpy
 from rclpy.context import Context
@@ -76,7 +76,7 @@ def _make_tick(node: Node, folder: Path
                ) -> tuple[Callable[[], None], list[float], Recording]:
     """Return what the node does for a sample, the times of its guards [s], and the files."""
     scene = load_scene(_SCENE)
-    simulation = Simulation.from_scene(scene)
+    simulation = build(scene)
     box = look_ahead(simulation, 1.0).box
     sampler, topics = Sampler(simulation, 1.0 / simulation.step_size), Topics(node, False)
     scale = SampledScale(simulation.hamiltonian)

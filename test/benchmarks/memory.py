@@ -14,13 +14,13 @@ from unittest.mock import patch
 
 from benchmarks.cold_start import simulator
 from benchmarks.measurement import Row, Settings
+from hnn_vi_ros.build import build
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks import mcap_sink, rerun_sink
 import rclpy
 from rclpy.context import Context
@@ -97,7 +97,7 @@ def _resident(pid: int | str) -> float:
 def _grow(node: Node, folder: Path, ticks: int) -> float:
     """Return by how much the memory of this process grows while it hands samples out [MB]."""
     scene = load_scene(_SCENE).with_overrides(_STEP, None)
-    simulation = Simulation.from_scene(scene)
+    simulation = build(scene)
     box = look_ahead(simulation, 1.0).box
     sampler, topics = Sampler(simulation, 1.0 / _STEP), Topics(node, False)
     monitor = Monitor(simulation, 1, _STEP, None, lambda text, first: None)

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
+from hnn_vi_ros.build import build
 from hnn_vi_ros.ros.held_state import STATE_FILE, state_file
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.sampling import Sampler
@@ -12,7 +13,6 @@ from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.serialization import serialize
 from hnn_vi_ros.ros.topics import COMMANDS_TOPIC, LATCHED, SCENE_TOPIC
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import Topic
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.sinks.mcap_sink import McapSink
@@ -37,7 +37,7 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
     Of each step, `commands` are what is heard before it; the bag may begin at a later one. It is
     one of before ~/state without `state`.
     """
-    simulation = Simulation.from_scene(scene)
+    simulation = build(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
                        step=described.get('first_step', 0))
     sampler = Sampler(simulation, rate)

@@ -6,10 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hnn_vi_ros import calibration, load_scene
+from hnn_vi_ros.automatic_choice import resolve
+from hnn_vi_ros.build import build
 from hnn_vi_ros.calibration import Choice
 from hnn_vi_ros.ros.choosing import told
 from hnn_vi_ros.ros.scene_report import scene_report
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.trials import Budget
 from processes import finish, start
 import pytest
@@ -33,7 +34,7 @@ def choose(tmp_path: Path, monkeypatch):
         (tmp_path / 'auto.yaml').write_text(AUTO)
         with monkeypatch.context() as patch:
             patch.setattr(calibration, 'calibrate', lambda *_: choice)
-            load_scene(tmp_path / 'auto.yaml').resolved(1.0 / 100.0)
+            resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
     return plant
 
 
@@ -65,8 +66,8 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
 
 def test_scene_report_carries_budget_and_choice(tmp_path, choose):
     choose(CHOICE)
-    scene = load_scene(tmp_path / 'auto.yaml').resolved(1.0 / 100.0)
-    report = scene_report(scene, Simulation.from_scene(scene))
+    scene, chosen = resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
+    report = scene_report(scene, build(scene), chosen=chosen)
     assert report['budget'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0,
                                 'energy_scale': 0.5}
     assert report['choice'] == asdict(CHOICE)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.barrier import BarrierGuard
@@ -213,7 +214,7 @@ def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'varia
     # Gravity beside a pendulum's own moves its separatrix.
     (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]),
      [ResolutionGuard, EnergyGuard]),
-    (Simulation.from_scene(load_scene('pendulum')), [BoxGuard, ResolutionGuard, EnergyGuard]),
+    (build(load_scene('pendulum')), [BoxGuard, ResolutionGuard, EnergyGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
     guards = make_guards(simulation, fixed(1.0), 0.05, 0.02, simulation.hamiltonian.barrier)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
@@ -16,7 +17,6 @@ from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.trials import Budget
 from peer import hearing
 from processes import finish, start
@@ -124,7 +124,7 @@ class Run:
     def __init__(self, folder: Path, budget: Budget | None = None, factor: float = 1.0):
         (folder / 'scene.yaml').write_text(SCENE)
         scene = load_scene(folder / 'scene.yaml')
-        self.simulation = Simulation.from_scene(scene)
+        self.simulation = build(scene)
         self.sampler = Sampler(self.simulation, 100.0)
         self.warnings: list[tuple[str, bool]] = []
         self.monitor = Monitor(

@@ -9,7 +9,7 @@ import sys
 import time
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.build import build
 import numpy as np
 from processes import finish, start
 import pytest
@@ -41,7 +41,7 @@ import sys
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
-simulation = Simulation.from_scene(load_scene(sys.argv[1]))
+simulation = build(load_scene(sys.argv[1]))
 with np.load('halfway.npz') as snapshot:
     simulation.restore(snapshot)
 q, p = simulation.record(int(sys.argv[2]), 1)
@@ -122,9 +122,9 @@ def test_run_resumed_from_a_file_is_bit_identical_with_the_uninterrupted(tmp_pat
     """Saved halfway, and resumed by another process."""
     scene, n = tmp_path / 'scene.yaml', 5000
     scene.write_text(text)
-    whole = Simulation.from_scene(load_scene(scene))
+    whole = build(load_scene(scene))
     q, p = whole.record(2 * n, 1)
-    half = Simulation.from_scene(load_scene(scene))
+    half = build(load_scene(scene))
     half.advance(n)
     np.savez(tmp_path / 'halfway.npz', **half.snapshot())
     subprocess.run([sys.executable, '-c', RESUME, scene, str(n)], cwd=tmp_path, check=True,

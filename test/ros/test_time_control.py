@@ -10,9 +10,9 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, ClockPublisher
 from hnn_vi_ros.ros.pacing import Pacer
-from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from peer import Peer, peer, SIMULATOR, stamp
 from processes import finish, read_bag, start
@@ -99,7 +99,7 @@ def test_pause_holds_time_and_is_not_caught_up_with(folder):
 
 def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
     scene = load_scene(folder / 'driven.yaml')
-    expected = Simulation.from_scene(scene)
+    expected = build(scene)
     process = start(folder, scene='driven.yaml', start_paused='true', record_path='bag',
                     rerun_sink='none')
     with peer() as other:

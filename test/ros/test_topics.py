@@ -7,6 +7,7 @@ from pathlib import Path
 import time
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.local_error import local_error
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.look_ahead import look_ahead
@@ -61,7 +62,7 @@ def load(folder: Path, text: str):
 
 
 def simulation_of(folder: Path, text: str) -> Simulation:
-    return Simulation.from_scene(load(folder, text))
+    return build(load(folder, text))
 
 
 def sample_of(simulation: Simulation, **changes: float) -> Sample:
@@ -246,7 +247,7 @@ def test_scene_reaches_a_subscriber_that_comes_later(tmp_path, nodes):
 
 def test_scene_report_names_live_effects_and_what_they_cost(tmp_path):
     scene = load(tmp_path, COMMANDED)
-    simulation = Simulation.from_scene(scene)
+    simulation = build(scene)
     report = scene_report(scene, simulation, origin=5)
     assert report['live_effects'] == [
         {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None}]

@@ -12,6 +12,7 @@ import time
 from types import SimpleNamespace
 
 from hnn_vi_ros import load_scene, yaml_text
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
 from hnn_vi_ros.named_code import trusting
 from hnn_vi_ros.resources import shipped_file
@@ -24,7 +25,6 @@ from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.yaml_text import dump_yaml
 from processes import finish, start, start_executable, started, wait_until
 from pydantic import ValidationError
@@ -81,7 +81,7 @@ def record(folder: Path, **described: object) -> Path:
 
 def described(**changes: object) -> str:
     scene = load_scene('exact_pendulum')
-    return dump_yaml(resolved_scene(scene, Simulation.from_scene(scene)) | changes)
+    return dump_yaml(resolved_scene(scene, build(scene)) | changes)
 
 
 def to_file(path: Path) -> list[str]:
@@ -263,7 +263,7 @@ def test_models_of_effects_are_recorded_with_their_digests(tmp_path):
     path.write_text(dump_yaml(load_scene('exact_pendulum').model_dump() | {
         'effects': [{'kind': 'learned_dissipation', 'model': 'm.safetensors'}]}))
     scene = load_scene(path)
-    told = scene_report(scene, Simulation.from_scene(scene))
+    told = scene_report(scene, build(scene))
     assert told['model_files'] == scene.model_digests
     again, _ = described_scene(dump_yaml(told), 'here')
     assert len(again.create_effects()) == 1

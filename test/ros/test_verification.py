@@ -7,6 +7,7 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.identity import identity
 from hnn_vi_ros.ros import verification
@@ -15,7 +16,6 @@ from hnn_vi_ros.ros.held_state import restore_state, state_file
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.verification import verify
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from mcap.writer import Writer
 import numpy as np
@@ -110,7 +110,7 @@ def test_bag_of_another_recorder_that_lacks_a_topic_is_one_line(tmp_path, withou
     lambda state: state.update(way=np.array(7)), lambda state: state.update(way=np.array(-1)),
     lambda state: state.update(steps=np.array(-1))])
 def test_state_that_is_not_of_the_simulation_is_refused_and_changes_nothing(change):
-    simulation = Simulation.from_scene(load_scene('exact_pendulum'))
+    simulation = build(load_scene('exact_pendulum'))
     state = safetensors.numpy.load(state_file(simulation))
     change(state)
     for data in (safetensors.numpy.save(state), b'', bytes(100)):
@@ -271,7 +271,7 @@ def test_agreement_elsewhere_says_so(tmp_path, elsewhere):
 
 def test_log_of_another_model_is_refused(tmp_path):
     scene = load_scene('harmonic_oscillator')
-    provenance = Simulation.from_scene(scene).hamiltonian.provenance
+    provenance = build(scene).hamiltonian.provenance
     name = next(iter(provenance))
     bag = record_run(tmp_path / 'bag', scene, 5, **{name: 'another'})
     with pytest.raises(RecordingError, match=f'another model: its {name} is another'):
@@ -296,7 +296,7 @@ def test_steps_of_next_to_no_time_are_one_line_to_node_and_bridge(tmp_path, monk
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=5e-324)
     run = RecordedRun(bag)
     with pytest.raises(ParameterError, match='inf steps from sample to sample are too many'):
-        Sampler(Simulation.from_scene(run.scene), 100.0)
+        Sampler(build(run.scene), 100.0)
     picture = BridgePicture(run.scene, tmp_path / 'a.rrd', 'a')
     with pytest.raises(RecordingError, match='more than can be counted'):
         picture.show(run.state(next(run.reader.messages(run.states))))

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.scene_report import resolved_scene
 from hnn_vi_ros.scene_tool import check
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import qos_profiles
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.yaml_text import dump_yaml
@@ -105,7 +105,7 @@ def test_scene_is_read_by_each_way(ways, way):
 
 
 RESOLVED = dump_yaml(resolved_scene(
-    load_scene('exact_pendulum'), Simulation.from_scene(load_scene('exact_pendulum'))))
+    load_scene('exact_pendulum'), build(load_scene('exact_pendulum'))))
 PIECES = strategies.one_of(
     strategies.text(max_size=8), strategies.floats().map(str), strategies.integers().map(str),
     strategies.sampled_from([

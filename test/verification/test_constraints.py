@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cached_property
 
 from helpers import EPS, Uncompiled
+from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.gravity import Gravity
@@ -633,7 +634,7 @@ def test_constraint_of_a_function_beside_its_scene_runs_compiled_as_the_named_on
     (tmp_path / 'wire_for_a_scene.py').write_text(MODULE)
     path = tmp_path / 'scene.yaml'
     path.write_text(SCENE.replace('NAME', 'sphere'))
-    simulation = Simulation.from_scene(load_scene(path))
+    simulation = build(load_scene(path))
     named = at_rest(free('x', 'y', 'z'), [0.6, 0.0, -0.8],
                     [Gravity('z'), HolonomicConstraint(**SPHERE)], [0.0, 1.5, 0.0])
     for each in (simulation, named):
@@ -641,7 +642,7 @@ def test_constraint_of_a_function_beside_its_scene_runs_compiled_as_the_named_on
     assert simulation.q == pytest.approx(named.q, abs=100 * 50 * 64 * EPS)
     path.write_text(SCENE.replace('NAME', 'not_for_numba'))
     with pytest.raises(SceneError, match=r'scene.yaml:4: effects.1: .*numba cannot'):
-        Simulation.from_scene(load_scene(path))
+        build(load_scene(path))
 
 
 def test_constraint_of_a_function_is_refused_in_what_is_not_trusted():
@@ -656,4 +657,4 @@ def test_redundant_constraint_of_a_scene_is_told_with_its_line(tmp_path):
     lines = SCENE.splitlines()
     path.write_text('\n'.join([*lines[:3], f'  - {sphere}', f'  - {sphere}', *lines[4:]]))
     with pytest.raises(SceneError, match=r'scene.yaml:5: effects.2: .* is redundant'):
-        Simulation.from_scene(load_scene(path))
+        build(load_scene(path))
