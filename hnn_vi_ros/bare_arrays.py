@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arrays without owners: inside a compiled loop nothing counts who uses them."""
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from hnn_vi_ros.linking import LINK_ONLY
 from llvmlite import ir
@@ -42,22 +42,22 @@ def _bare(value):
 @intrinsic
 def _replace_owners(_context, value):
     def generate(context, builder, signature, arguments):
-        replaced = _replaced(context, builder, signature.return_type, arguments[0])
-        # What is no array keeps its count: the result is a reference of its own.
-        context.nrt.incref(builder, signature.return_type, replaced)
-        return replaced
+        return _replaced(context, builder, signature.return_type, arguments[0], ())
     return value(value), generate
 
 
-def _replaced(context: BaseContext, builder: ir.IRBuilder, kind: types.Type, value: Any) -> Any:
-    """Return a value of numba's type ``kind`` with null owners."""
+def _replaced(context: BaseContext, builder: ir.IRBuilder, kind: types.Type, value: ir.Value,
+              place: tuple[int, ...]) -> ir.Value:
+    """Return a value, of numba's type ``kind`` at this place in it, with null owners there."""
     if isinstance(kind, types.Array):
-        array = cgutils.create_struct_proxy(kind)(context, builder, value=value)
-        array.meminfo = cgutils.get_null_value(array.meminfo.type)
-        array.parent = cgutils.get_null_value(array.parent.type)
-        return array._getvalue()
-    if isinstance(kind, types.BaseTuple):
+        model = context.data_model_manager[kind]
+        for owner in ('meminfo', 'parent'):
+            null = cgutils.get_null_value(context.get_value_type(model.get_type(owner)))
+            value = builder.insert_value(value, null, (*place, model.get_field_position(owner)))
+    elif isinstance(kind, types.BaseTuple):
         for k, part in enumerate(kind.types):
-            new = _replaced(context, builder, part, builder.extract_value(value, k))
-            value = builder.insert_value(value, new, k)
+            value = _replaced(context, builder, part, value, (*place, k))
+    elif context.data_model_manager[kind].contains_nrt_meminfo():
+        # What is no array keeps its count: the result is a reference of its own.
+        context.nrt.incref(builder, kind, builder.extract_value(value, place) if place else value)
     return value

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import FunctionType
 
 from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.linking import LINK_ONLY, Part
+from hnn_vi_ros.linking import LINK_ONLY, Part, Whole
 import numba
 from numba.extending import register_jitable
 
@@ -18,6 +18,9 @@ from numba.extending import register_jitable
 inlined = register_jitable(forceinline=True, **LINK_ONLY)
 # The same, for what is called so seldom that a call costs less than a larger function to compile.
 called = register_jitable(**LINK_ONLY)
+
+# Of loops, which only Python calls.
+_LOOP = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 
 _PACKAGE = __name__.partition('.')[0]
 # Modules beside those in the folders of `sources`: compiled as well, or by which it is composed.
@@ -100,7 +103,7 @@ def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True)
 
 @cache
 def _uncached(loop: Callable) -> Callable:
-    return numba.njit(loop, nogil=True)
+    return numba.njit(loop, **_LOOP)
 
 
 @cache
@@ -110,7 +113,7 @@ def _cached(loop: Callable, *names: str) -> Callable:
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
     digest = sha256('/'.join([*names, sources()]).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
-    return numba.njit(copy, nogil=True, cache=True)
+    return numba.njit(copy, cache=True, **_LOOP)
 
 
 @cache
@@ -166,7 +169,7 @@ def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Cal
     function.__qualname__ = f'{names}({base.py_func.__qualname__})'
     # Inlined like what it calls; see the network's gradient.
     inline = base.targetoptions.get('forceinline', False)
-    return numba.njit(function, error_model='numpy', forceinline=inline)
+    return numba.njit(function, error_model='numpy', forceinline=inline, no_cfunc_wrapper=True)
 
 
 def _give_identity(dispatcher: Callable, name: str) -> None:

@@ -14,6 +14,7 @@ This is the one file that uses numba's compiler passes and code libraries.
 from collections.abc import Callable
 from typing import Any
 
+from llvmlite.binding import Linkage
 from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -100,17 +101,57 @@ class _Lowering(NativeLowering):
         return True
 
 
-class LinkOnly(CompilerBase):
-    """Numba's compiler, for functions that are never called from Python."""
+class _WholeLibrary(JITCodeLibrary):
+    """Code that holds all that it calls, under names that nothing outside of it sees."""
+
+    def _optimize_final_module(self) -> None:
+        # Numba numbers functions of one name and type in the order in which a process compiles
+        # them. Code from the cache may hold the number of another function of this process, of
+        # which the first to be loaded would be called by both.
+        super()._optimize_final_module()
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr:
+                function.linkage = 'internal'
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _WholeLowering(NativeLowering):
+    """Numba's last pass, into a library that shares nothing."""
+
+    _name = 'whole_lowering'
+
+    def run_pass(self, state: dict) -> bool:
+        """Translate and load a function with all that it calls."""
+        state.library = _WholeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().run_pass(state)
+
+
+class _Compiler(CompilerBase):
+    """Numba's compiler with another last pass."""
+
+    lowering: type[NativeLowering]
 
     def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes with the last one replaced."""
+        """Return the passes."""
         whole = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes = PassManager('link_only')
+        passes = PassManager(self.lowering._name)
         for kind, description in whole.passes:
-            passes.add_pass(_Lowering if kind is NativeLowering else kind, description)
+            passes.add_pass(self.lowering if kind is NativeLowering else kind, description)
         passes.finalize()
         return [passes]
+
+
+class LinkOnly(_Compiler):
+    """For functions that are never called from Python."""
+
+    lowering = _Lowering
+
+
+class Whole(_Compiler):
+    """For functions that nothing but Python calls."""
+
+    lowering = _WholeLowering
 
 
 class Part(CPUDispatcher):

@@ -4,8 +4,10 @@
 
 from collections.abc import Callable
 import re
+from types import FunctionType
 
 from hnn_vi_ros.bare_arrays import bare
+from hnn_vi_ros.compilation import compiled_loop
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.linking import LinkOnly, Part, part
@@ -102,6 +104,16 @@ def test_bare_arrays_are_the_same_memory_and_their_owners_keep_them():
     assert bare(x) is x
 
 
+def test_text_beside_bare_arrays_keeps_its_owner():
+    @numba.njit
+    def text_of(state):
+        _, text = bare(state)
+        return text
+
+    texts = [chr(97 + k % 26) * k for k in range(200)]
+    assert [text_of((np.zeros(2), text)) for text in texts] == texts
+
+
 def run(loop: Callable) -> tuple[numba.core.event.RecordingListener, float, float]:
     """Take five steps from one state; return what was compiled for it, and the end."""
     simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](),
@@ -115,8 +127,10 @@ def run(loop: Callable) -> tuple[numba.core.event.RecordingListener, float, floa
     return recorder, float(q[0, 0]), float(p[0, 0])
 
 
-def test_loop_of_an_implicit_step_counts_no_references_and_makes_no_texts():
-    loop = numba.njit(advance)
+def test_loop_counts_no_references_makes_no_texts_and_shares_no_functions():
+    # A copy: what is kept on disk shows no code.
+    copy = FunctionType(advance.__code__, advance.__globals__)
+    loop = compiled_loop(copy, HAMILTONIANS['tao']().kernel, 'any', own=False)
     recorder, *end = run(loop)
     modules = {event.data['dispatcher'].py_func.__module__ for _, event in recorder.buffer}
     assert 'hnn_vi_ros.loops' in modules and 'numba.cpython.unicode' not in modules
@@ -128,5 +142,7 @@ def test_loop_of_an_implicit_step_counts_no_references_and_makes_no_texts():
                 if re.search(r'call .*@NRT_(?:incref|decref)', body)]
     assert any('advance' in name and name not in counting for name in bodies)
     assert counting and all('cpython' in name for name in counting)
+    # Code from the cache must not find its functions elsewhere.
+    assert not re.search('^define (?:weak|linkonce)', code, re.M)
     # Neither may reorder or fuse operations: plain Python ends in the same numbers.
     assert run(advance)[1:] == tuple(end)
