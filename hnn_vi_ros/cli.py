@@ -15,7 +15,7 @@ from types import FrameType
 from typing import NoReturn
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.standard_streams import guard_streams, lost_output
+from hnn_vi_ros.standard_streams import ENDING, guard_streams, lost_output
 
 # Import names whose package on PyPI has another name.
 _PIP_NAMES = {
@@ -147,7 +147,7 @@ def _run(name: str, module: str) -> NoReturn:
     except SystemExit as end:
         # From argparse, which has printed help, or what is wrong.
         status = end.code
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ENDING:
         # Nothing is to interrupt the end, that of the interpreter included.
         signal.signal(number, signal.SIG_IGN)
     sys.exit(_with_output(name, status))

@@ -4,8 +4,12 @@
 
 import io
 import os
+import signal
 import sys
 from typing import TextIO
+
+# By which a user or the system ends a process in good order; the last when its terminal closes.
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class _Lossy(io.FileIO):

@@ -229,7 +229,7 @@ def find_type(name: str) -> type:
 
 
 def main(argv: list[str]) -> int:
-    """Play or verify a bag, until its end or SIGINT or SIGTERM."""
+    """Play or verify a bag, until its end or a signal."""
     parser = arguments.replay()
     words = own_arguments(argv)
     options = parser.parse_args(words)

@@ -247,7 +247,7 @@ class RerunBridge(Node):
 
 
 def main(argv: list[str]) -> int:
-    """Show a simulator until SIGINT or SIGTERM, or a bag until it is shown."""
+    """Show a simulator until a signal, or a bag until it is shown."""
     options = arguments.rerun_bridge().parse_args(own_arguments(argv))
     init_ros(argv)
     received = note_signals()

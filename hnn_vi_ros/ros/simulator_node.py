@@ -213,7 +213,7 @@ class SimulatorNode(ManagedNode):
 
 
 def main(argv: list[str]) -> int:
-    """Run the node until its duration is over, a guard stops it, or SIGINT or SIGTERM arrives."""
+    """Run the node until its duration is over, a guard stops it, or a signal arrives."""
     command_lines.simulator().parse_args(own_arguments(argv))
     init_ros(argv)
     # Not rclpy's handlers, which would end the context before the files are closed.

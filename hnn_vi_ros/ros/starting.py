@@ -9,7 +9,7 @@ import signal
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.standard_streams import spare_output
+from hnn_vi_ros.standard_streams import ENDING, spare_output
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -83,8 +83,13 @@ def plain_ros_errors(what: str) -> Iterator[None]:
 
 
 def note_signals() -> list[int]:
-    """Let SIGINT and SIGTERM end nothing by themselves; return the list that they appear in."""
+    """
+    Let the signals that end a node end nothing by themselves; return the list they appear in.
+
+    SIGHUP, of a terminal that is closed, is one of them, unless it is ignored (``nohup``).
+    """
     received: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, frame: received.append(number))
+    for number in ENDING:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda number, frame: received.append(number))
     return received

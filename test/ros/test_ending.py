@@ -11,6 +11,8 @@ import time
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros import run_folder
+from hnn_vi_ros.ros.starting import note_signals
+from hnn_vi_ros.standard_streams import ENDING
 from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer
 from processes import finish, read_bag, start, start_executable
 import pytest
@@ -63,6 +65,19 @@ def test_simulator_that_is_interrupted_again_and_again_completes_its_bag(tmp_pat
     assert status == 0 and 'bag ' in out
     assert (tmp_path / 'bag' / 'metadata.yaml').exists()
     assert len(read_bag(tmp_path / 'bag')['/hnn_simulator/q']) > 20
+
+
+def test_hangup_is_noted_like_other_signals_unless_it_is_ignored():
+    before = {number: signal.getsignal(number) for number in ENDING}
+    try:
+        for handler, noted in ((signal.SIG_DFL, [signal.SIGHUP]), (signal.SIG_IGN, [])):
+            signal.signal(signal.SIGHUP, handler)
+            received = note_signals()
+            signal.raise_signal(signal.SIGHUP)
+            assert received == noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @pytest.mark.parametrize('executable', ['simulator', 'replay', 'rerun_bridge', 'listener',
