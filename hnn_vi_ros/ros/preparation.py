@@ -14,6 +14,7 @@ from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.remapped_topics import KEY
 from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Scene
@@ -115,6 +116,8 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
     report = scene_report(scene, simulation, origin, cost, values['explain'], chosen)
+    if topics.remapped:
+        report[KEY] = dict(topics.remapped)
     if values['autostart']:
         while not discovery.over:
             begin('waiting for subscribers')

@@ -12,6 +12,7 @@ from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.described_scene import described_scene, ONE_RUN, only_scene
 from hnn_vi_ros.ros.held_state import STATE_FILE
+from hnn_vi_ros.ros.remapped_topics import own_topics
 from hnn_vi_ros.ros.sampling import steps_between
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
@@ -94,7 +95,7 @@ class RecordedRun:
 
     def __init__(self, bag: Path, trust_code: bool = False):
         self.reader = BagReader(bag)
-        self._topics = {channel.topic: number for number, channel in self.reader.channels.items()}
+        self._topics = own_topics(self.reader)
         self.node, self._names = self._find_node()
         self._where = f'{self.reader.path}: its scene'
         self.scene, self.described = described_scene(
@@ -102,6 +103,11 @@ class RecordedRun:
         self.origin = self._count('origin')
         self.first_step = self._count('first_step')
         self._nanoseconds = Fraction(repr(self.scene.step_size)) * 10**9
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Return the last part of each topic's own name, by channel."""
+        return {number: topic.rpartition('/')[2] for topic, number in self._topics.items()}
 
     def told(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """

@@ -21,6 +21,7 @@ from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.player import Player, read_ahead
 from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
+from hnn_vi_ros.ros.remapped_topics import own_topics
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
@@ -127,7 +128,7 @@ class ReplayNode(Node):
                                  f'{", ".join(known) or "none"}')
         left_out = {CLOCK_TOPIC[0]} if values['publish_clock'] else set()
         if not wanted:
-            left_out |= self._heard(known)
+            left_out |= self._heard()
         topics: dict[str, Publisher] = {}
         publishers: dict[int, Publisher] = {}
         for number, channel in self._reader.channels.items():
@@ -144,9 +145,11 @@ class ReplayNode(Node):
             raise RecordingError(f'{self._reader.path}: holds no topic that can be published')
         return publishers
 
-    def _heard(self, topics: Sequence[str]) -> set[str]:
+    def _heard(self) -> set[str]:
         """Return the commands that a recorded simulator heard: they would drive one that runs."""
-        heard = {name for name in topics if name.endswith('/commands')
+        topics = own_topics(self._reader)
+        heard = {self._reader.channels[number].topic for name, number in topics.items()
+                 if name.endswith('/commands')
                  and f'{name.removesuffix("commands")}scene' in topics}
         for name in sorted(heard):
             self.get_logger().info(f'{name} is left out, since it would drive a simulator that '

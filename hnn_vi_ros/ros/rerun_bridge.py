@@ -122,8 +122,7 @@ class RerunBridge(Node):
         run = RecordedRun(bag, self._values['trust_code'])
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
-        names = {number: channel.topic.rpartition('/')[2]
-                 for number, channel in run.reader.channels.items()}
+        names = run.names
         if run.states:
             self._show_states(run, [*run.states, *(
                 number for number, name in names.items() if name in ('diagnostics', 'events'))])
@@ -143,6 +142,9 @@ class RerunBridge(Node):
 
     def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
         """Show the samples of a bag of before ~/state."""
+        if lacking := NEEDED.difference(names.values()):
+            raise RecordingError(f'{run.reader.path}: holds no {min(lacking)} of {run.node}: '
+                                 'without ~/state, that is needed to show its samples')
         tick, stamp = {}, -1
         for message in run.reader.messages(names):
             if message.time != stamp:

@@ -15,6 +15,7 @@ from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
+from hnn_vi_ros.ros.remapped_topics import remapped
 from hnn_vi_ros.ros.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.bag_metadata import BagTopics, Topic
@@ -186,12 +187,13 @@ class Topics:
 
     @property
     def descriptions(self) -> BagTopics:
-        """Return what the log says of the topics of every tick, and of the scene's."""
+        """Return what the log says of the topics."""
         return BagTopics(
             [describe_topic(publisher.topic_name, message_type, publisher.qos_profile)
              for publisher, (_, message_type)
              in zip(self._publishers, self._tick_topics, strict=True)],
-            describe_topic(self._scene.topic_name, String, self._scene.qos_profile))
+            describe_topic(self._scene.topic_name, String, self._scene.qos_profile),
+            remapped(self._node, [endpoint.topic for endpoint in ENDPOINTS]))
 
     def count_subscribers(self) -> int:
         """Return the number of subscribers to the topics of every tick."""

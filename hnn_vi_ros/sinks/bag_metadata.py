@@ -59,11 +59,14 @@ class BagTopics(NamedTuple):
         Those of every tick, in the order of its payloads.
     scene : Topic
         That of the scene.
+    remapped : mapping of str to str
+        What topics are called, by their own names, where these are others.
 
     """
 
     tick: Sequence[Topic]
     scene: Topic
+    remapped: Mapping[str, str] = {}
 
 
 class Extent(NamedTuple):

@@ -213,7 +213,8 @@ def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber
     assert np.array_equal(error, budget)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda s: s.name)
+@pytest.mark.parametrize(
+    'number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda s: s.name)
 def test_simulator_signal_closes_the_files_within_5_s_and_exits_0(folder, number):
     process = start(folder, record_path='bag', rerun_path='picture.rrd')
     wait_until(lambda: recorded_until(folder / 'bag' / 'bag_0.mcap'))

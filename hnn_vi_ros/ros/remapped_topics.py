@@ -1,0 +1,77 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of the simulator that were remapped: what tells of it, and how a bag is read by it."""
+
+from collections.abc import Iterable, Iterator
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.yaml_text import parse_mapping
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+# Of what ~/scene and the bag tell.
+KEY = 'remapped'
+_STRING = 'std_msgs/msg/String'
+
+
+def remapped(node: Node, topics: Iterable[str]) -> dict[str, str]:
+    """
+    Return what topics of a node are called, by their full names, where these are others.
+
+    Parameters
+    ----------
+    node : Node
+        That was given rules of remapping, or none.
+    topics : iterable of str
+        As they stand in its code, ``'~/state'``.
+
+    """
+    names = {expand_topic_name(topic, node.get_name(), node.get_namespace()):
+             node.resolve_topic_name(topic) for topic in topics}
+    return {own: called for own, called in names.items() if own != called}
+
+
+def own_topics(reader: BagReader) -> dict[str, int]:
+    """
+    Return the channels of a bag by their topics; one that was remapped by its own name as well.
+
+    Parameters
+    ----------
+    reader : BagReader
+        Of a bag of the simulator, or of another recorder that holds ~/scene.
+
+    """
+    topics = {channel.topic: number for number, channel in reader.channels.items()}
+    found: dict[str, int] = {}
+    for text in _scenes(reader, topics):
+        try:
+            told = parse_mapping(text, reader.path, RecordingError)[0].get(KEY)
+        except RecordingError:
+            # Whoever needs the scene says what is wrong with it.
+            continue
+        for own, called in (told if isinstance(told, dict) else {}).items():
+            if isinstance(called, str) and called in topics:
+                found[own] = topics[called]
+    return topics | found
+
+
+def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
+    """Yield the texts that may be scenes: that of the bag, else the first of each such topic."""
+    try:
+        yield reader.attachment('scene.yaml')
+        return
+    except RecordingError:
+        pass
+    for topic, number in topics.items():
+        schema = reader.schemas.get(reader.channels[number].schema_id)
+        if topic.endswith('/scene') and schema is not None and schema.name == _STRING:
+            for message in reader.messages([number]):
+                try:
+                    yield deserialize_message(message.data, String).data
+                except RuntimeError:
+                    # No message of this type, which is told where it is needed.
+                    pass
+                break
