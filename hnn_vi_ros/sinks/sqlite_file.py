@@ -14,9 +14,11 @@ from hnn_vi_ros.sinks.mcap_records import LARGEST
 from hnn_vi_ros.sinks.regular_file import open_file
 from mcap.records import Channel, Message, Schema
 
-# Rows that are read together, and how much they may hold [bytes].
-_ROWS = 20
+# Rows that are read together, as a power of two, and how much they may hold [bytes].
+_SHIFT = 4
 _MOST = 2**30
+# Of what a message is stamped with.
+_STAMPED = "typeof(timestamp) = 'integer' AND timestamp >= 0"
 
 
 @final
@@ -43,18 +45,23 @@ class SqliteFile(Source):
                 raise RecordingError(f'{name}: no bag: it has no tables topics and messages')
             columns = {row[1] for row in database.execute('PRAGMA table_info(topics)')}
             self._add_topics(database, columns)
+            # Of the column id, which a file may declare as anything, nothing is asked.
             self.pieces = [
-                Piece(first, last, rows * _ROWS, _ROWS) for rows, first, last in database.execute(
-                    f'SELECT id / {_ROWS}, min(timestamp), max(timestamp) FROM messages '
-                    f"WHERE typeof(timestamp) = 'integer' GROUP BY id / {_ROWS} ORDER BY id")]
+                Piece(first, last, rows << _SHIFT, 1 << _SHIFT)
+                for rows, first, last in database.execute(
+                    f'SELECT rowid >> {_SHIFT}, min(timestamp), max(timestamp) FROM messages '
+                    f'WHERE {_STAMPED} GROUP BY 1 ORDER BY 1')]
+            self.unread.update(database.execute(
+                'SELECT min(rowid), coalesce(sum(length(CAST(data AS BLOB))), 0) '
+                f'FROM messages WHERE NOT ({_STAMPED}) HAVING count(*) > 0'))
 
     def read(self, piece: Piece) -> list[Message]:
         """See Source."""
         with self._open() as database:
             rows = database.execute(
                 'SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages '
-                "WHERE id >= ? AND id < ? AND typeof(timestamp) = 'integer' ORDER BY id",
-                (piece.start, piece.start + piece.length))
+                f'WHERE rowid BETWEEN ? AND ? AND {_STAMPED} ORDER BY rowid',
+                (piece.start, piece.start + piece.length - 1))
             rows = self._taken(rows)
         messages = [Message(topic, time, data or b'', time, 0) for topic, time, data in rows
                     if topic in self.channels]
@@ -77,7 +84,7 @@ class SqliteFile(Source):
         for row in rows:
             size += len(row[2] or b'')
             if size > _MOST:
-                raise RecordingError(f'{self.name}: {_ROWS} messages hold more than '
+                raise RecordingError(f'{self.name}: {1 << _SHIFT} messages hold more than '
                                      f'{_MOST >> 20} MiB; give another bag')
             taken.append(row)
         return taken
@@ -89,7 +96,8 @@ class SqliteFile(Source):
             else "''"
         for number, topic, kind, encoding, profiles, hashed in database.execute(
                 f'SELECT id, CAST(name AS TEXT), CAST(type AS TEXT), '
-                f'CAST(serialization_format AS TEXT), {qos}, {digest} FROM topics'):
+                f'CAST(serialization_format AS TEXT), {qos}, {digest} FROM topics '
+                "WHERE typeof(id) = 'integer' AND name IS NOT NULL AND type IS NOT NULL"):
             self.schemas[number] = Schema(id=number, data=b'', encoding='ros2msg', name=kind)
             self.channels[number] = Channel(
                 id=number, topic=topic, message_encoding=encoding, schema_id=number, metadata={
