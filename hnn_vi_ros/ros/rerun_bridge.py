@@ -180,15 +180,18 @@ class RerunBridge(Node):
             return
         with self._end_if_lost():
             self.close()
-            self._scenes += 1
-            self._picture = BridgePicture(scene, self._next_target(), 'bridge')
-            shown = f'port {self.target}' if isinstance(self.target, int) else self.target
+            target = self._next_target()
+            self._picture = BridgePicture(scene, target, 'bridge')
+            shown = f'port {target}' if isinstance(target, int) else target
             self.get_logger().info(f'showing {self._values["simulator"]} on {shown}')
 
     def _next_target(self) -> Target:
-        target = self.target
+        """Return where the next picture goes: after the first, a file that is not there yet."""
+        target, self._scenes = self.target, self._scenes + 1
         if isinstance(target, Path) and self._scenes > 1:
-            return target.with_name(f'{target.stem}-{self._scenes}{target.suffix}')
+            while (target := self.target.with_name(
+                    f'{self.target.stem}-{self._scenes}{self.target.suffix}')).exists():
+                self._scenes += 1
         return target
 
     def _on_state(self, payload: bytes) -> None:

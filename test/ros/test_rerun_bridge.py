@@ -15,8 +15,11 @@ from hnn_vi_ros.ros.bridge_picture import target_of
 from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.topics import LATCHED
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.yaml_text import dump_yaml
 import numpy as np
 from processes import finish, read_bag, start, start_executable, wait_until
 import pytest
@@ -185,6 +188,23 @@ def test_mistake_is_one_line(words, told):
     status, _, error = finish(start_bridge(*words))
     assert status == 1
     assert told in error.splitlines()[-1]
+
+
+def test_picture_after_a_reset_leaves_those_of_before_alone(tmp_path):
+    scene = load_scene('exact_pendulum')
+    report = scene_report(scene, Simulation.from_scene(scene))
+    (tmp_path / 'a-2.rrd').touch()
+    rclpy.init(args=to_file(tmp_path / 'a.rrd'))
+    try:
+        bridge = RerunBridge()
+        for origin in range(3):
+            bridge._on_scene(String(data=dump_yaml(report | {'origin': origin})))
+        bridge.close()
+    finally:
+        rclpy.try_shutdown()
+    assert bridge.problem is None and (tmp_path / 'a-2.rrd').stat().st_size == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        'a.rrd', 'a-2.rrd', 'a-3.rrd', 'a-4.rrd'}
 
 
 @pytest.mark.parametrize('port', ['0', '65536', '-1', 'x', '1.5'])
