@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from hnn_vi_ros.command_line import did_you_mean
 from hnn_vi_ros.ros.parameters import Specification
 import yaml
 
@@ -50,9 +51,24 @@ def describe_node(executable: str, name: str, table: Sequence[Specification],
         DeclareLaunchArgument('name', default_value=name, description='name of the node'),
         *(DeclareLaunchArgument(argument, default_value=default, description=text)
           for argument, default, text in _COMMON),
-        OpaqueFunction(function=lambda context: _entities(
-            context.launch_configurations, executable, table, [word for word, _ in words],
-            managed))])
+        OpaqueFunction(function=lambda context: [
+            *_misspelt(context.argv, [
+                *(word for word, _ in words), *(item.name for item in table), 'name',
+                *(argument for argument, _, _ in _COMMON)]),
+            *_entities(context.launch_configurations, executable, table,
+                       [word for word, _ in words], managed)])])
+
+
+def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
+    """
+    Return what tells of arguments that are nearly ours: ``ros2 launch`` ignores what none has.
+
+    They are not refused: a launch file that includes this one may have arguments of its own.
+    """
+    from launch.actions import LogInfo
+    words = [word.partition(':=')[0] for word in argv if ':=' in word]
+    return [LogInfo(msg=f'argument {word} is none of this node{hint}') for word in words
+            if word not in known and (hint := did_you_mean(word, known))]
 
 
 def _entities(given: dict[str, str], executable: str, table: Sequence[Specification],

@@ -40,6 +40,7 @@ def thing(kind):
 STAND_INS = {
     'launch': {'LaunchDescription': list},
     'launch.actions': {'DeclareLaunchArgument': declare, 'EmitEvent': thing('event'),
+                       'LogInfo': thing('log'),
                        'OpaqueFunction': thing('function'),
                        'RegisterEventHandler': lambda handler: handler},
     'launch.event_handlers': {'OnProcessExit': thing('exit'), 'OnProcessStart': thing('start')},
@@ -72,12 +73,12 @@ def description(monkeypatch, name):
 @pytest.fixture
 def launch(description):
     """Return what goes through the description with these arguments."""
-    def go(**given):
+    def go(argv=(), **given):
         arguments = {entity.name: entity.default if entity.default is not None else ''
                      for entity in description if entity.kind == 'argument'}
         assert given.keys() <= arguments.keys()
         return only(description, 'function').function(
-            SimpleNamespace(launch_configurations=arguments | given))
+            SimpleNamespace(launch_configurations=arguments | given, argv=argv))
     return go
 
 
@@ -122,6 +123,14 @@ def test_launch_file_forwards_every_argument_to_its_node_in_its_type(launch, nam
         key: (f'${key}', kind) for key, kind in types.items()}
     assert node.arguments == ['1'] * len(words)
     assert node.ros_arguments == ['--log-level', 'warn', '--params-file', 'a.yaml']
+
+
+def test_launch_file_tells_of_misspelt_arguments_and_leaves_those_of_others(launch):
+    argv = ['topic:=a', 'params_fil:=a.yaml', 'params_file:=b.yaml', 'params_fil', 'mine:=1']
+    told = [entity.msg for entity in launch(argv) if entity.kind == 'log']
+    assert 'argument params_fil is none of this node; did you mean params_file?' in told
+    assert not any('mine' in line or 'params_file is' in line for line in told)
+    assert not [entity for entity in launch() if entity.kind == 'log']
 
 
 def test_launch_file_leaves_what_is_not_given_to_the_parameter_file_and_the_node(launch, name):
