@@ -193,7 +193,7 @@ class Run:
         if self.at_sample:
             self._hand_out()
             if simulation.steps >= self._last_step:
-                self._stop(0, 'the duration is over')
+                self._stop(0, self.sampler.end)
         return n
 
     def _hand_out(self) -> None:

@@ -11,8 +11,8 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.sample import Sample
 
 _MOST_STEPS = 1e9
-# What a ROS time stamp holds [s].
-_LONGEST_RUN = 2**31 - 1
+# The last second that a time stamp of ROS holds.
+_LAST_SECOND = 2**31 - 1
 
 
 @cache
@@ -77,13 +77,27 @@ class Sampler:
             f'every {self.every} steps, {1.0 / self.tick:g} Hz')
 
     def count(self, duration: float) -> float:
-        """Return the number of samples that a duration [s] asks for; 0 is for ever."""
-        longest = _LONGEST_RUN - self.stamp * 1e-9
-        samples = round(min(duration or math.inf, longest) / self.tick)
+        """Return how many samples a duration [s] asks for, as far as stamps go; 0 is for ever."""
+        left = self._left()
+        samples = min(round(duration / self.tick), left) if duration else left
         if samples == 0:
             raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
-                                 f'time between two samples, {self.tick:g} s')
+                                 f'time between two samples, {self.tick:g} s, and that they end '
+                                 f'before {_LAST_SECOND} s')
         return samples
+
+    @property
+    def end(self) -> str:
+        """Return why no more samples are taken after those that were counted."""
+        return 'the duration is over' if self._left() else (
+            f'the next sample would be stamped beyond {_LAST_SECOND} s, the last that ROS can '
+            'tell; reset with reset_time, or begin anew')
+
+    def _left(self) -> int:
+        """Return how many samples can still be stamped."""
+        step = self._simulation.steps
+        left = _LAST_SECOND * 10**9 - self._origin
+        return max(0, (left // _nanoseconds(self._simulation.step_size) - step) // self.every)
 
     @property
     def stamp(self) -> int:
