@@ -59,21 +59,22 @@ class StepFailure(HnnViRosError):
         Step size [s].
     residual : float
         Largest absolute residual of the implicit equation [unit of p].
-    iterations : int
-        Iterations that the solver spent on the step.
+    evaluations : int
+        Gradients and Hessian-vector products that were evaluated for the step, all tries together.
 
     """
 
-    def __init__(self, reason: str, t: float, h: float, residual: float, iterations: int):
+    def __init__(self, reason: str, t: float, h: float, residual: float, evaluations: int):
         self.reason, self.t, self.h = reason, t, h
-        self.residual, self.iterations = residual, iterations
+        self.residual, self.evaluations = residual, evaluations
         super().__init__(
             f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s, residual {residual:.3g} '
-            f'after {iterations} iterations; use a smaller step_size or another integrator')
+            f'after {evaluations} evaluations of the gradient; use a smaller step_size or another '
+            'integrator')
 
     def dated(self, t: float) -> 'StepFailure':
         """Return the failure at another time [s], such as that of a stamp."""
-        return StepFailure(self.reason, t, self.h, self.residual, self.iterations)
+        return StepFailure(self.reason, t, self.h, self.residual, self.evaluations)
 
 
 class StoppedByEvent(HnnViRosError):

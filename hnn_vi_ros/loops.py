@@ -14,35 +14,39 @@ import numpy as np
 
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,
             z: Point, z1: Point, memory: tuple[Memory, ...], q_out: np.ndarray,
-            p_out: np.ndarray) -> tuple[int, int, int, float, int]:
+            p_out: np.ndarray) -> tuple[int, int, int, float, int, int, int]:
     """Take the steps from the first on, and sample; stop before one that fails."""
     kernel, options, z, z1, memory, q_out, p_out = bare(
         (kernel, options, z, z1, memory, q_out, p_out))
-    gradients, residual, spent = 0, 0.0, 0
+    gradients, residual, spent, most, costliest = 0, 0.0, 0, 0, first
     for done in range(first, q_out.shape[0] * every):
         outcome, residual, spent = step(kernel, h, options, z, z1, memory)
         gradients += spent
         if outcome == OK and not is_finite(z1):
             outcome = NOT_FINITE
         if outcome != OK:
-            return outcome, done, gradients, residual, spent
+            return outcome, done, gradients, residual, spent, most, costliest
+        if spent > most:
+            most, costliest = spent, done
         copy_point(z1, z)
         if (done + 1) % every == 0:
             sample = done // every
             copy_array(z.q, q_out[sample])
             copy_array(z.p, p_out[sample])
-    return OK, max(first, q_out.shape[0] * every), gradients, residual, spent
+    done = max(first, q_out.shape[0] * every)
+    return OK, done, gradients, residual, spent, most, costliest
 
 
 def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,
-                  z: Point, z1: Point, memory: tuple[Memory, ...]) -> tuple[bool, int]:
-    """Go from z on by equal sub-steps of a symmetric method, whose end is in z and z1."""
+                  most: int, z: Point, z1: Point, memory: tuple[Memory, ...]
+                  ) -> tuple[bool, int]:
+    """Go by equal sub-steps, while they take at most so many gradients; end in z and z1."""
     kernel, options, z, z1, memory = bare((kernel, options, z, z1, memory))
     gradients = 0
     for _ in range(parts):
         outcome, _, spent = substep(kernel, h / parts, options, z, z1, memory)
         gradients += spent
-        if outcome != OK or not is_finite(z1):
+        if outcome != OK or gradients > most or not is_finite(z1):
             return False, gradients
         copy_point(z1, z)
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)

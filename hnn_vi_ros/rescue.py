@@ -5,6 +5,7 @@
 from collections.abc import Callable
 from functools import cache
 import math
+import sys
 from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
@@ -18,8 +19,10 @@ from hnn_vi_ros.loops import advance, assemble, take_substeps
 from hnn_vi_ros.system import System
 import numpy as np
 
-# A step that fails is tried again in at most 2^6 = 64 sub-steps.
+# A step that fails is tried again in at most 2^6 = 64 sub-steps. All tries of them together may
+# take what twice as many take as a rule: those in fewer parts that came before end early.
 _HALVINGS = 6
+_MOST_PARTS = 2 * 2 ** _HALVINGS
 # An explicit method comes back when h omega has been below this share of its limit for long: the
 # changes of method, at each of which the energy may change, become ever fewer.
 _BACK, _CALM = 0.9, 16.0
@@ -33,7 +36,8 @@ class Rescue:
 
     First the later links of the method's own chain of solvers, then what the scene says:
 
-    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method;
+    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method, until all of them have taken twice
+      the gradients that 64 take as a rule;
     - ``implicit``: a step of the implicit midpoint rule, which has no limit of stability. An
       explicit method is watched as well: where h omega exceeds its limit, with omega the
       highest frequency of the motion's linearisation J H''(z), its steps would not fail but
@@ -105,16 +109,20 @@ class Rescue:
         solved = self._by_other_solvers(way, h, z, z1, memory)
         if solved.ok:
             return solved
-        spent = solved.gradients
+        spent, most = 0, sys.maxsize
         for method, link, parts in self._others(way):
-            ok, gradients = self._in_parts(method, link, parts, h, z, z1)
+            if parts > 1 and method.usual_gradients:
+                most = _MOST_PARTS * method.usual_gradients
+            ok, gradients = self._in_parts(method, link, parts, most - spent, h, z, z1)
             spent += gradients
             if ok:
                 # What came before is no guide to the next start.
                 for store in memory:
                     store.count[0] = 0
-                return Taken(True, True, spent, solved.residual)
-        return Taken(False, False, spent, solved.residual)
+                return Taken(True, True, solved.gradients + spent, solved.residual)
+            if spent > most:
+                return Taken(False, False, solved.gradients + spent, solved.residual, most)
+        return Taken(False, False, solved.gradients + spent, solved.residual)
 
     def _by_other_solvers(self, way: int, h: float, z: Point, z1: Point,
                           memory: tuple[Memory, ...]) -> 'Taken':
@@ -123,7 +131,7 @@ class Rescue:
         for link in range(1, method.links):
             loop, step, options = assemble(advance, kernel, method, link)
             q, p = np.empty((2, 1, z.q.size))
-            outcome, _, gradients, residual, _ = loop(
+            outcome, _, gradients, residual, *_ = loop(
                 step, kernel, h, options, 0, 1, z, z1, memory, q, p)
             spent += gradients
             if outcome == OK:
@@ -138,14 +146,15 @@ class Rescue:
         return [] if substep is None else [
             (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
 
-    def _in_parts(self, method: Integrator, link: int, parts: int, h: float, z: Point, z1: Point
-                  ) -> tuple[bool, int]:
+    def _in_parts(self, method: Integrator, link: int, parts: int, most: int, h: float, z: Point,
+                  z1: Point) -> tuple[bool, int]:
         """Take the step in equal parts; leave z and what the effects keep if one fails."""
         kernel, live = self._system.kernel, self._system.live
         loop, step, options = assemble(take_substeps, kernel, method, link)
         before = [array.copy() for array in live]
         end = Point(*[array.copy() for array in z])
-        ok, gradients = loop(step, kernel, h, options, parts, end, z1, method.memory(z.q.size))
+        ok, gradients = loop(step, kernel, h, options, parts, most, end, z1,
+                             method.memory(z.q.size))
         if ok:
             copy_point(end, z)
             return True, gradients
@@ -167,6 +176,8 @@ class Taken(NamedTuple):
         Evaluated for it.
     residual : float
         Of the last solver of the chain.
+    given_up : int
+        How many gradients sub-steps may take, if they have taken more; else 0.
 
     """
 
@@ -174,6 +185,7 @@ class Taken(NamedTuple):
     rescued: bool
     gradients: int
     residual: float
+    given_up: int = 0
 
 
 class StabilityWatch:

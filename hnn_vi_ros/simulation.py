@@ -61,6 +61,10 @@ class Simulation:
         Relative residual of the last implicit step [1].
     gradients : int
         Gradients and Hessian-vector products evaluated in steps since the initial state.
+    usual_gradients : int
+        How many a step takes at most as a rule; 0 where there is no rule.
+    costliest : tuple of (int, int)
+        How many the costliest step took, and the number of steps at its end.
 
     Raises
     ------
@@ -81,6 +85,7 @@ class Simulation:
         self._system = system = System(hamiltonian, effects, integrator)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self.conservative, self.takes_commands = system.conservative, system.takes_commands
+        self.usual_gradients = system.integrator.usual_gradients
         self.step_size = float(step_size)
         self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
         if not self._kernel.compiled:
@@ -99,6 +104,7 @@ class Simulation:
         self._system.live.reset(stream)
         self._system.live.clock[0] = step * self.step_size
         self.steps, self.rescued, self.gradients, self.residual = step, 0, 0, 0.0
+        self.costliest = 0, step
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._way, self._memories = 0, self._rescue.memories(n)
@@ -228,7 +234,7 @@ class Simulation:
 
         """
         h, now = self.step_size, self.snapshot()
-        counts = self.gradients, self.rescued, self.residual
+        counts = self.gradients, self.rescued, self.residual, self.costliest
         # Steps of another length are no guide to the start of this one's equations.
         self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
                       for name, value in snapshot.items()})
@@ -239,7 +245,7 @@ class Simulation:
         finally:
             self.step_size = h
             self.restore(now)
-            self.gradients, self.rescued, self.residual = counts
+            self.gradients, self.rescued, self.residual, self.costliest = counts
 
     def _update_gradient(self) -> None:
         """Make the public gradient that of the state."""
@@ -275,23 +281,22 @@ class Simulation:
         """
         q_out = np.empty((samples, self._z.q.size))
         p_out = np.empty_like(q_out)
-        done, changed, outcome = 0, -1, OK
-        while True:
+        done, changed, failure = 0, -1, None
+        while failure is None:
             outcome, done, residual, spent = self._run(done, every, q_out, p_out)
             if outcome == BEYOND and (self._way == 0 or done > changed):
                 self._change_way()
                 changed = done
-            elif outcome == OK or not self._take_failed_step():
+                continue
+            if outcome == OK:
                 break
-            else:
-                self.steps += 1
-                done += 1
-                if done % every == 0:
-                    q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
+            failure = self._take_failed_step(outcome, residual, spent)
+            done += failure is None
+            if done % every == 0 and failure is None:
+                q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
         self._update_gradient()
-        if outcome != OK:
-            reason = self._system.reason(outcome)
-            raise StepFailure(reason, self.time, self.step_size, residual, spent)
+        if failure is not None:
+            raise failure
         keep = self._state(np.arange(self._z.q.size)).ravel()
         return (q_out[:, keep], p_out[:, keep]) if self._kernel.channels else (q_out, p_out)
 
@@ -303,7 +308,9 @@ class Simulation:
                      self._z, self._z1, self._memories[self._way], q_out, p_out)
         if self._way not in self._entries:
             self._entries[self._way] = entry_point(loop, *arguments)
-        outcome, now, gradients, self.residual, spent = self._entries[self._way](*arguments)
+        outcome, now, gradients, self.residual, spent, most, costliest = (
+            self._entries[self._way](*arguments))
+        self._count(most, self.steps + costliest + 1 - done)
         self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
         self.rescued += (now - done) * (self._way != 0)
         return outcome, now, self.residual, spent
@@ -316,12 +323,25 @@ class Simulation:
         self._evaluate_gradient()
         self.gradients += 1
 
-    def _take_failed_step(self) -> bool:
-        """Take one step in another way; False if none will do."""
+    def _count(self, gradients: int, step: int) -> None:
+        """Note what a step took."""
+        if gradients > self.costliest[0]:
+            self.costliest = gradients, step
+
+    def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
+        """Take one step in another way; return what came of the first one if none will do."""
         taken = self._rescue.take_step(
             self._way, self.step_size, self._z, self._z1, self._memories[self._way])
         self.gradients += taken.gradients
         self.rescued += taken.rescued or (taken.ok and self._way != 0)
         if not np.isnan(taken.residual):
             self.residual = taken.residual
-        return taken.ok
+        spent += taken.gradients
+        if not taken.ok:
+            reason = self._system.reason(outcome)
+            if taken.given_up:
+                reason += f', given up after {taken.given_up} gradients in sub-steps'
+            return StepFailure(reason, self.time, self.step_size, residual, spent)
+        self.steps += 1
+        self._count(spent, self.steps)
+        return None

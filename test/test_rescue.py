@@ -7,12 +7,15 @@ from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.ensemble import simulate_many
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.guards.cost import CostGuard
+from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.rescue import ON_FAILURE, stability_limit
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+from plain_systems import Plain
 import pytest
 
 OMEGA = 50.0
@@ -192,3 +195,69 @@ def test_scene_says_what_is_done_about_a_step_that_fails(tmp_path):
     scene.write_text(f'{SCENE}on_failure: hope\n')
     with pytest.raises(SceneError, match=r'scene.yaml:5: on_failure: .*substep.*implicit.*stop'):
         load_scene(scene)
+
+
+def tao(h: float, q: float = 0.0, p: float = -1.5, **options) -> Simulation:
+    """Return the generalised leapfrog on H = (q^2 + 1)(p^2 + 1) / 2, in plain Python."""
+    H = Plain(lambda q, p: 0.5 * (q[0] ** 2 + 1.0) * (p[0] ** 2 + 1.0),
+              lambda q, p: (q * (p * p + 1.0), (q * q + 1.0) * p), 1, separable=False)
+    return Simulation(H, INTEGRATORS['generalized_leapfrog'](**options), h, [q], [p])
+
+
+def watch_of_cost(simulation: Simulation) -> Watch:
+    """Return the guard of slow steps alone."""
+    return Watch(simulation, None, kinds=(CostGuard,))
+
+
+@pytest.mark.parametrize('h, kinds', [(0.4, []), (1.5, ['slow step'])])
+@pytest.mark.filterwarnings('ignore:Plain is not a tanh network')
+def test_slow_steps_of_generalized_leapfrog_beyond_its_limit_are_an_alarm(h: float, kinds: list):
+    simulation = tao(h)
+    watch = watch_of_cost(simulation)
+    record_watched(simulation, 20, 1, watch)
+    assert [alarm.kind for alarm in watch.alarms] == kinds
+    # Two equations, ten gradients each as a rule.
+    assert simulation.usual_gradients == 20
+    assert (simulation.costliest[0] > 5 * 20) == bool(kinds)
+    for alarm in watch.alarms:
+        assert alarm.limit == 5 * 20 < alarm.value <= simulation.costliest[0]
+        assert 'use a smaller step_size or another integrator' in alarm.message
+
+
+@pytest.mark.filterwarnings('ignore:Plain is not a tanh network')
+def test_costliest_step_is_the_same_however_steps_are_asked_for():
+    together, one_by_one, costs = tao(0.8), tao(0.8), []
+    together.advance(20)
+    for _ in range(20):
+        before = one_by_one.gradients
+        one_by_one.advance(1)
+        costs.append(one_by_one.gradients - before)
+    assert together.costliest == one_by_one.costliest == (max(costs), 1 + costs.index(max(costs)))
+
+
+@pytest.mark.filterwarnings('ignore:Plain is not a tanh network')
+def test_slow_step_that_no_rescue_took_is_an_alarm():
+    """At q = 1 the plain fixed point contracts by some 0.8 a round: a hundred rounds."""
+    simulation = tao(0.4, 1.0, -1.0, solver='fixed_point', max_iterations=1000)
+    watch = watch_of_cost(simulation)
+    simulation.advance(1)
+    watch.update(look(simulation))
+    assert simulation.rescued == 0
+    assert [(alarm.kind, alarm.step, alarm.value) for alarm in watch.alarms] == [
+        ('slow step', 1, simulation.gradients)]
+
+
+@pytest.mark.filterwarnings('ignore:Plain is not a tanh network')
+def test_sub_steps_are_given_up_at_a_limit_that_the_failure_names():
+    """A force that jumps where p is: p = 1 - h f(p) has no solution; residuals are small."""
+    H = Plain(lambda q, p: 0.5 * p[0] ** 2,
+              lambda q, p: (np.where(p >= 1.0, 1e-9, -1e-9), p), 1, separable=False)
+    most = 3000
+    simulation = Simulation(H, INTEGRATORS['generalized_leapfrog'](max_iterations=most), 0.1,
+                            [0.0], [1.0])
+    with pytest.raises(StepFailure, match='given up after 2560 gradients in sub-steps') as caught:
+        simulation.advance(1)
+    # The secant method once, Newton's, which takes some tens, and the sub-step that goes beyond.
+    assert 2 * most < caught.value.evaluations < 2 * most + 100
+    assert caught.value.evaluations == simulation.gradients
+    assert 'use a smaller step_size or another integrator' in str(caught.value)

@@ -177,7 +177,7 @@ def test_step_failure_names_time_and_residual_and_keeps_the_last_good_state():
     assert (simulation.q[0], simulation.p[0]) == (2.0, 2.0)
     assert (failure.t, failure.h) == (0.0, 1.0)
     assert failure.reason in ('no convergence', 'not finite')
-    assert failure.iterations >= 1
+    assert failure.evaluations >= 1
     assert not failure.residual < 1e-3
     assert 'step_size' in str(failure)
     assert '\n' not in str(failure)

@@ -185,10 +185,13 @@ class StepEffect(Effect):
     wrap : callable
         ``wrap(step, keeps_gradient)`` returns the step with the effect, from the method's; see
         Wrapped. The same function for the same arguments.
+    repeats : bool
+        Whether it takes the method's step more than once in a step of its own.
 
     """
 
     wrap: Callable
+    repeats: ClassVar[bool] = False
 
     @staticmethod
     def inner_step(integrator: Integrator) -> Callable | tuple[Callable, Callable]:

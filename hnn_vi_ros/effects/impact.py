@@ -49,6 +49,8 @@ class Impact(StepEffect):
 
     """
 
+    repeats = True
+
     def __init__(self, coordinate: str, position: float = 0.0,
                  side: Literal['above', 'below'] = 'above', restitution: float = 1.0):
         check_finite(position=position)

@@ -28,6 +28,7 @@ class Rattle:
     """RATTLE with distances and planes, for Wrapped; see ``rattle``."""
 
     functions: tuple[Callable, ...] = ()
+    repeats = True
 
     @staticmethod
     def inner_step(integrator: Integrator) -> Callable:

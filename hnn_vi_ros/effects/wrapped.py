@@ -51,6 +51,11 @@ class Wrapped(Integrator):
         """Return how many solvers the chain of the method has."""
         return self._inner.links
 
+    @property
+    def usual_gradients(self) -> int:
+        """Return what the method takes; 0 where the effect takes its step again and again."""
+        return 0 if getattr(self._kind, 'repeats', False) else self._inner.usual_gradients
+
     def options(self, link: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the method, and the settings of the effect."""
         return (self._inner.options(link, dimension), *self._settings)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import Guard, Observed
 from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
@@ -40,6 +41,8 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
         yield ResolutionGuard(band_limit, scale, simulation.step_size, method.order,
                               simulation.modified_energy is not None)
     yield EnergyGuard(change_limit, scale)
+    if simulation.usual_gradients:
+        yield CostGuard(simulation)
     for name, function in hamiltonian.invariants.items():
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:

@@ -175,6 +175,11 @@ class Integrator(ABC):
         """Return how many ways there are to take one step, the cheapest first."""
         return 1
 
+    @property
+    def usual_gradients(self) -> int:
+        """Return how many gradients a step takes at most as a rule; 0 where there is no rule."""
+        return 0
+
     @abstractmethod
     def options(self, link: int = 0, dimension: int = 1) -> tuple:
         """

@@ -66,6 +66,11 @@ class Composition(Integrator):
         """Return how many solvers the chain of the base has."""
         return self.base.links
 
+    @property
+    def usual_gradients(self) -> int:
+        """Return what the steps of the base take; see Integrator."""
+        return len(self.fractions) * self.base.usual_gradients
+
     def options(self, link: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the base."""
         return self.base.options(link, dimension)

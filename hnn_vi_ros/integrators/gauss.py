@@ -101,6 +101,11 @@ class Gauss(ImplicitIntegrator):
         """Return one name for all: the number of stages is in the options."""
         return 'Gauss'
 
+    @property
+    def usual_gradients(self) -> int:
+        """Return what its one equation takes, with a gradient for each stage; see Integrator."""
+        return self.stages * super().usual_gradients
+
     def options(self, link: int = 0, dimension: int = 1) -> Tableau:
         """Return the coefficients and the options of the solver."""
         return Tableau(*gauss_tableau(self.stages), super().options(link, dimension))

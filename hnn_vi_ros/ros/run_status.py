@@ -96,6 +96,7 @@ class RunStatus:
             'integrator': scene.integrator.kind, 'step_size [s]': simulation.step_size,
             'steps [1]': simulation.steps, 'simulated_time [s]': f'{self._sampler.time:.9g}',
             'gradients_per_step [1]': self._monitor.timing.figures.gradients_per_step,
+            'gradients_of_the_costliest_step [1]': simulation.costliest[0],
             'residual [1]': simulation.residual, 'rescued_steps [1]': simulation.rescued})
 
     def _energy(self) -> Status:

@@ -83,13 +83,14 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     assert (integrator['steps [1]'], integrator['step_size [s]']) == ('2500', '0.01')
     # One gradient a step: H separates.
     assert 1.0 <= float(integrator['gradients_per_step [1]']) <= 3.0
+    assert 1 <= int(integrator['gradients_of_the_costliest_step [1]']) <= 5
     # H is off by h / 2 at most, H~ by h^2 / 8 relative to it; rounded to six digits.
     assert abs(float(energy['energy_error [1]'])) <= 5.1e-3
     assert 0.0 < float(energy['modified_energy_band [J]']) <= 0.01 ** 2
     # What an oscillation of 5e-3 may leave in a slope over 25 s, 12 A / (w T^2), twice.
     assert abs(float(energy['drift_per_hour [1/h]'])) <= 3600.0 * 24.0 * 5e-3 / (2.0 * 25.0 ** 2)
     assert health['watched'] == ('step failed, under-resolved, energy not accounted for, '
-                                 'real-time overrun')
+                                 'slow step, real-time overrun')
     assert recorder == {'bag': str(tmp_path / 'bag'), 'samples [1]': '2500'}
     assert model['hamiltonian'] == 'harmonic_oscillator' and model['coordinates'] == 'x'
     assert len(accuracy) > 2400

@@ -1,0 +1,46 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the costliest step has taken as a bound."""
+
+from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.simulation import Simulation
+
+# Times what the equations of a step take at most as a rule.
+_SLOW = 5
+
+
+class CostGuard(Guard):
+    """
+    No step takes more than five times the gradients that its method takes at most as a rule.
+
+    A step that does is one whose equations have no solution that the method's own solver finds:
+    Newton's method takes it, or sub-steps do. Gradients are counted, and no time is measured, so
+    that the same run raises the same alarm everywhere.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose steps are watched.
+
+    """
+
+    kind = 'slow step'
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._raised = simulation, False
+        self._limit = _SLOW * simulation.usual_gradients
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        if self._raised or self._simulation.costliest[0] <= self._limit:
+            return None
+        self._raised = True
+        return self.renew(sample)
+
+    def renew(self, sample: Observed) -> Alarm:
+        """See Guard."""
+        gradients, step = self._simulation.costliest
+        return Alarm(self.kind, step, gradients, self._limit,
+                     f'a step took {gradients} evaluations of the gradient, where '
+                     f'{self._simulation.usual_gradients} do as a rule; use a smaller '
+                     'step_size or another integrator', '1')
