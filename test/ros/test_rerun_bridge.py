@@ -8,6 +8,7 @@ import subprocess
 import time
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
@@ -17,7 +18,6 @@ from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.topics import LATCHED
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.sinks.mcap_reader import BagReader
 from hnn_vi_ros.yaml_text import dump_yaml
 import numpy as np
@@ -192,7 +192,7 @@ def test_mistake_is_one_line(words, told):
 
 def test_picture_after_a_reset_leaves_those_of_before_alone(tmp_path):
     scene = load_scene('exact_pendulum')
-    report = scene_report(scene, Simulation.from_scene(scene))
+    report = scene_report(scene, build(scene))
     (tmp_path / 'a-2.rrd').touch()
     rclpy.init(args=to_file(tmp_path / 'a.rrd'))
     try:
