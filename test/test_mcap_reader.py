@@ -106,6 +106,13 @@ def test_reader_refuses_what_is_no_bag_in_one_line(tmp_path):
         assert '\n' not in str(caught.value)
 
 
+def test_folder_of_a_run_is_refused_with_that_of_its_bag(tmp_path):
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'bag_0.mcap').touch()
+    with pytest.raises(RecordingError, match=f'found none; did you mean {tmp_path / "bag"}[?]'):
+        BagReader(tmp_path)
+
+
 def test_bag_that_is_a_pointer_of_git_lfs_is_named_as_such(tmp_path):
     path = tmp_path / 'a.mcap'
     path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')

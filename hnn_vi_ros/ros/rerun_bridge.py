@@ -95,6 +95,7 @@ class RerunBridge(Node):
             subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)
             if topic in ticks:
                 self._tick_subscriptions.append(subscription)
+        self.get_logger().info(f'waiting for {self._values["simulator"]}/scene')
 
     def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile, bool]]:
         """Return message type, callback, QoS and whether bytes are wanted, by topic."""

@@ -71,6 +71,8 @@ def plain_ros_errors(what: str) -> Iterator[None]:
             text = text.removeprefix(words)
         if 'rule' in text:
             text += f'; {_SYNTAX}'
+        if 'logging' in text:
+            text += '; set ROS_LOG_DIR to a folder that can be written'
         if os.environ.get('ROS_SECURITY_ENABLE', '').lower() == 'true':
             text += ('; security is on, which takes a middleware that was built with it and a '
                      'keystore: see Secure it in the README, or set '

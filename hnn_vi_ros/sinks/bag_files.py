@@ -66,7 +66,7 @@ def _numbered(bag: Path, files: list[Path]) -> list[Path]:
     numbers = {path: int(match[2]) for path, match in found.items()}
     if not files or len(found) < len(files) or len(set(numbers.values())) < len(files) \
             or len({match[1] for match in found.values()}) > 1:
-        told = f'{len(files)} files; give one of them' if files else 'none'
+        told = f'{len(files)} files; give one of them' if files else f'none{_nearest(bag)}'
         raise RecordingError(f'{bag}: expected a folder with one bag (.mcap or .db3), found '
                              f'{told}')
     files.sort(key=numbers.__getitem__)
@@ -77,6 +77,12 @@ def _numbered(bag: Path, files: list[Path]) -> list[Path]:
                                  f'between {before.name} and {after.name}; put it back, or give '
                                  'a file')
     return files
+
+
+def _nearest(folder: Path) -> str:
+    """Return which folder in this one may have been meant: a run has its bags in folders."""
+    bags = sorted(path.parent for suffix in _SUFFIXES for path in folder.glob(f'*/*{suffix}'))
+    return f'; did you mean {bags[0]}?' if bags else ''
 
 
 def open_source(path: Path) -> Source:

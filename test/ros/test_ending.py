@@ -189,3 +189,9 @@ def test_security_without_its_libraries_is_one_line(tmp_path, monkeypatch):
             status, _, error = finish(start_executable(executable, folder=tmp_path))
             assert status == 1 and error.count('\n') == 1
             assert error.startswith(f'{executable}: ROS: ') and 'ROS_SECURITY_ENABLE' in error
+
+
+def test_folder_for_logs_that_cannot_be_made_is_refused_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setenv('ROS_LOG_DIR', '/dev/null/logs')
+    status, _, error = finish(start_executable('listener', folder=tmp_path))
+    assert status == 1 and error.count('\n') == 1 and 'set ROS_LOG_DIR to' in error

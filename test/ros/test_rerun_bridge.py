@@ -87,7 +87,7 @@ def test_bridge_shows_a_bag_that_is_replayed(tmp_path, state):
         run[step] for step in entities['step']]
 
 
-def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path):
+def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path, capfd):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100)
     reader, words = BagReader(bag), to_file(tmp_path / 'a.rrd')
     messages = {topic: [message.data for message in reader.messages(numbers)]
@@ -101,6 +101,7 @@ def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path):
         executor = SingleThreadedExecutor()
         executor.add_node(bridge)
         bridge.listen()
+        assert 'waiting for /hnn_simulator/scene' in capfd.readouterr().err
         deadline = time.monotonic() + 60.0
         while not (tmp_path / 'a.rrd').exists() and time.monotonic() < deadline:
             executor.spin_once(timeout_sec=0.1)
