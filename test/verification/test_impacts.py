@@ -3,7 +3,7 @@
 """Impacts at steps that are much longer than the time between them, against exact paths."""
 
 from helpers import Uncompiled
-from hnn_vi_ros.effects import EFFECTS, events
+from hnn_vi_ros.effects import bouncing, EFFECTS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -123,7 +123,7 @@ def test_two_walls_are_met_in_turn_within_one_step(restitution):
 
 def test_step_with_more_impacts_than_can_be_followed_fails(monkeypatch):
     """An elastic ball that bounces for ever must not be taken to rest, nor let through."""
-    monkeypatch.setattr(events, '_MOST_IMPACTS', 20)
+    monkeypatch.setattr(bouncing, '_MOST_IMPACTS', 20)
     simulation = falling('stormer_verlet', 1.0, 1.0, 1e-4)
     with pytest.raises(StepFailure, match='no convergence'):
         simulation.advance(1)
