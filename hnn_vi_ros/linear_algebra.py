@@ -30,6 +30,58 @@ def solve_linear(matrix: np.ndarray, right: np.ndarray) -> bool:
 
 
 @inlined
+def factorise_rows(matrix: np.ndarray, pivots: np.ndarray) -> bool:
+    """
+    Put the factors L and U of a matrix with its rows exchanged into its place.
+
+    Parameters
+    ----------
+    matrix : np.ndarray, shape (n, n)
+        Holds U on and above its diagonal afterwards, and L, whose own diagonal is one, below.
+    pivots : np.ndarray, shape (n,)
+        Filled: with which row each row was exchanged, in order.
+
+    Returns
+    -------
+    bool
+        False if the matrix is singular.
+
+    """
+    n = pivots.size
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        pivots[k] = pivot
+        if not abs(matrix[pivot, k]) > 0.0:
+            return False
+        if pivot != k:
+            for j in range(n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            matrix[i, k] = factor
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+    return True
+
+
+@inlined
+def solve_factorised(matrix: np.ndarray, pivots: np.ndarray, right: np.ndarray) -> None:
+    """Solve in place with what ``factorise_rows`` has left."""
+    n = right.size
+    for k in range(n):
+        pivot = pivots[k]
+        right[k], right[pivot] = right[pivot], right[k]
+    for i in range(n):
+        for j in range(i):
+            right[i] -= matrix[i, j] * right[j]
+    _substitute_back(matrix, right)
+
+
+@inlined
 def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) -> int:
     """
     Solve in place by elimination without exchanges, for a matrix near a positive definite one.

@@ -8,7 +8,7 @@ import math
 import sys
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.compilation import entry_point, inlined
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Kernel
@@ -73,6 +73,7 @@ class Rescue:
         if on_failure not in ON_FAILURE:
             raise ValueError(f'on_failure = {on_failure!r}; valid: {", ".join(ON_FAILURE)}')
         self._system, self._on_failure = system, on_failure
+        self._entries: dict[tuple[int, int], tuple[Callable, Callable, tuple]] = {}
         self.ways = [system.integrator]
         if on_failure == 'implicit' and not system.hamiltonian.canonical:
             raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
@@ -110,7 +111,7 @@ class Rescue:
         if solved.ok:
             return solved
         spent, most = 0, sys.maxsize
-        for method, link, parts in self._others(way):
+        for method, link, parts in self._others(way, z.q.size):
             if parts > 1 and method.usual_gradients:
                 most = _MOST_PARTS * method.usual_gradients
             ok, gradients = self._in_parts(method, link, parts, most - spent, h, z, z1)
@@ -128,20 +129,25 @@ class Rescue:
                           memory: tuple[Memory, ...]) -> 'Taken':
         """Take the step with the later links of the way's own chain."""
         kernel, method, spent, residual = self._system.kernel, self.ways[way], 0, math.nan
-        for link in range(1, method.links):
-            loop, step, options = assemble(advance, kernel, method, link)
+        for link in method.links(z.q.size)[1:]:
+            if (way, link) not in self._entries:
+                self._entries[way, link] = assemble(advance, kernel, method, link)
+            loop, step, options = self._entries[way, link]
             q, p = np.empty((2, 1, z.q.size))
-            outcome, _, gradients, residual, *_ = loop(
-                step, kernel, h, options, 0, 1, z, z1, memory, q, p)
+            arguments = step, kernel, h, options, 0, 1, z, z1, memory, q, p
+            # Once; from then on it is the entry that is returned as it is.
+            entry = entry_point(loop, *arguments)
+            self._entries[way, link] = entry, step, options
+            outcome, _, gradients, residual, *_ = entry(*arguments)
             spent += gradients
             if outcome == OK:
                 return Taken(True, False, spent, residual)
         return Taken(False, False, spent, residual)
 
-    def _others(self, way: int) -> list[tuple[Integrator, int, int]]:
+    def _others(self, way: int, n: int) -> list[tuple[Integrator, int, int]]:
         """Return method, link of its chain and number of parts, in the order of trial."""
         if self._on_failure == 'implicit' and way == 0:
-            return [(self._implicit, link, 1) for link in range(self._implicit.links)]
+            return [(self._implicit, link, 1) for link in self._implicit.links(n)]
         substep = self.ways[way].substep() if self._on_failure == 'substep' else None
         return [] if substep is None else [
             (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]

@@ -11,8 +11,10 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.krylov import krylov
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant
+from hnn_vi_ros.loops import advance, assemble
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -29,13 +31,18 @@ def affine_tangent(problem, x, v, product):
     product[:] = problem[0] @ v
 
 
+def memory_for(solve, n: int) -> Memory:
+    """Return the memory of a solver; without a Jacobian where it is to do without."""
+    return Memory.empty(n, largest_matrix=0 if solve is krylov else 10_000)
+
+
 def solve_affine(solve, norm: float, n: int):
     """Solve x = M x + b for a random M of this norm."""
     rng = np.random.default_rng(n)
     matrix = rng.normal(size=(n, n))
     matrix *= norm / np.linalg.norm(matrix, 2)
     right = rng.normal(size=n)
-    memory, x = Memory.empty(n), right.copy()
+    memory, x = memory_for(solve, n), right.copy()
     memory.scale[:] = np.abs(np.linalg.solve(np.eye(n) - matrix, right)).max()
     memory.own_scale[:] = memory.scale
     result = solve(affine, affine_tangent, (matrix, right), x, memory, 100)
@@ -43,7 +50,7 @@ def solve_affine(solve, norm: float, n: int):
 
 
 @pytest.mark.parametrize('norm', [0.0, 1e-3, 0.1])
-@pytest.mark.parametrize('solve', [fixed_point, anderson, newton])
+@pytest.mark.parametrize('solve', [fixed_point, anderson, newton, krylov])
 @pytest.mark.parametrize('n', [1, 2, 5])
 def test_solver_converges_to_round_off_where_the_map_contracts(solve, norm: float, n: int):
     (outcome, residual, _), defect = solve_affine(solve, norm, n)
@@ -53,11 +60,122 @@ def test_solver_converges_to_round_off_where_the_map_contracts(solve, norm: floa
     assert defect <= 16 * EPS * n
 
 
+@pytest.mark.parametrize('solve', [newton, krylov])
 @pytest.mark.parametrize('n', [1, 2, 5])
-def test_newton_converges_without_contraction(n: int):
-    (outcome, residual, _), _ = solve_affine(newton, 3.0, n)
+def test_newton_converges_without_contraction(solve, n: int):
+    (outcome, residual, _), _ = solve_affine(solve, 3.0, n)
     assert outcome == OK
     assert residual <= 8 * EPS
+
+
+def test_newton_keeps_its_jacobian_while_it_converges_fast():
+    """G = b + 3 R x + sin(x) / 100, R a rotation: full Newton takes a Jacobian an iteration."""
+    n = 40
+    rotation, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(n, n)))
+    right = np.ones(n)
+
+    def equation(problem, x, value):
+        value[:] = right + 3.0 * rotation @ x + 0.01 * np.sin(x)
+
+    def tangent(problem, x, v, product):
+        product[:] = 3.0 * rotation @ v + 0.01 * np.cos(x) * v
+
+    memory, x = Memory.empty(n), right.copy()
+    memory.scale[:] = memory.own_scale[:] = 1.0
+    outcome, _, evaluations = newton(equation, tangent, None, x, memory, 20)
+    assert outcome == OK
+    # It contracts by 0.02 / 2 at least: eight iterations, and rounding to be seen.
+    assert n < evaluations <= n + 12
+
+
+def test_krylov_leaves_what_does_not_act_back_out_of_the_system():
+    """An integral over the step counts for no residual, which its scale says."""
+    n, rng = 6, np.random.default_rng(2)
+    matrix, right = rng.normal(size=(n, n)), rng.normal(size=n)
+    matrix[:, n - 1] = 0.0
+    memory, x = memory_for(krylov, n), right.copy()
+    memory.scale[:] = memory.own_scale[:] = 1.0
+    memory.scale[n - 1] = memory.own_scale[n - 1] = np.inf
+    outcome, _, _ = krylov(affine, affine_tangent, (matrix, right), x, memory, 20)
+    assert outcome == OK
+    exact = np.linalg.solve(np.eye(n) - matrix, right)
+    # A residual of 8 eps, by the inverse.
+    bound = 8 * EPS * np.linalg.norm(np.linalg.inv(np.eye(n) - matrix), np.inf)
+    assert x[:-1] == pytest.approx(exact[:-1], abs=bound * np.abs(exact).max())
+
+
+@pytest.mark.parametrize('n', [513, 1024, 4096])
+def test_memory_grows_as_the_number_of_unknowns_where_no_jacobian_fits(n: int):
+    sizes = [array.size for array in Memory.empty(n)]
+    assert max(sizes) == 31 * n
+    assert sum(sizes) <= (31 + 3 + 6 + 3 * 4) * n + 2000
+
+
+class Chain:
+    """
+    A long chain with stiff springs, and steps of the midpoint rule by one solver.
+
+    Parameters
+    ----------
+    link : int
+        Of the chain of solvers: 1 for Newton's method with a Jacobian, 2 for that without.
+
+    """
+
+    method, pairs = INTEGRATORS['implicit_midpoint'](), 300
+
+    def __init__(self, link: int):
+        hamiltonian = HAMILTONIANS['fput_chain'](self.pairs, 50.0)
+        self.kernel, self.n = hamiltonian.kernel, hamiltonian.dimension
+        self._assembled = assemble(advance, self.kernel, self.method, link)
+
+    def end(self, h: float, steps: int) -> np.ndarray:
+        """Return q and p after some steps of h from a state that excites all modes."""
+        rng, m, z, z1 = np.random.default_rng(0), self.pairs, *map(Point.empty, [self.n] * 2)
+        z.q[:m], z.q[m:], z.p[:] = (size * rng.normal(size=k) for size, k in (
+            (0.5, m), (0.02, m), (1.0, 2 * m)))
+        self.kernel.gradient(self.kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+        q, p = np.empty((2, 1, self.n))
+        loop, step, options = self._assembled
+        outcome, done, *_ = loop(step, self.kernel, h, options, 0, steps, z, z1,
+                                 (Memory.empty(2 * self.n, 2 * self.n),), q, p)
+        assert (outcome, done) == (OK, steps)
+        return np.concatenate([q[0], p[0]])
+
+
+def test_krylov_has_the_solution_of_a_jacobian_to_round_off_at_1200_unknowns():
+    ends = [Chain(link).end(0.1, 1) for link in (1, 2)]
+    # Residuals of N eps of the largest unknown, at most 4; h omega^2 / 2 over 1 + (h omega / 2)^2
+    # is 17, by which a stretch enters its momentum.
+    assert ends[1] == pytest.approx(ends[0], abs=(1 + 17) * 1200 * EPS * 4.0)
+
+
+def test_implicit_midpoint_converges_with_order_2_by_krylov():
+    chain = Chain(2)
+    ends = [chain.end(0.02 / k, 10 * k) for k in (1, 2, 4, 16)]
+    errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
+    # The reference is off by 1 / 16 of the last error.
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert orders == pytest.approx(2.0, abs=0.35)
+
+
+def test_stiff_chain_beyond_a_jacobian_is_stepped_by_its_own_method_and_resumes_to_the_bit():
+    """600 unknowns at h omega = 5, where no fixed-point iteration contracts."""
+    def start() -> Simulation:
+        rng, m = np.random.default_rng(0), 150
+        q = np.concatenate([0.5 * rng.normal(size=m), 0.02 * rng.normal(size=m)])
+        return Simulation(HAMILTONIANS['fput_chain'](m, 50.0), INTEGRATORS['implicit_midpoint'](),
+                          0.1, q, rng.normal(size=2 * m))
+
+    simulation, other = start(), start()
+    simulation.advance(2)
+    kept = simulation.snapshot()
+    simulation.advance(3)
+    assert (simulation.steps, simulation.rescued) == (5, 0)
+    assert simulation.residual <= 600 * EPS
+    other.restore(kept)
+    other.advance(3)
+    assert np.array_equal(simulation.q, other.q) and np.array_equal(simulation.p, other.p)
 
 
 @pytest.mark.parametrize('solve', [fixed_point, secant, anderson])

@@ -46,10 +46,9 @@ class Wrapped(Integrator):
         """Return whether the effect and the method are this package's."""
         return is_own(self._kind.__module__) and self._inner.own
 
-    @property
-    def links(self) -> int:
-        """Return how many solvers the chain of the method has."""
-        return self._inner.links
+    def links(self, n: int) -> tuple[int, ...]:
+        """Return the solvers of the method's chain."""
+        return self._inner.links(n)
 
     @property
     def usual_gradients(self) -> int:

@@ -20,6 +20,11 @@ REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
 ON_FAILURE = ('substep', 'implicit', 'stop')
 
 
+# Unknowns of an equation up to which Newton's method can have a Jacobian, and up to which it takes
+# less time with one than without; and the vectors that it keeps without.
+LARGEST_MATRIX, FAST_MATRIX, KRYLOV_DIMENSION = 512, 128, 30
+
+
 class Point(NamedTuple):
     """
     A state, of one trajectory or of several one after another, each array of shape (n,).
@@ -66,12 +71,20 @@ class Memory(NamedTuple):
         The last iterate that was good enough.
     newton : np.ndarray, shape (N,)
         A Newton step.
+    pivots : np.ndarray, shape (N,)
+        The rows that were exchanged to factorise the matrix.
     values, residuals, basis : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their residuals, by Anderson's method.
     triangle : np.ndarray, shape (4, 4)
         The small least-squares problem of Anderson's method.
     matrix : np.ndarray, shape (N, N) or (0, 0)
-        The Jacobian of Newton's method; empty where N is too large for one.
+        The factors of the Jacobian of Newton's method; empty where N is too large for one.
+    directions : np.ndarray, shape (m + 1, N) or (0, 0)
+        The Krylov space of Newton's method without a Jacobian; empty where N is small.
+    hessenberg, rotations : np.ndarray, shape (m + 1, m), (3, m + 1)
+        Its small least-squares problem: the matrix; cosines, sines and the right-hand side.
+    pivots : np.ndarray, shape (N,) or (0,)
+        The rows that were exchanged to factorise the Jacobian.
 
     """
 
@@ -88,13 +101,21 @@ class Memory(NamedTuple):
     basis: np.ndarray
     triangle: np.ndarray
     matrix: np.ndarray
+    directions: np.ndarray
+    hessenberg: np.ndarray
+    rotations: np.ndarray
+    pivots: np.ndarray
 
     @classmethod
-    def empty(cls, n: int, largest_matrix: int = 512, dtype: type = np.float64) -> 'Memory':
+    def empty(cls, n: int, largest_matrix: int = LARGEST_MATRIX, dtype: type = np.float64
+              ) -> 'Memory':
         """Return the memory of an equation of n unknowns before its first solution."""
         side = n if n <= largest_matrix else 0
-        shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side)]
-        return cls(np.zeros(1, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes])
+        m = KRYLOV_DIMENSION if n > min(FAST_MATRIX, largest_matrix) else 0
+        shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side),
+                  (m + 1, n) if m else (0, 0), (m + 1, m), (3, m + 1)]
+        return cls(np.zeros(1, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes],
+                   np.zeros(side, dtype=np.int64))
 
 
 class Integrator(ABC):
@@ -170,10 +191,9 @@ class Integrator(ABC):
         """Return whether all of the step is this package's, whose changes are noticed."""
         return is_own(type(self).__module__)
 
-    @property
-    def links(self) -> int:
-        """Return how many ways there are to take one step, the cheapest first."""
-        return 1
+    def links(self, n: int) -> tuple[int, ...]:
+        """Return the ways there are to take one step of n coordinates, the cheapest first."""
+        return (0,)
 
     @property
     def usual_gradients(self) -> int:

@@ -61,10 +61,9 @@ class Composition(Integrator):
         """Refuse what the base refuses; see Integrator."""
         self.base.check(hamiltonian)
 
-    @property
-    def links(self) -> int:
-        """Return how many solvers the chain of the base has."""
-        return self.base.links
+    def links(self, n: int) -> tuple[int, ...]:
+        """Return the solvers of the base's chain."""
+        return self.base.links(n)
 
     @property
     def usual_gradients(self) -> int:

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the methods that solve an equation in each step have in common."""
 
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.base import FAST_MATRIX, Integrator, LARGEST_MATRIX
+from hnn_vi_ros.integrators.krylov import krylov
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
 
 SOLVERS = ('chain', 'fixed_point')
-_NEWTON_ITERATIONS = 15
+_NEWTON_ITERATIONS = 20
 _MOST_ITERATIONS = 10_000
 # Evaluations that an equation takes to be solved to round-off from an extrapolated start: 4 to 6
 # by the secant method, up to about ten by Anderson's.
@@ -19,8 +20,9 @@ class ImplicitIntegrator(Integrator):
     A method whose step solves equations of n unknowns each, unless ``unknowns`` says otherwise.
 
     The chain of solvers: an extrapolated start; the secant method where the unknowns are
-    independent, else Anderson's; for a step that these do not solve, Newton's method; for one
-    that Newton's does not solve either, sub-steps of a symmetric method.
+    independent, else Anderson's; for a step that these do not solve, Newton's method: with a
+    Jacobian up to 128 unknowns, without one beyond, and with one again, up to 512 unknowns, where
+    that fails; for one that Newton's does not solve either, sub-steps of a symmetric method.
 
     Parameters
     ----------
@@ -48,10 +50,14 @@ class ImplicitIntegrator(Integrator):
                 f'max_iterations = {max_iterations} must be from 1 to {_MOST_ITERATIONS}')
         self.solver, self.max_iterations = solver, max_iterations
 
-    @property
-    def links(self) -> int:
-        """Return how many solvers the chain has."""
-        return 1 if self.solver == 'fixed_point' else 2
+    def links(self, n: int) -> tuple[int, ...]:
+        """Return the links of the chain for n coordinates; 1 and 2 are Newton's method."""
+        if self.solver == 'fixed_point':
+            return (0,)
+        most = max(self.unknowns(n))
+        if most <= FAST_MATRIX:
+            return (0, 1)
+        return (0, 2, 1) if most <= LARGEST_MATRIX else (0, 2)
 
     @property
     def usual_gradients(self) -> int:
@@ -62,8 +68,8 @@ class ImplicitIntegrator(Integrator):
         """Return the options of a link of the chain."""
         if self.solver == 'fixed_point':
             return SolverOptions(fixed_point, False, self.max_iterations)
-        if link == 1:
-            return SolverOptions(newton, True, _NEWTON_ITERATIONS)
+        if link > 0:
+            return SolverOptions(newton if link == 1 else krylov, True, _NEWTON_ITERATIONS)
         solve = secant if self.scalar and dimension == 1 else anderson
         return SolverOptions(solve, True, self.max_iterations)
 

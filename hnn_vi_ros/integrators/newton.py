@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Newton's method for the implicit equation x = G(x) of a step; see solvers."""
+"""Newton's method with a Jacobian, for the equation x = G(x) of a step; see solvers."""
 
 from collections.abc import Callable
 import math
@@ -10,18 +10,25 @@ from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge
-from hnn_vi_ros.linear_algebra import solve_linear
+from hnn_vi_ros.linear_algebra import factorise_rows, solve_factorised
 import numpy as np
 
 # Of a central difference, relative to what it is about.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+_EPS = float(np.finfo(np.float64).eps)
+# A Jacobian is kept while each iteration takes the residual at least this many times down: one of
+# N unknowns costs N evaluations, and a sixteenth of the digits is worth one.
+_KEPT = 0.1
 
 
 @inlined
 def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
            memory: Memory, max_iterations: int) -> tuple[int, float, int]:
     """
-    Iterate (I - G'(x)) step = G(x) - x, the matrix built column by column; see the module.
+    Iterate (I - G'(y)) step = G(x) - x, the matrix built column by column; see the module.
+
+    y is an earlier iterate, at first the start: the matrix and its factors are kept as long as the
+    residual shrinks fast with them. Nothing is kept from step to step.
 
     x_j is rounded to eps abs(x_j), and so G_i is known to eps sum_j abs(G'_ij x_j) at best: the
     scale of an unknown is that sum where it is larger, as for the momenta beside an angle that
@@ -30,9 +37,10 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     """
     n = x.size
     value, defect, unit = memory.values[0], memory.residuals[0], memory.values[1]
-    column, step = memory.values[2], memory.residuals[1]
+    column, step, known = memory.values[2], memory.residuals[1], memory.residuals[2]
     sizes = memory.scale, memory.own_scale, memory.accepted
     previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
+    bound, is_kept = max(8, n) * _EPS, False
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
                                          stage, k == max_iterations)
@@ -44,40 +52,45 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         if stage == BACK:
             copy_array(value, x)
             continue
+        # Residuals of the size of rounding say nothing about the matrix.
+        if not is_kept or residual > max(bound, _KEPT * previous):
+            known[:] = 0.0
+            for j in range(n):
+                unit[:] = 0.0
+                unit[j] = 1.0
+                tangent(problem, x, unit, column)
+                for i in range(n):
+                    memory.matrix[i, j] = unit[i] - column[i]
+                    known[i] += abs(column[i] * x[j])
+            raise_scales(memory.scale, memory.own_scale, known)
+            evaluations += n
+            is_kept = factorise_rows(memory.matrix, memory.pivots)
+            if not is_kept:
+                break
         previous = residual
-        known = memory.residuals[2]
-        known[:] = 0.0
-        for j in range(n):
-            unit[:] = 0.0
-            unit[j] = 1.0
-            tangent(problem, x, unit, column)
-            for i in range(n):
-                memory.matrix[i, j] = unit[i] - column[i]
-                known[i] += abs(column[i] * x[j])
-            step[j] = value[j] - x[j]
-        _raise_scales(memory.scale, memory.own_scale, known)
-        evaluations += n
-        if not solve_linear(memory.matrix, step):
-            break
+        for i in range(n):
+            step[i] = value[i] - x[i]
+        solve_factorised(memory.matrix, memory.pivots, step)
         for i in range(n):
             x[i] += step[i]
     return NO_CONVERGENCE, residual, evaluations
 
 
 @inlined
-def _raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
+def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
     """Raise each own scale to what the equation is known to, and the others to the largest."""
     for i in range(scale.size):
         own_scale[i] = max(own_scale[i], known[i])
-    for i in range(scale.size):
-        # Unknowns of one kind and trajectory share a scale.
-        size = scale[i]
-        for j in range(scale.size):
-            if scale[j] == scale[i]:
+    first = 0
+    for i in range(1, scale.size + 1):
+        # Unknowns of one kind and trajectory lie together, and share a scale.
+        if i == scale.size or scale[i] != scale[first]:
+            size = scale[first]
+            for j in range(first, i):
                 size = max(size, own_scale[j])
-        known[i] = size
-    for i in range(scale.size):
-        scale[i] = known[i]
+            for j in range(first, i):
+                scale[j] = size
+            first = i
 
 
 @inlined

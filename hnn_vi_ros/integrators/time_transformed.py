@@ -102,10 +102,9 @@ class TimeTransformed(Integrator):
         """Refuse what the base refuses; see Integrator."""
         self.base.check(hamiltonian)
 
-    @property
-    def links(self) -> int:
-        """Return how many solvers the chain of the base has."""
-        return self.base.links
+    def links(self, n: int) -> tuple[int, ...]:
+        """Return the solvers of the base's chain, for n coordinates and the time."""
+        return self.base.links(n + 1)
 
     def options(self, link: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the base, the force and the exponent."""
