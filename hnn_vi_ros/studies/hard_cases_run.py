@@ -9,7 +9,11 @@ from hnn_vi_ros.diagnostics import (
     block_maxima, energy_band, reversal_defect, rounding_scale, rounding_walk,
     secular_change, stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.hard_cases_gates import Measured
@@ -24,6 +28,8 @@ _STATES, _WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.
 _JUDGED = 2
 _RESCUED = 'steps in parts'
+# What is judged is the motion: that a step was slow says nothing about it.
+_GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, ResolutionGuard)
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
 
@@ -131,7 +137,7 @@ def scale_of(simulation: Simulation) -> float:
 def _watch(job: Job, simulation: Simulation) -> Watch:
     """Return the guards of one run, with the limits of the job."""
     return Watch(simulation, _barrier(job, simulation), job.guards.under_resolved,
-                 job.guards.drift)
+                 job.guards.drift, _GUARDS)
 
 
 def _barrier(job: Job, simulation: Simulation) -> tuple[str, float] | None:
