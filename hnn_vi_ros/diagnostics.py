@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, REASONS
+from hnn_vi_ros.integrators.base import (
+    Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 import numpy as np
 
@@ -98,7 +99,7 @@ def take_step(kernel: Kernel, integrator: Integrator, h: float, q: np.ndarray, p
     for link in integrator.links(q.size):
         outcome, residual, spent = integrator.step(
             kernel, h, integrator.options(link, q.size), z, z1, integrator.memory(q.size))
-        if outcome == OK:
+        if outcome in (OK, NO_SOLUTION):
             break
     if outcome == OK and not is_finite(z1):
         outcome = NOT_FINITE

@@ -10,23 +10,25 @@ DEPENDENT = 1e-12
 
 
 @inlined
-def solve_linear(matrix: np.ndarray, right: np.ndarray) -> bool:
-    """Solve in place by elimination with row pivots; False if the matrix is singular."""
-    n = right.size
+def solve_linear(matrix: np.ndarray, right: np.ndarray) -> int:
+    """Solve in place by elimination with row pivots; return the sign of the determinant."""
+    n, sign = right.size, 1
     for k in range(n):
         pivot = k
         for i in range(k + 1, n):
             if abs(matrix[i, k]) > abs(matrix[pivot, k]):
                 pivot = i
         if not abs(matrix[pivot, k]) > 0.0:
-            return False
+            return 0
+        if (matrix[pivot, k] < 0.0) != (pivot != k):
+            sign = -sign
         if pivot != k:
             right[k], right[pivot] = right[pivot], right[k]
             for j in range(k, n):
                 matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
         _clear_column(matrix, right, k)
     _substitute_back(matrix, right)
-    return True
+    return sign
 
 
 @inlined

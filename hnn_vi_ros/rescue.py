@@ -13,7 +13,8 @@ from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest
-from hnn_vi_ros.integrators.base import BEYOND, Integrator, Memory, OK, ON_FAILURE, Point
+from hnn_vi_ros.integrators.base import (
+    BEYOND, Integrator, Memory, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.loops import advance, assemble, take_substeps
 from hnn_vi_ros.system import System
@@ -120,15 +121,17 @@ class Rescue:
                 # What came before is no guide to the next start.
                 for store in memory:
                     store.count[0] = 0
-                return Taken(True, True, solved.gradients + spent, solved.residual)
+                return solved._replace(
+                    ok=True, rescued=True, gradients=solved.gradients + spent)
             if spent > most:
-                return Taken(False, False, solved.gradients + spent, solved.residual, most)
-        return Taken(False, False, solved.gradients + spent, solved.residual)
+                return solved._replace(gradients=solved.gradients + spent, given_up=most)
+        return solved._replace(gradients=solved.gradients + spent)
 
     def _by_other_solvers(self, way: int, h: float, z: Point, z1: Point,
                           memory: tuple[Memory, ...]) -> 'Taken':
         """Take the step with the later links of the way's own chain."""
-        kernel, method, spent, residual = self._system.kernel, self.ways[way], 0, math.nan
+        kernel, method, spent = self._system.kernel, self.ways[way], 0
+        residual, outcome = math.nan, NO_CONVERGENCE
         for link in method.links(z.q.size)[1:]:
             if (way, link) not in self._entries:
                 self._entries[way, link] = assemble(advance, kernel, method, link)
@@ -140,9 +143,9 @@ class Rescue:
             self._entries[way, link] = entry, step, options
             outcome, _, gradients, residual, *_ = entry(*arguments)
             spent += gradients
-            if outcome == OK:
-                return Taken(True, False, spent, residual)
-        return Taken(False, False, spent, residual)
+            if outcome in (OK, NO_SOLUTION):
+                break
+        return Taken(outcome == OK, False, spent, residual, outcome)
 
     def _others(self, way: int, n: int) -> list[tuple[Integrator, int, int]]:
         """Return method, link of its chain and number of parts, in the order of trial."""
@@ -182,6 +185,8 @@ class Taken(NamedTuple):
         Evaluated for it.
     residual : float
         Of the last solver of the chain.
+    outcome : int
+        Of the same.
     given_up : int
         How many gradients sub-steps may take, if they have taken more; else 0.
 
@@ -191,6 +196,7 @@ class Taken(NamedTuple):
     rescued: bool
     gradients: int
     residual: float
+    outcome: int
     given_up: int = 0
 
 

@@ -12,12 +12,16 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import BEYOND, Integrator, NOT_FINITE, OK, Point, REASONS
+from hnn_vi_ros.integrators.base import (
+    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
 from hnn_vi_ros.loops import advance, assemble
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.rescue import Rescue
 from hnn_vi_ros.system import System
 import numpy as np
+
+# Relative to a state: solutions that are further apart are not the same one, to round-off.
+_SAME = 1e-8
 
 
 class Simulation:
@@ -55,8 +59,9 @@ class Simulation:
         The state; copy it before the next ``advance``.
     dH_dq, dH_dp : np.ndarray, of the shape of q
         -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
-    rescued : int
-        Steps that were taken in parts, or by the implicit midpoint rule instead.
+    rescued, several_solutions : int
+        Steps that were taken in parts, or by the implicit midpoint rule instead; and those where a
+        solver came to another solution than that which is connected to h = 0.
     residual : float
         Relative residual of the last implicit step [1].
     gradients : int
@@ -103,7 +108,8 @@ class Simulation:
         self._system.check_state(q, p)
         self._system.live.reset(stream)
         self._system.live.clock[0] = step * self.step_size
-        self.steps, self.rescued, self.gradients, self.residual = step, 0, 0, 0.0
+        self.steps, self.gradients, self.residual = step, 0, 0.0
+        self.rescued = self.several_solutions = 0
         self.costliest = 0, step
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
@@ -140,6 +146,11 @@ class Simulation:
     def time(self) -> float:
         """Return the simulated time since the initial state [s]."""
         return self.steps * self.step_size
+
+    @property
+    def connected(self) -> bool:
+        """Whether there may be several solutions of which the one connected to h = 0 is taken."""
+        return self._system.integrator.no_solution != '' and not self.hamiltonian.separable
 
     @property
     def energy(self) -> float:
@@ -234,7 +245,8 @@ class Simulation:
 
         """
         h, now = self.step_size, self.snapshot()
-        counts = self.gradients, self.rescued, self.residual, self.costliest
+        counts = (self.gradients, self.rescued, self.several_solutions, self.residual,
+                  self.costliest)
         # Steps of another length are no guide to the start of this one's equations.
         self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
                       for name, value in snapshot.items()})
@@ -245,7 +257,8 @@ class Simulation:
         finally:
             self.step_size = h
             self.restore(now)
-            self.gradients, self.rescued, self.residual, self.costliest = counts
+            (self.gradients, self.rescued, self.several_solutions, self.residual,
+             self.costliest) = counts
 
     def _update_gradient(self) -> None:
         """Make the public gradient that of the state."""
@@ -330,15 +343,22 @@ class Simulation:
 
     def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
         """Take one step in another way; return what came of the first one if none will do."""
+        z, z1 = self._z, self._z1
+        doubtful = np.append(z1.q, z1.p)
         taken = self._rescue.take_step(
-            self._way, self.step_size, self._z, self._z1, self._memories[self._way])
+            self._way, self.step_size, z, z1, self._memories[self._way])
+        if outcome == IN_DOUBT:
+            outcome = taken.outcome
+            self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
+                doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
         self.gradients += taken.gradients
         self.rescued += taken.rescued or (taken.ok and self._way != 0)
         if not np.isnan(taken.residual):
             self.residual = taken.residual
         spent += taken.gradients
         if not taken.ok:
-            reason = self._system.reason(outcome)
+            reason = self._system.reason(
+                taken.outcome if taken.outcome == NO_SOLUTION else outcome)
             if taken.given_up:
                 reason += f', given up after {taken.given_up} gradients in sub-steps'
             return StepFailure(reason, self.time, self.step_size, residual, spent)

@@ -21,7 +21,7 @@ from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, REASONS, REDUNDANT
+from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, REASONS, REDUNDANT
 from hnn_vi_ros.integrators.composition import Composition
 import numpy as np
 
@@ -196,6 +196,8 @@ class System:
 
     def reason(self, outcome: int) -> str:
         """Return why a step failed."""
+        if outcome == NO_SOLUTION:
+            return self.method.no_solution
         return f'{self._manifold.dependent}: {REASONS[outcome]}' if outcome == REDUNDANT else \
             REASONS[outcome]
 

@@ -151,6 +151,9 @@ def python_kernel(hamiltonian: Hamiltonian) -> Kernel:
 def exact_options(integrator: Integrator) -> tuple:
     """Return the options of a method with its coefficients to DIGITS digits."""
     options = integrator.options()
+    if isinstance(options, solvers.SolverOptions):
+        # So many digits take many iterations, whichever solution it is.
+        return options._replace(connected=False)
     if not isinstance(integrator, Gauss):
         return options
     return Tableau(*exact_tableau(integrator.stages), options.solver)

@@ -3,6 +3,7 @@
 """An integrator with an effect around its step, and the account that effects keep."""
 
 from collections.abc import Callable
+from copy import copy
 from functools import cache
 from typing import final
 
@@ -32,7 +33,9 @@ class Wrapped(Integrator):
     explicit = symmetric = symplectic = False
 
     def __init__(self, inner: Integrator, kind: type[StepEffect], settings: tuple):
-        self._inner, self._kind, self._settings = inner, kind, settings
+        # An effect may take several solutions in a step, not all of them for good: any will do.
+        self._inner, self._kind, self._settings = copy(inner), kind, settings
+        self._inner.no_solution = ''
         self.order, self.compiled = inner.order, inner.compiled
         self.step = kind.wrap(kind.inner_step(inner), inner.keeps_gradient)
 

@@ -11,6 +11,7 @@ from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
+from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.simulation import Simulation
 
 # Of the energy scale, where no others are asked for: see ResolutionGuard and EnergyGuard.
@@ -47,3 +48,5 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
         yield BarrierGuard(*barrier, method.order)
+    if simulation.connected:
+        yield SolutionGuard(simulation)

@@ -11,11 +11,12 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.
-OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT = 0, 1, 2, 3, 4, 5
+OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT, IN_DOUBT, NO_SOLUTION = range(8)
 REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            BEYOND: 'beyond the limit of stability',
            NO_MASS: 'H_pp is not positive definite, so that there are no masses',
-           REDUNDANT: 'it depends on the constraints before it; leave it out'}
+           REDUNDANT: 'it depends on the constraints before it; leave it out',
+           NO_SOLUTION: 'no solution is connected to h = 0'}
 # What may be done about a step that fails; see Rescue.
 ON_FAILURE = ('substep', 'implicit', 'stop')
 
@@ -59,8 +60,9 @@ class Memory(NamedTuple):
 
     Parameters
     ----------
-    count : np.ndarray, shape (1,)
-        How many earlier solutions ``increments`` holds.
+    count : np.ndarray, shape (2,)
+        How many earlier solutions ``increments`` holds; and 1 if the first iteration of a solve
+        did not contract.
     increments : np.ndarray, shape (3, N)
         Earlier solutions less their starting points, the newest first.
     scale, own_scale : np.ndarray, shape (N,)
@@ -114,7 +116,7 @@ class Memory(NamedTuple):
         m = KRYLOV_DIMENSION if n > min(FAST_MATRIX, largest_matrix) else 0
         shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side),
                   (m + 1, n) if m else (0, 0), (m + 1, m), (3, m + 1)]
-        return cls(np.zeros(1, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes],
+        return cls(np.zeros(2, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes],
                    np.zeros(side, dtype=np.int64))
 
 
@@ -145,6 +147,9 @@ class Integrator(ABC):
         False if the map is as good for a field u' = f(u) in any coordinates.
     takes_canonical : bool
         False if it is made for coordinates that are not canonical, on which no effect acts.
+    no_solution : str
+        What it means that no solution of the step's equation is connected to h = 0; '' where the
+        one that solvers find is taken.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
@@ -165,6 +170,7 @@ class Integrator(ABC):
     takes_forces: ClassVar[bool] = True
     goes_on_from_state: ClassVar[bool] = True
     separable_only: bool = False
+    no_solution: str = ''
     canonical_only: ClassVar[bool] = True
     takes_canonical: ClassVar[bool] = True
     halves: 'tuple[Callable, Callable] | None' = None

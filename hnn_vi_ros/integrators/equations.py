@@ -7,8 +7,9 @@ from typing import NamedTuple
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, OK
-from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.base import IN_DOUBT, Memory, OK
+from hnn_vi_ros.integrators.solvers import (
+    extrapolate, is_in_doubt, remember, SolverOptions)
 import numpy as np
 
 
@@ -69,6 +70,8 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
                        memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _momentum_equation, _momentum_tangent, problem, p1, memory, options.max_iterations)
+    if outcome == OK and is_in_doubt(options, memory, gradients, kernel.dimension):
+        return IN_DOUBT, residual, gradients
     if outcome == OK:
         remember(memory, p, p1)
         _finish(p, p_carry, -h, dH_dq1, p1, p1_carry)
@@ -109,6 +112,8 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
                        memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _coordinate_equation, _coordinate_tangent, problem, q1, memory, options.max_iterations)
+    if outcome == OK and is_in_doubt(options, memory, gradients, kernel.dimension):
+        return IN_DOUBT, residual, gradients
     if outcome == OK:
         remember(memory, q, q1)
         _finish(q, q_carry, h, dH_dp1, q1, q1_carry)

@@ -3,6 +3,7 @@
 """What the methods that solve an equation in each step have in common."""
 
 from hnn_vi_ros.integrators.base import FAST_MATRIX, Integrator, LARGEST_MATRIX
+from hnn_vi_ros.integrators.continuation import continuation
 from hnn_vi_ros.integrators.krylov import krylov
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
@@ -13,6 +14,8 @@ _MOST_ITERATIONS = 10_000
 # Evaluations that an equation takes to be solved to round-off from an extrapolated start: 4 to 6
 # by the secant method, up to about ten by Anderson's.
 _USUAL_ITERATIONS = 10
+NO_SOLUTION_OF_EQ_6 = ('eq. (6) has no solution here that is connected to h = 0: on the way '
+                       'det(I + h H_qp) changes sign')
 
 
 class ImplicitIntegrator(Integrator):
@@ -22,7 +25,10 @@ class ImplicitIntegrator(Integrator):
     The chain of solvers: an extrapolated start; the secant method where the unknowns are
     independent, else Anderson's; for a step that these do not solve, Newton's method: with a
     Jacobian up to 128 unknowns, without one beyond, and with one again, up to 512 unknowns, where
-    that fails; for one that Newton's does not solve either, sub-steps of a symmetric method.
+    that fails; for one that Newton's does not solve either, sub-steps of a symmetric method. Where
+    ``no_solution`` says so, a step of up to 128 unknowns that is not solved quickly is solved by
+    continuation from h = 0 instead, so that which of several solutions is taken does not depend on
+    the steps before.
 
     Parameters
     ----------
@@ -49,6 +55,9 @@ class ImplicitIntegrator(Integrator):
             raise ValueError(
                 f'max_iterations = {max_iterations} must be from 1 to {_MOST_ITERATIONS}')
         self.solver, self.max_iterations = solver, max_iterations
+        if solver == 'fixed_point':
+            # From the state it goes to the same solution each time.
+            self.no_solution = ''
 
     def links(self, n: int) -> tuple[int, ...]:
         """Return the links of the chain for n coordinates; 1 and 2 are Newton's method."""
@@ -56,7 +65,7 @@ class ImplicitIntegrator(Integrator):
             return (0,)
         most = max(self.unknowns(n))
         if most <= FAST_MATRIX:
-            return (0, 1)
+            return (0, 3, 1) if self.no_solution else (0, 1)
         return (0, 2, 1) if most <= LARGEST_MATRIX else (0, 2)
 
     @property
@@ -69,9 +78,10 @@ class ImplicitIntegrator(Integrator):
         if self.solver == 'fixed_point':
             return SolverOptions(fixed_point, False, self.max_iterations)
         if link > 0:
-            return SolverOptions(newton if link == 1 else krylov, True, _NEWTON_ITERATIONS)
+            solve = (newton, krylov, continuation)[link - 1]
+            return SolverOptions(solve, link < 3, _NEWTON_ITERATIONS)
         solve = secant if self.scalar and dimension == 1 else anderson
-        return SolverOptions(solve, True, self.max_iterations)
+        return SolverOptions(solve, True, self.max_iterations, bool(self.no_solution))
 
     def substep(self) -> Integrator | None:
         """Return this method where it is symmetric, else the generalised leapfrog."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import inlined
+from hnn_vi_ros.compilation import called, inlined
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge
@@ -36,8 +36,7 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     may cancel in the sum that do not in H.
     """
     n = x.size
-    value, defect, unit = memory.values[0], memory.residuals[0], memory.values[1]
-    column, step, known = memory.values[2], memory.residuals[1], memory.residuals[2]
+    value, defect, step = memory.values[0], memory.residuals[0], memory.residuals[1]
     sizes = memory.scale, memory.own_scale, memory.accepted
     previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
     bound, is_kept = max(8, n) * _EPS, False
@@ -54,15 +53,8 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
             continue
         # Residuals of the size of rounding say nothing about the matrix.
         if not is_kept or residual > max(bound, _KEPT * previous):
-            known[:] = 0.0
-            for j in range(n):
-                unit[:] = 0.0
-                unit[j] = 1.0
-                tangent(problem, x, unit, column)
-                for i in range(n):
-                    memory.matrix[i, j] = unit[i] - column[i]
-                    known[i] += abs(column[i] * x[j])
-            raise_scales(memory.scale, memory.own_scale, known)
+            fill_matrix(tangent, problem, x, 1.0, memory)
+            raise_scales(memory.scale, memory.own_scale, memory.residuals[2])
             evaluations += n
             is_kept = factorise_rows(memory.matrix, memory.pivots)
             if not is_kept:
@@ -74,6 +66,21 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         for i in range(n):
             x[i] += step[i]
     return NO_CONVERGENCE, residual, evaluations
+
+
+@called
+def fill_matrix(tangent: Callable, problem: NamedTuple, x: np.ndarray, share: float,
+                memory: Memory) -> None:
+    """Fill the matrix with I - share G'(x), and the third residuals with sum_j abs(G'_ij x_j)."""
+    unit, column, known = memory.values[1], memory.values[2], memory.residuals[2]
+    known[:] = 0.0
+    for j in range(x.size):
+        unit[:] = 0.0
+        unit[j] = 1.0
+        tangent(problem, x, unit, column)
+        for i in range(x.size):
+            memory.matrix[i, j] = unit[i] - share * column[i]
+            known[i] += abs(column[i] * x[j])
 
 
 @inlined

@@ -24,11 +24,16 @@ from typing import NamedTuple
 
 from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.integrators.arithmetic import copy_array
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.integrators.base import FAST_MATRIX, Memory, NO_CONVERGENCE, NOT_FINITE, OK
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
 _DEPTH = 3
+# Iterations of the secant method, as many as steps take that are resolved. Of the 6155 steps of
+# two methods that H = q sin(5 p) was tried with, one took another solution without a sign.
+_QUICK = 5
+# Residuals that are not rounding alone.
+_NOISE = 1e-11
 GO_ON = -1
 # What a residual is relative to: at first the scale of the largest unknown, then each one's own;
 # or an iterate that was good enough is gone back to.
@@ -47,12 +52,16 @@ class SolverOptions(NamedTuple):
         Whether to start from earlier solutions.
     max_iterations : int
         Iterations after which the equation counts as not solved.
+    connected : bool
+        Whether a solution that takes many iterations is in doubt: it may be another one than that
+        which is connected to h = 0.
 
     """
 
     solve: Callable
     extrapolate: bool
     max_iterations: int
+    connected: bool = False
 
 
 @inlined
@@ -89,6 +98,8 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
             return outcome, residual, k
         if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
+        if k == 2 and residual > 0.5 * previous > _NOISE:
+            memory.count[1] = 1
         previous = residual
         if k == max_iterations:
             break
@@ -124,6 +135,8 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
             return outcome, residual, k
         if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
+        if k == 2 and residual > 0.5 * previous > _NOISE:
+            memory.count[1] = 1
         previous = residual
         if stage != old_stage:
             # Residuals relative to something else are not to be combined with these.
@@ -133,6 +146,24 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
             used = _project(memory, k, defect, depth)
             _combine(memory, k, value, used, x)
     return NO_CONVERGENCE, residual, max_iterations
+
+
+@inlined
+def is_in_doubt(options: SolverOptions, memory: Memory, iterations: int, d: int) -> bool:
+    """
+    Tell whether a solution of d coupled unknowns may not be the one that is connected to h = 0.
+
+    Two solutions are apart by a place where G' has an eigenvalue of 1: to come over it, or close
+    to it, takes iterations, more than where solutions follow each other smoothly, or the first
+    does not contract by half.
+    """
+    # In this order: what is read from arrays costs more.
+    if not options.connected or iterations < 3:
+        return False
+    if iterations <= _QUICK + min(d - 1, _DEPTH) and memory.count[1] == 0:
+        return False
+    memory.count[1] = 0
+    return 0 < memory.matrix.shape[0] <= FAST_MATRIX
 
 
 @inlined

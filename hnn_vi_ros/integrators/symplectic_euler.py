@@ -7,7 +7,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
 from hnn_vi_ros.integrators.equations import solve_momenta
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
 import numpy as np
 
@@ -30,6 +30,7 @@ class SymplecticEuler(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
+    no_solution = NO_SOLUTION_OF_EQ_6
 
     @staticmethod
     @inlined

@@ -28,6 +28,8 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
     """
 
     order, symmetric, symplectic, scalar = 1, False, True, True
+    no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
+                   'the way det(I - h H_qp) changes sign')
 
     @staticmethod
     @inlined

@@ -20,6 +20,7 @@ from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
@@ -216,7 +217,7 @@ def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'varia
     (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]),
      [ResolutionGuard, EnergyGuard, CostGuard]),
     (build(load_scene('pendulum')),
-     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard]),
+     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, SolutionGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
     guards = make_guards(simulation, fixed(1.0), 0.05, 0.02, simulation.hamiltonian.barrier)

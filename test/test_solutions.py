@@ -1,0 +1,128 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Steps whose equation has several solutions, or none."""
+
+from functools import cached_property
+import math
+
+from helpers import Uncompiled
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.solutions import SolutionGuard
+from hnn_vi_ros.guards.watch import look
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+pytestmark = pytest.mark.filterwarnings('ignore:.*is not a tanh network of ours')
+H = 0.25
+
+
+class Wavy(Hamiltonian):
+    """H = (p^2 + q^2) / 2 + q sin(5 p): eq. (6) has several solutions where 5 h > 1."""
+
+    coordinates, separable = (Coordinate('x'),), False
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        def energy(_, q, p):
+            return 0.5 * (p[0] ** 2 + q[0] ** 2) + q[0] * math.sin(5.0 * p[0])
+
+        def gradient(_, q, p, dH_dq, dH_dp):
+            for i in range(q.size):
+                dH_dq[i] = q[i] + math.sin(5.0 * p[i])
+                dH_dp[i] = p[i] + 5.0 * q[i] * math.cos(5.0 * p[i])
+
+        def hessian_vector(_, q, p, v_q, v_p, product_q, product_p):
+            for i in range(q.size):
+                mixed = 5.0 * math.cos(5.0 * p[i])
+                product_q[i] = v_q[i] + mixed * v_p[i]
+                product_p[i] = mixed * v_q[i] + (1.0 - 25.0 * q[i] * math.sin(5.0 * p[i])) * v_p[i]
+
+        return Kernel(energy, gradient, hessian_vector, (), 1, (0.0, 0.0), False)
+
+
+def wavy(name: str = 'variational_euler') -> Simulation:
+    """Return a simulation of Wavy at a step size for which it has several solutions."""
+    return Simulation(Wavy(), INTEGRATORS[name](), H, [0.5], [0.3])
+
+
+def connected(name: str, q: float, p: float) -> float:
+    """
+    Return the solution x of a method's equation that is connected to h = 0.
+
+    With x = b + s h f(x), s is known for each x; along that connection it grows, until it is 1.
+    NaN where that is close: where the determinant 1 - s h f' comes below 0.05, or x is far away.
+    """
+    if name == 'symplectic_euler_adjoint':
+        base, slope = q, lambda x: p + 5.0 * x * np.cos(5.0 * p)
+    else:
+        q1 = q + H * (p + 5.0 * q * math.cos(5.0 * p)) if name == 'variational_euler' else q
+        base, slope = p, lambda x: -(q1 + np.sin(5.0 * x))
+    x = base + math.copysign(1.0, slope(base)) * np.linspace(0.0, 20.0, 20_001)
+    share = (x - base) / (H * slope(x))
+    end = int(np.argmax(share >= 1.0))
+    if end == 0 or (H * slope(x) * np.gradient(share, x))[:end + 1].min() < 0.05:
+        return math.nan
+    return brentq(lambda x: x - base - H * slope(x), x[end - 1], x[end], xtol=1e-14)
+
+
+@pytest.mark.parametrize('name', [
+    'variational_euler', 'symplectic_euler', 'symplectic_euler_adjoint'])
+def test_step_is_the_solution_connected_to_h_0_whatever_came_before(name):
+    mid, afresh = wavy(name), wavy(name)
+    compared, several = 0, 0
+    for start in np.random.default_rng(1).uniform(-1.5, 1.5, (30, 2)):
+        mid.restart(start[:1], start[1:])
+        # Until energy is lost: rescued steps go far.
+        while mid.rescued == 0 and mid.steps < 10:
+            (q,), (p,) = mid.q.copy(), mid.p.copy()
+            mid.advance(1)
+            afresh.restart([q], [p])
+            afresh.advance(1)
+            # The same equation, whose derivative is not far below 0.05: some eps over that.
+            assert [mid.q[0], mid.p[0]] == pytest.approx([afresh.q[0], afresh.p[0]], abs=1e-11)
+            assert mid.rescued == afresh.rescued
+            expected = connected(name, q, p)
+            if not math.isnan(expected):
+                found = mid.q if name == 'symplectic_euler_adjoint' else mid.p
+                assert (mid.rescued, found[0]) == (0, pytest.approx(expected, abs=1e-11))
+                compared += 1
+        several += mid.several_solutions
+    assert compared > 50
+    # The adjoint's equation is linear here, and has one solution.
+    assert (several > 0) == (name != 'symplectic_euler_adjoint')
+
+
+def test_step_without_a_solution_is_told_in_the_words_of_eq_6():
+    """Tao's eq. (6) is quadratic in the new p: its discriminant says whether there is a root."""
+    arguments = (Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS['variational_euler'](), 0.4,
+                 [0.0], [-1.5])
+    simulation = Simulation(*arguments, on_failure='stop')
+    with pytest.raises(StepFailure, match=r'eq. \(6\) has no solution here .*det\(I \+ h H_qp\)'):
+        simulation.advance(100)
+    (q,), (p,), h = simulation.q, simulation.p, 0.4
+    q1 = q + h * (q * q + 1.0) * p
+    assert 1.0 - 4.0 * h * q1 * (h * q1 - p) < 0.0
+    going_on = Simulation(*arguments)
+    going_on.advance(simulation.steps)
+    assert going_on.rescued == 0
+    going_on.advance(1)
+    assert going_on.rescued == 1
+
+
+def test_solution_guard_raises_its_alarm_once():
+    simulation = wavy()
+    guard, = (guard for guard in make_guards(simulation, lambda sample: 1.0, 0.05, 0.02, None)
+              if guard.kind == SolutionGuard.kind)
+    assert guard.update(look(simulation)) is None
+    simulation.several_solutions = 3
+    alarm = guard.update(look(simulation))
+    assert 'in 3 steps so far; use a smaller step_size' in alarm.message
+    assert guard.update(look(simulation)) is None
+    assert np.isfinite(guard.renew(look(simulation)).value)
