@@ -60,7 +60,7 @@ class ImplicitIntegrator(Integrator):
             self.no_solution = ''
 
     def links(self, n: int) -> tuple[int, ...]:
-        """Return the links of the chain for n coordinates; 1 and 2 are Newton's method."""
+        """Return the links of the chain for n coordinates: 1, 2 by Newton, 3 by continuation."""
         if self.solver == 'fixed_point':
             return (0,)
         most = max(self.unknowns(n))
