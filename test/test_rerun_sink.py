@@ -20,6 +20,7 @@ from hnn_vi_ros.sinks.rerun_layout import series_labels
 from hnn_vi_ros.sinks.rerun_sink import RerunSink
 from hnn_vi_ros.sinks.sample import Sample
 import numpy as np
+from ports import free_port
 import pytest
 from rerun.chunk import RrdReader
 
@@ -264,9 +265,7 @@ def test_port_that_is_taken_is_refused():
 @pytest.fixture
 def viewer() -> Iterator[tuple[str, subprocess.Popen]]:
     """Run a process that takes samples as a viewer does; give its URL and the process."""
-    with socket.socket() as probe:
-        probe.bind(('', 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     program = ('import rerun, sys, time; stream = rerun.RecordingStream("viewer"); '
                f'print(stream.serve_grpc(grpc_port={port}), flush=True); time.sleep(60)')
     process = subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE, text=True)
@@ -350,9 +349,7 @@ def threads() -> int:
 @pytest.mark.parametrize('target', ['file', 'port'])
 def test_recordings_that_follow_each_other_leave_no_thread_behind(tmp_path, target):
     """As at each reset: two of the recording and two of its blueprint, and 2 MB."""
-    with socket.socket() as probe:
-        probe.bind(('', 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     counts = []
     for number in range(6):
         sink = open_sink(tmp_path / f'{number}.rrd' if target == 'file' else port)

@@ -15,6 +15,7 @@ import time
 from urllib.parse import quote
 
 from hnn_vi_ros import load_scene
+from ports import free_port
 from processes import wait_until
 import pytest
 from recorded import record_run
@@ -25,12 +26,6 @@ BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 OPTIONS = ('--headless=new', '--no-sandbox', '--disable-dev-shm-usage', '--no-first-run',
            '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist',
            '--window-size=1000,700', '--remote-debugging-port=0')
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
 
 
 class Relay:
