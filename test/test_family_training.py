@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from helpers import python_step, Uncompiled
+from helpers import python_step
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.confined import load_learned
@@ -120,9 +120,8 @@ def test_model_trained_through_steps_is_nearer_to_the_path_than_the_exact_one(tm
     exact = HAMILTONIANS['harmonic_oscillator'](2.0, 3.0)
     omega, z0, ends = np.sqrt(1.5), np.array([1.0, 0.5]), []
     for hamiltonian in (learned, exact):
-        with pytest.warns(UserWarning, match='plain Python'):
-            simulation = Simulation(Uncompiled(hamiltonian), INTEGRATORS['implicit_midpoint'](),
-                                    0.5, z0[:1], z0[1:])
+        simulation = Simulation(
+            hamiltonian, INTEGRATORS['implicit_midpoint'](), 0.5, z0[:1], z0[1:])
         ends.append(np.ravel(simulation.record(1, 1)))
     turn = np.array([[np.cos(0.5 * omega), np.sin(0.5 * omega) / (2.0 * omega)],
                      [-2.0 * omega * np.sin(0.5 * omega), np.cos(0.5 * omega)]])

@@ -7,6 +7,7 @@ from helpers import Uncompiled
 from hnn_vi_ros.energy_scale import energy_scale
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards import BAND_LIMIT
+from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -22,7 +23,8 @@ _COARSE = 0.2
 _METHODS = 'variational_euler', 'rk4', 'stormer_verlet'
 # Those of docs/automatic-choice.md too; orbits are among the others.
 _SYSTEMS = MOTIONS | {
-    name: Motion(Uncompiled(problem.hamiltonian), problem.q, problem.p, period)
+    name: Motion(problem.hamiltonian if 'network' in name else Uncompiled(problem.hamiltonian),
+                 problem.q, problem.p, period)
     for name, (problem, period) in systems().items() if 'kepler' not in name}
 pytestmark = pytest.mark.filterwarnings('ignore:.*is not a tanh network')
 
@@ -66,7 +68,9 @@ def test_guards_are_silent_where_resolved_and_speak_within_a_period_where_not(na
     for method in _METHODS[:3 if motion.hamiltonian.separable else 2]:
         for steps in (20, 100, 400, 1500):
             alarms, (energy, modified) = simulate(motion, method, motion.period / steps, 1.0)
-            case, said = (method, steps), [alarm.kind for alarm in alarms]
+            # Random networks have a box, which no data were in.
+            case = method, steps
+            said = [alarm.kind for alarm in alarms if alarm.kind != BoxGuard.kind]
             band = np.ptp(energy) / scale
             judged = band if np.isnan(modified).any() else np.ptp(modified) / scale
             if len(energy) <= steps:
