@@ -15,7 +15,7 @@ from types import FrameType
 from typing import NoReturn
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.standard_streams import ENDING, guard_streams, lost_output
+from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
 
 # Import names whose package on PyPI has another name.
 _PIP_NAMES = {
@@ -45,7 +45,7 @@ def listener() -> NoReturn:
 
 def recover_bag() -> NoReturn:
     """Make interrupted recordings whole."""
-    _run('recover_bag', 'hnn_vi_ros.recover_bag')
+    _run('recover_bag', 'hnn_vi_ros.bags.recover_bag')
 
 
 def replay() -> NoReturn:
@@ -95,7 +95,7 @@ def hard_cases() -> NoReturn:
 
 def scene() -> NoReturn:
     """Check, list or explain scenes."""
-    _run('scene', 'hnn_vi_ros.scene_tool')
+    _run('scene', 'hnn_vi_ros.studies.scene_tool')
 
 
 def _choose_cache() -> None:

@@ -11,7 +11,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import save_checkpoint
+from hnn_vi_ros.models.checkpoint import save_checkpoint
 
 
 @dataclass(frozen=True)

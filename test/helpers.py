@@ -9,12 +9,13 @@ from functools import cached_property
 from math import comb
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.gauss import Gauss, Tableau
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from mpmath import mp, mpf
 import numpy as np
 import torch

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

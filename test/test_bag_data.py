@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.learning.bag_data import BagData, BLOCKS, read_bags
 from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hypothesis import given, settings, strategies as st
 from mcap.writer import Writer

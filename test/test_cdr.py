@@ -4,7 +4,7 @@
 
 import struct
 
-from hnn_vi_ros.sinks.cdr import decode_float64_multi_array, decode_joint_state
+from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest

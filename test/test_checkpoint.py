@@ -11,10 +11,10 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.checkpoint import (
+from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.models.checkpoint import (
     Checkpoint, Layers, load_checkpoint, MAX_BYTES, save_checkpoint)
-from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
-from hnn_vi_ros.resources import shipped_file
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
@@ -239,7 +239,7 @@ def test_model_with_one_changed_byte_gives_model_error_or_a_valid_model(
 
 
 def test_loading_a_model_imports_no_torch():
-    code = ('import sys; from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint; '
+    code = ('import sys; from hnn_vi_ros.models.checkpoint import load_checkpoint; '
             'load_checkpoint(sys.argv[1]); assert "torch" not in sys.modules')
     root = Path(__file__).resolve().parents[1]
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(

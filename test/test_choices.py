@@ -4,7 +4,7 @@
 
 from typing import Literal
 
-from hnn_vi_ros.choices import choices, parameter_texts, summary
+from hnn_vi_ros.scene.choices import choices, parameter_texts, summary
 from hypothesis import given, strategies
 from pydantic import TypeAdapter, ValidationError
 import pytest

@@ -11,8 +11,8 @@ import sys
 from xml.etree import ElementTree
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
 from hnn_vi_ros.learning import arguments as learning
+from hnn_vi_ros.networks.activations import ACTIVATIONS
 from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
 from hnn_vi_ros.version import __version__
 import pytest
@@ -22,7 +22,7 @@ EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').re
 # The parsers are told apart by the package that their executable belongs to.
 HOMES = {'learning': ['train', 'import_checkpoint'],
          'ros': ['simulator', 'replay', 'rerun_bridge', 'listener'],
-         '': ['recover_bag', 'scene']}
+         'bags': ['recover_bag']}
 # What help can do without: these take seconds to import.
 HEAVY = {'torch', 'numba', 'rclpy', 'numpy', 'scipy', 'matplotlib', 'rerun', 'pydantic', 'yaml'}
 
@@ -137,8 +137,7 @@ def test_error_of_the_user_is_one_line_and_no_traceback(executable, arguments):
 def parser(executable: str) -> Parser:
     """Return the parser of an executable."""
     home = next((home for home, names in HOMES.items() if executable in names), 'studies')
-    return getattr(import_module('.'.join(filter(None, ['hnn_vi_ros', home, 'arguments']))),
-                   executable)()
+    return getattr(import_module(f'hnn_vi_ros.{home}.arguments'), executable)()
 
 
 def ask(executable: str, *words: str) -> subprocess.CompletedProcess:

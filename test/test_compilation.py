@@ -6,11 +6,11 @@ import os
 import subprocess
 import sys
 
-from hnn_vi_ros.compilation import compiled_loop, is_own
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.loops import advance
+from hnn_vi_ros.kernels.compilation import compiled_loop, is_own
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.loops import advance
 import numba
 import pytest
 

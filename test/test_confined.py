@@ -7,15 +7,15 @@ from pathlib import Path
 
 from helpers import EPS, exact, jacobian, python_step, symplectic_defect, Uncompiled
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from hnn_vi_ros.hamiltonians.confined import ConfinedHamiltonian, load_learned
-from hnn_vi_ros.hamiltonians.model_card import ModelCard
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.tao import Tao
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.train import main as train
-from hnn_vi_ros.resources import shipped_file, shipped_names
+from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
+from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -14,12 +14,12 @@ import struct
 import subprocess
 import sys
 
+from hnn_vi_ros.bags.mcap_frames import walk
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_recovery import recover, Recovery
+from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.bags.recover_bag import main
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recover_bag import main
-from hnn_vi_ros.sinks.mcap_frames import walk
-from hnn_vi_ros.sinks.mcap_reader import BagReader
-from hnn_vi_ros.sinks.mcap_recovery import recover, Recovery
-from hnn_vi_ros.sinks.mcap_sink import McapSink
 import pytest
 from test_mcap_sink import payloads, PERIOD, TOPICS
 
@@ -264,7 +264,7 @@ def test_status_says_whether_something_was_lost(tmp_path, killed, capsys):
 
 
 def test_result_that_does_not_read_back_leaves_the_bag_as_it_is(tmp_path, killed, monkeypatch):
-    monkeypatch.setattr('hnn_vi_ros.sinks.mcap_recovery.copy_messages',
+    monkeypatch.setattr('hnn_vi_ros.bags.mcap_recovery.copy_messages',
                         lambda file, target: target.write(killed))
     bag = tmp_path / 'bag'
     bag.mkdir()
@@ -320,7 +320,7 @@ def test_stopped_disk_or_interruption_leaves_no_second_file(tmp_path, killed):
     bag = tmp_path / 'bag'
     bag.mkdir()
     (bag / 'bag_0.mcap').write_bytes(killed)
-    code = ('import sys, hnn_vi_ros.sinks.mcap_recovery as r\n'
+    code = ('import sys, hnn_vi_ros.bags.mcap_recovery as r\n'
             'def stop(*arguments): raise KeyboardInterrupt\n'
             'r._read_back = stop\n'
             'from hnn_vi_ros.cli import recover_bag\nrecover_bag()')

@@ -6,9 +6,9 @@ from functools import cache
 
 from helpers import Uncompiled
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.ensemble import simulate, simulate_many
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.run.ensemble import simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

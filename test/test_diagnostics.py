@@ -3,7 +3,7 @@
 """Diagnostics measure what they say, and find steps that are planted wrong."""
 
 from helpers import GENERIC, Method, Uncompiled
-from hnn_vi_ros.diagnostics import (
+from hnn_vi_ros.accuracy.diagnostics import (
     block_maxima, energy_band, observed_order, reversal_defect, rounding_scale, rounding_walk,
     secular_change, stationary_energy, symplectic_defect, take_step, two_form)
 from hnn_vi_ros.errors import StepFailure

@@ -12,11 +12,11 @@ from hnn_vi_ros.effects.base import EffectError, Force, Live, Potential
 from hnn_vi_ros.effects.noise import fill_normals
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import save_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.system import System
+from hnn_vi_ros.simulation.system import System
 from mpmath import mpf
 import numpy as np
 import pytest

@@ -6,12 +6,12 @@ from pathlib import Path
 import warnings
 
 from helpers import EPS
-from hnn_vi_ros.build import build
-from hnn_vi_ros.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.errors import AlarmWarning, StepFailure
 from hnn_vi_ros.guards.watch import look, Watch
+from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest
 

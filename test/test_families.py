@@ -7,16 +7,16 @@ import warnings
 
 from helpers import Uncompiled
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import families, model_card
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers, save_checkpoint
-from hnn_vi_ros.hamiltonians.confined import load_learned
-from hnn_vi_ros.hamiltonians.learned import LearnedHamiltonian
-from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models import families, model_card
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest
 import torch

@@ -7,7 +7,6 @@ from pathlib import Path
 from helpers import python_step
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.confined import load_learned
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.choices import HNNChoice
 from hnn_vi_ros.learning.config import load_config
@@ -18,6 +17,7 @@ from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.steps import SCHEMES, step
 from hnn_vi_ros.learning.train import describe, main
+from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest

@@ -4,7 +4,7 @@
 
 from benchmarks.systems import systems
 from helpers import Uncompiled
-from hnn_vi_ros.energy_scale import energy_scale
+from hnn_vi_ros.accuracy.energy_scale import energy_scale
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards import BAND_LIMIT
 from hnn_vi_ros.guards.box import BoxGuard

@@ -14,7 +14,7 @@ from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
 

@@ -5,6 +5,7 @@
 from collections.abc import Callable
 
 from helpers import EPS
+from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
@@ -13,7 +14,6 @@ from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
-from hnn_vi_ros.resources import shipped_names
 from hnn_vi_ros.scene import load_scene
 import numpy as np
 import pytest

@@ -9,10 +9,10 @@ import tarfile
 import zipfile
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.learning.import_checkpoint import main
 from hnn_vi_ros.learning.state_dict import MAX_BYTES, read_layers
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest

@@ -4,7 +4,7 @@
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.legendre import momenta
+from hnn_vi_ros.hamiltonians.legendre import momenta
 import numpy as np
 import pytest
 

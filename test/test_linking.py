@@ -6,13 +6,13 @@ from collections.abc import Callable
 import re
 from types import FunctionType
 
-from hnn_vi_ros.bare_arrays import bare
-from hnn_vi_ros.compilation import compiled_loop
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.linking import LinkOnly, Part, part
-from hnn_vi_ros.loops import advance
+from hnn_vi_ros.kernels.bare_arrays import bare
+from hnn_vi_ros.kernels.compilation import compiled_loop
+from hnn_vi_ros.kernels.linking import LinkOnly, Part, part
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.loops import advance
 import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.event import install_recorder
@@ -133,7 +133,7 @@ def test_loop_counts_no_references_makes_no_texts_and_shares_no_functions():
     loop = compiled_loop(copy, HAMILTONIANS['tao']().kernel, 'any', own=False)
     recorder, *end = run(loop)
     modules = {event.data['dispatcher'].py_func.__module__ for _, event in recorder.buffer}
-    assert 'hnn_vi_ros.loops' in modules and 'numba.cpython.unicode' not in modules
+    assert 'hnn_vi_ros.simulation.loops' in modules and 'numba.cpython.unicode' not in modules
     (code,) = loop.inspect_llvm().values()
     bodies = dict(re.findall(
         r'^define [^@]*@"?([\w.$]+)"?\([^\n]*\{\n(.*?)^\}', code, re.M | re.S))

@@ -4,14 +4,14 @@
 
 import math
 
-from hnn_vi_ros.conditions import Condition
+from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StoppedByEvent
-from hnn_vi_ros.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.local_error import local_error
+from hnn_vi_ros.scene.conditions import Condition
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
 import numpy as np
 import pytest
 

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.lyapunov import lyapunov_time
+from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 import pytest

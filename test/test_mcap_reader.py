@@ -8,10 +8,10 @@ import random
 import shutil
 import tempfile
 
+from hnn_vi_ros.bags import mcap_reader
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks import mcap_reader
-from hnn_vi_ros.sinks.mcap_reader import BagReader
-from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hypothesis import given, settings, strategies
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer

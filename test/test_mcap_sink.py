@@ -13,11 +13,11 @@ import time
 import tracemalloc
 
 import hnn_vi_ros
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_recovery import recover
+from hnn_vi_ros.bags.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.identity import identity
-from hnn_vi_ros.sinks.mcap_reader import BagReader
-from hnn_vi_ros.sinks.mcap_recovery import recover
-from hnn_vi_ros.sinks.mcap_sink import CHUNK_SIZE, McapSink, Topic
+from hnn_vi_ros.kernels.identity import identity
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import McapRecord, Message
@@ -340,7 +340,7 @@ def test_file_gets_its_name_once_it_holds_what_explains_it(tmp_path, monkeypatch
         begun.append(source.read_bytes())
         os.replace(source, target)
 
-    monkeypatch.setattr('hnn_vi_ros.sinks.mcap_sink.os.rename', rename)
+    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.os.rename', rename)
     sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
     path = tmp_path / 'copy.mcap'
     path.write_bytes(*begun)
@@ -371,7 +371,7 @@ def test_folder_removed_during_recording_is_an_error_at_close(tmp_path):
 ENDLESS = """
 import mmap, os, struct, sys, time
 from pathlib import Path
-from hnn_vi_ros.sinks.mcap_sink import McapSink
+from hnn_vi_ros.bags.mcap_sink import McapSink
 from test_mcap_sink import payloads, TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})
 with open(sys.argv[2], 'r+b') as stream:
@@ -430,8 +430,8 @@ FULL = """
 import os, resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.identity import identity
-from hnn_vi_ros.sinks.mcap_sink import McapSink
+from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.bags.mcap_sink import McapSink
 from test_mcap_sink import TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})
 # The system refuses to let a file grow beyond this, with an OSError as for a full disk.

@@ -20,36 +20,32 @@ TEST_FILES = sorted((ROOT / 'test').rglob('test_*.py'))
 PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.py',
                 *sorted((ROOT / 'launch').glob('*.py'))]
 
-# The folders and files whose names stand for a layer; the first that fits counts.
-LAYERS = {
-    'ros': 'ros', 'studies': 'studies', 'learning': 'learning', 'sinks': 'sinks', 'cli': 'cli',
-    'scene': 'scene', 'ensemble': 'scene', 'scene_tool': 'cli',
-    **dict.fromkeys(('automatic_choice', 'build', 'calibration', 'events', 'lyapunov',
-                     'path_reference'), 'scene'),
-    'recover_bag': 'cli', '__init__': 'cli',
-}
-ARROWS = {
-    'core': {'core'},
-    'scene': {'core', 'scene'},
-    'sinks': {'core', 'sinks'},
-    'learning': {'core', 'learning', 'scene', 'sinks'},
-    'studies': {'core', 'scene', 'sinks', 'learning', 'studies'},
-    'ros': {'core', 'scene', 'sinks', 'studies', 'ros'},
-    'cli': {'core', 'scene', 'sinks', 'learning', 'studies', 'ros', 'cli'},
+# The rooms and the modules beside them, from the ground up; each imports only what is before it.
+FLOORS = (
+    'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
+    'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
+    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'studies', 'ros', 'cli',
+    '__init__')
+# Imports that would close a circle, by importing and imported module, and why they are there.
+DELIBERATE = {
+    ('integrators.implicit', 'integrators.generalized_leapfrog'):
+        'the method that takes the sub-steps of others is one of those that have such',
+    ('simulation.dense_step', 'simulation'):
+        'a dense step is one of a simulation, and is returned by it',
 }
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
-    'torch': r'learning/(families/)?\w+\.py|hamiltonians/torch_module\.py|studies/peers\.py',
+    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/peers\.py',
     'diffrax': r'studies/peers\.py',
-    'mcap': r'sinks/(mcap|bag|sqlite)_\w+\.py',
-    'zstandard': r'sinks/(mcap|bag|sqlite)_\w+\.py',
-    'lz4': r'sinks/(mcap|bag|sqlite)_\w+\.py',
-    'rerun': r'sinks/rerun_\w+\.py',
-    'contourpy': r'sinks/phase_portrait\.py',
+    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
+    'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
+    'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
+    'rerun': r'viewer/rerun_\w+\.py',
+    'contourpy': r'viewer/phase_portrait\.py',
     'matplotlib': r'learning/\w+\.py|studies/\w+\.py',
     'tqdm': r'learning/\w+\.py|studies/\w+\.py',
 }
@@ -62,37 +58,64 @@ def relative(path: Path) -> str:
     return path.relative_to(PACKAGE).as_posix()
 
 
-def layer(module: str) -> str:
-    first = module.split('.')[1] if '.' in module else '__init__'
-    return LAYERS.get(first, 'core')
+def name_of(path: Path) -> str:
+    """Return the name of a module within the package; that of its room for an __init__."""
+    parts = path.relative_to(PACKAGE).with_suffix('').parts
+    return '.'.join(parts[:-1] if parts[-1] == '__init__' and len(parts) > 1 else parts)
 
 
-def is_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test).endswith('TYPE_CHECKING')
+NAMES = {name_of(path) for path in MODULES}
 
 
 def imports(path: Path) -> Iterator[tuple[str, bool]]:
-    """Yield each imported module and whether the import runs when the file is imported."""
+    """
+    Yield each imported module and whether the import runs when the file is imported.
+
+    Those for type checkers and those inside functions are among them.
+    """
     def walk(node: ast.AST, at_top: bool) -> Iterator[tuple[str, bool]]:
         for child in ast.iter_child_nodes(node):
-            if is_type_checking(child):
-                continue
             if isinstance(child, ast.Import):
                 yield from ((alias.name, at_top) for alias in child.names)
             elif isinstance(child, ast.ImportFrom):
                 assert child.level == 0, f'{path}:{child.lineno}: a relative import'
-                yield child.module, at_top
+                for alias in child.names:
+                    full = f'{child.module}.{alias.name}'
+                    yield (full if full.partition('.')[2] in NAMES else child.module), at_top
             inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-            yield from walk(child, at_top and not inside)
+            unused = isinstance(child, ast.If) and ast.unparse(child.test) == 'TYPE_CHECKING'
+            yield from walk(child, at_top and not inside and not unused)
     yield from walk(ast.parse(path.read_text()), True)
 
 
+def own_imports(path: Path) -> set[str]:
+    """Return the modules of this package that a file imports, anywhere in it."""
+    return {module.partition('.')[2] or '__init__' for module, _ in imports(path)
+            if module.partition('.')[0] == 'hnn_vi_ros'} - {name_of(path)}
+
+
 @pytest.mark.parametrize('path', MODULES, ids=relative)
-def test_imports_follow_the_arrows(path):
-    own = layer('.'.join(('hnn_vi_ros', *path.relative_to(PACKAGE).with_suffix('').parts)))
-    for module, _ in imports(path):
-        if module.partition('.')[0] == 'hnn_vi_ros':
-            assert layer(module) in ARROWS[own], f'{own} imports {module}'
+def test_imports_run_downwards(path):
+    own = name_of(path).partition('.')[0]
+    assert own in FLOORS, f'{own} has no floor'
+    for module in own_imports(path):
+        room = module.partition('.')[0]
+        assert FLOORS.index(room) <= FLOORS.index(own), f'{own} imports {module}'
+
+
+def test_no_module_imports_itself_around_a_circle():
+    graph = {name_of(path): {module for module in own_imports(path)
+                             if (name_of(path), module) not in DELIBERATE} for path in MODULES}
+    # The registry of a room imports what stands in it; what does is not to import the registry.
+    done: set[str] = set()
+    while free := {name for name, needed in graph.items() if needed <= done} - done:
+        done |= free
+    assert not graph.keys() - done, 'circles among these, or above them'
+
+
+def test_imports_that_are_there_on_purpose_are_there():
+    for own, module in DELIBERATE:
+        assert module in own_imports(PACKAGE / f'{own.replace(".", "/")}.py')
 
 
 @pytest.mark.parametrize('path', MODULES, ids=relative)

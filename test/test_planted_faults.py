@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 import hnn_vi_ros
-from hnn_vi_ros.resources import share_folder
+from hnn_vi_ros.files.resources import share_folder
 import pytest
 
 TESTS = Path(__file__).resolve().parent

@@ -5,8 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.studies import published_pendulum, published_tables
-from hnn_vi_ros.studies.published_data import (
-    NOISE, PENDULUM, Plane, SPRING, TWO_BODY)
+from hnn_vi_ros.studies.published_data import NOISE, PENDULUM, Plane, SPRING, TWO_BODY
 from hnn_vi_ros.studies.published_measures import (
     exact_loss, field_error, least_loss, orbit_errors, published_loss)
 from hnn_vi_ros.studies.published_models import Model

@@ -12,10 +12,10 @@ import sys
 import tempfile
 import time
 
+from hnn_vi_ros.bags.mcap_recovery import recover
+from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.bags.recover_bag import main
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recover_bag import main
-from hnn_vi_ros.sinks.mcap_recovery import recover
-from hnn_vi_ros.sinks.mcap_sink import McapSink
 from hypothesis import example, given, settings, strategies
 from mcap.reader import make_reader
 from mcap.records import Message
@@ -209,8 +209,8 @@ FULL = """
 import resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recover_bag import main
-from hnn_vi_ros.sinks.mcap_recovery import recover
+from hnn_vi_ros.bags.recover_bag import main
+from hnn_vi_ros.bags.mcap_recovery import recover
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:
     recover(Path(sys.argv[1]))

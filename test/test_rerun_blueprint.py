@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The views fit into the window, whatever there is to show."""
 
-from hnn_vi_ros.sinks.rerun_blueprint import Arrangement, BAR, COLUMN, eye_of, MARGINS, VIEW_ANGLE
+from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, BAR, COLUMN, eye_of, MARGINS, VIEW_ANGLE
 import numpy as np
 import pytest
 

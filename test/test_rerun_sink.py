@@ -15,10 +15,10 @@ from types import SimpleNamespace
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.sinks import rerun_sink
-from hnn_vi_ros.sinks.rerun_layout import series_labels
-from hnn_vi_ros.sinks.rerun_sink import RerunSink
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer import rerun_sink
+from hnn_vi_ros.viewer.rerun_layout import series_labels
+from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
 from ports import free_port
 import pytest

@@ -3,17 +3,17 @@
 """Steps that fail, or would grow: what each word of on_failure does about them."""
 
 from helpers import Uncompiled
-from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.ensemble import simulate_many
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.rescue import ON_FAILURE, stability_limit
+from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
 import numpy as np
 from plain_systems import Plain
 import pytest

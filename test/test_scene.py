@@ -4,10 +4,10 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.build import build
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
-from hnn_vi_ros.resources import shipped_file, shipped_names
+from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.build import build
 from hypothesis import given, HealthCheck, settings, strategies
 import pytest
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import re
 
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.resources import shipped_file, shipped_names
+from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.run.effect_cost import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene_tool import json_schema, lyapunov_line, main
-from hnn_vi_ros.studies.effect_cost import measure_effects
+from hnn_vi_ros.studies.scene_tool import json_schema, lyapunov_line, main
 import pytest
 
 ROOT = Path(__file__).parents[1]

@@ -3,12 +3,12 @@
 """Shipped models of every family, each by its fitting method: T = 1000 s without drift."""
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
-from hnn_vi_ros.hamiltonians import model_card
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.exact_data import sample_exact
+from hnn_vi_ros.models import model_card
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

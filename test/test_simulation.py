@@ -6,13 +6,14 @@ from functools import cached_property
 
 from helpers import EPS, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.ensemble import simulate
 from hnn_vi_ros.errors import SceneError, StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numba

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 import sqlite3
 
-from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_reader import BagReader
 import pytest
 
 A = (1, '/a', 'std_msgs/msg/String', 'cdr')

@@ -6,23 +6,23 @@ from functools import cached_property
 from pathlib import Path
 
 from helpers import random_checkpoint
-from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers, load_checkpoint, save_checkpoint
-from hnn_vi_ros.hamiltonians.confined import load_learned
-from hnn_vi_ros.hamiltonians.model_card import Box
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
-from hnn_vi_ros.hamiltonians.symplectic_form import irregularity, SymplecticFormHamiltonian
+from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import OK, Point
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.resources import shipped_file
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, load_checkpoint, save_checkpoint
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models.model_card import Box
+from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models.symplectic_form import irregularity, SymplecticFormHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -10,14 +10,14 @@ from effect_table import create_effect, EFFECT_ROWS, EffectRow
 from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.system import System
+from hnn_vi_ros.simulation.system import System
 import numpy as np
 import pytest
 

@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Close encounters at equal steps of a transformed time."""
 
-from hnn_vi_ros.diagnostics import block_maxima, energy_band, secular_change
+from hnn_vi_ros.accuracy.diagnostics import block_maxima, energy_band, secular_change
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.ensemble import simulate_many
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators import INTEGRATORS, step_size_control, time_transformed
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -8,8 +8,7 @@ import time
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.learning.choices import HNNChoice
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.families.base import Scales
@@ -17,7 +16,8 @@ from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.losses import mean_square, nonlinearity
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.resources import shipped_file, shipped_names
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest

@@ -6,10 +6,7 @@ import io
 from pathlib import Path
 import signal
 
-from hnn_vi_ros.energy_error import energy_error, energy_spread
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.learning.config import load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.interruption import Interrupted, Keeper
@@ -17,6 +14,9 @@ from hnn_vi_ros.learning.loop import INTERVAL, Loop
 from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.energy_error import energy_error, energy_spread
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 import numpy as np
 import pytest
 import torch

@@ -7,11 +7,11 @@ import struct
 import subprocess
 import sys
 
+from hnn_vi_ros.bags import mcap_file, mcap_reader
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_records import LARGEST, unpack
+from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks import mcap_file, mcap_reader
-from hnn_vi_ros.sinks.mcap_reader import BagReader
-from hnn_vi_ros.sinks.mcap_records import LARGEST, unpack
-from hnn_vi_ros.sinks.mcap_recovery import recover
 import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Message, Schema
@@ -71,7 +71,7 @@ def test_chunk_that_lies_about_its_size_is_damaged_and_the_next_is_read(
 @pytest.mark.parametrize('compression', PACKERS)
 def test_no_more_is_unpacked_than_a_chunk_declares(monkeypatch, compression):
     unpacked = []
-    monkeypatch.setattr('hnn_vi_ros.sinks.mcap_records.unpack_zstd',
+    monkeypatch.setattr('hnn_vi_ros.bags.mcap_records.unpack_zstd',
                         lambda data, most: unpacked.append(most) or b'')
     data = records()
     for size in (10, LARGEST, LARGEST + 1, 2**60):
@@ -85,8 +85,8 @@ BOMB = """
 import resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks.mcap_reader import BagReader
-from hnn_vi_ros.sinks.mcap_recovery import recover
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_recovery import recover
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for use in (lambda path: list(BagReader(path).messages()), recover):
     try:
@@ -161,7 +161,7 @@ def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
 
 
 def test_packed_file_that_grows_too_large_is_refused_with_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr('hnn_vi_ros.sinks.bag_files.LARGEST', 2**22)
+    monkeypatch.setattr('hnn_vi_ros.bags.bag_files.LARGEST', 2**22)
     scratch = tmp_path / 'scratch'
     scratch.mkdir()
     monkeypatch.setattr('tempfile.tempdir', str(scratch))

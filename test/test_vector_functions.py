@@ -5,7 +5,7 @@
 from collections.abc import Callable
 
 from helpers import EPS
-from hnn_vi_ros.hamiltonians import vector_sine, vector_softplus
+from hnn_vi_ros.networks import vector_sine, vector_softplus
 from mpmath import mp, mpf
 import numba
 import numpy as np

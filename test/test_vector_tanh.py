@@ -3,7 +3,7 @@
 """The vectorised hyperbolic tangent against mpmath."""
 
 from helpers import EPS
-from hnn_vi_ros.hamiltonians import vector_tanh
+from hnn_vi_ros.networks import vector_tanh
 from mpmath import mp, mpf
 import numba
 import numpy as np

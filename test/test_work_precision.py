@@ -8,21 +8,20 @@ from pathlib import Path
 import re
 
 from helpers import random_checkpoint
-from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
+from hnn_vi_ros.models.energy_error import EnergyError
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.studies import work_precision
 from hnn_vi_ros.studies.accuracy_page import write_page
 from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.measuring import measure_row, PeerRun, Row, whole_steps
 from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
-from hnn_vi_ros.studies.references import (
-    make_reference, ModelError, Reference, true_hamiltonian)
+from hnn_vi_ros.studies.references import make_reference, ModelError, Reference, true_hamiltonian
 from hnn_vi_ros.studies.results import read_rows, Results
 from hnn_vi_ros.studies.work_precision_report import cheapest
 import mpmath

@@ -6,14 +6,14 @@ import ast
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
-from hnn_vi_ros import yaml_text
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.yaml_text import dump_yaml, parse_mapping, parse_yaml
+from hnn_vi_ros.files import yaml_text
+from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
 from hypothesis import given, settings, strategies
 import pytest
 import yaml
 
-PACKAGE = Path(yaml_text.__file__).parent
+PACKAGE = Path(yaml_text.__file__).parents[1]
 LEVELS = yaml_text.MAX_DEPTH
 # Nine levels of nine aliases each: 3.5e8 values.
 BOMB = 'a: &a [x, x, x, x, x, x, x, x, x]\n' + ''.join(

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import called, inlined
 from hnn_vi_ros.effects.points import add_along, distance, separation
+from hnn_vi_ros.kernels.compilation import called, inlined
 import numpy as np
 
 

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from functools import cache
 import math
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.base import Force, Live, per_coordinate, StepEffect
 from hnn_vi_ros.effects.masses import check_rates, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -4,10 +4,10 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
 from hnn_vi_ros.effects.input_map import add_by_map, add_by_place, load_map, resolve_map
 from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from hnn_vi_ros.effects.base import Effect, Live
 from hnn_vi_ros.effects.constraints import Row
 from hnn_vi_ros.effects.shapes import check_keys, function_row, rows_of
+from hnn_vi_ros.files.named_code import NAMES_CODE
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.named_code import NAMES_CODE
 from hnn_vi_ros.phase_space import Coordinate
 
 

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forces of a command: on named coordinates, or on all of them by a learned input map g(q)."""
 
-from hnn_vi_ros.compilation import identify
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.hamiltonians.outputs import evaluate_outputs, pack_outputs
+from hnn_vi_ros.kernels.compilation import identify
+from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
+from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs
 import numba
 import numpy as np
 

@@ -4,12 +4,12 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.compilation import identify, inlined
 from hnn_vi_ros.effects.base import Force, Live
 from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.kernels.compilation import identify, inlined
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -8,8 +8,8 @@ from functools import cache
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.constraints import Constraints, evaluator, Row
 from hnn_vi_ros.effects.rattle import rattle_kind
-from hnn_vi_ros.hamiltonians.base import Kernel
-from hnn_vi_ros.linear_algebra import DEPENDENT
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linear_algebra import DEPENDENT
 import numba
 import numpy as np
 

@@ -4,7 +4,7 @@
 
 import math
 
-from hnn_vi_ros.linking import part
+from hnn_vi_ros.kernels.linking import part
 import numba
 import numpy as np
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from hnn_vi_ros.effects.constraints import Row
 from hnn_vi_ros.effects.points import resolve_pair
+from hnn_vi_ros.files.named_code import import_named
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
-from hnn_vi_ros.named_code import import_named
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

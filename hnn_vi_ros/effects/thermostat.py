@@ -5,14 +5,15 @@
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.effects.base import Live, per_coordinate, StepEffect
 from hnn_vi_ros.effects.masses import check_masses
 from hnn_vi_ros.effects.ornstein_uhlenbeck import Bath, stir
 from hnn_vi_ros.effects.wrapped import scratch
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_MASS, OK, Point
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -21,9 +22,8 @@ class Thermostat(StepEffect):
     """
     Langevin dynamics, dP = -H_q dt - gamma P dt + sqrt(2 gamma M kT) dW, by BAOAB.
 
-    P = M v belongs to the velocity; M, the inverse of H_pp, may depend on q. The flow of friction
-    and noise stands between the halves of a leapfrog step and keeps the density exp(-H / kT) of
-    any H; see ``stir``. Energy account: the flow's change of H, the heat taken up.
+    P = M v is the velocity's; M, the inverse of H_pp, may depend on q. Friction and noise, between
+    the halves of a leapfrog step, keep exp(-H / kT); see ``stir``. Energy account: the heat.
 
     Parameters
     ----------

@@ -7,11 +7,11 @@ from copy import copy
 from functools import cache
 from typing import final
 
-from hnn_vi_ros.compilation import inlined, is_own
 from hnn_vi_ros.effects.base import StepEffect
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+from hnn_vi_ros.kernels.compilation import inlined, is_own
+from hnn_vi_ros.kernels.kernel import Kernel
 
 
 @final

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 
-from hnn_vi_ros.diagnostics import state_scales
+from hnn_vi_ros.accuracy.diagnostics import state_scales
 from hnn_vi_ros.guards.band import BandGuard
 from hnn_vi_ros.guards.base import Alarm, Observed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian

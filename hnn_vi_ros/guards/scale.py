@@ -4,8 +4,8 @@
 
 import math
 
-from hnn_vi_ros.diagnostics import rounding_walk
-from hnn_vi_ros.energy_scale import EnergyScale
+from hnn_vi_ros.accuracy.diagnostics import rounding_walk
+from hnn_vi_ros.accuracy.energy_scale import EnergyScale
 from hnn_vi_ros.guards.base import accounted_energy, Observed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 

@@ -7,53 +7,12 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numba
 import numpy as np
-
-
-class Kernel(NamedTuple):
-    """
-    A Hamiltonian as functions of plain arrays, ready to be compiled into the loop over steps.
-
-    Parameters
-    ----------
-    energy : callable
-        ``energy(parameters, q, p)`` returns H [J]; q and p have shape (d,).
-    gradient : callable
-        ``gradient(parameters, q, p, dH_dq, dH_dp)`` fills the last two. All have shape (m d,):
-        m states one after another.
-    hessian_vector : callable
-        ``hessian_vector(parameters, q, p, v_q, v_p, product_q, product_p)`` fills the last two
-        with H''(q, p) (v_q, v_p); shapes as for the gradient.
-    parameters : tuple
-        Numbers and arrays that all functions take first.
-    dimension : int
-        The number d of degrees of freedom, channels included.
-    gradient_scale : tuple of float
-        Rounding error of dH/dq and of dH/dp in units of the unit round-off, where it exceeds
-        that of a number of their size; 0 where it does not.
-    compiled : bool
-        True if the functions are numba dispatchers, False if they are plain Python.
-    channels : int
-        How many of the last coordinates are times since the start of the step, and their momenta
-        integrals over it; implicit equations are not solved for the integrals' sake.
-    energy_scale : float
-        Rounding error of H in units of the unit round-off, where it exceeds that of its value.
-
-    """
-
-    energy: Callable
-    gradient: Callable
-    hessian_vector: Callable
-    parameters: tuple
-    dimension: int
-    gradient_scale: tuple[float, float]
-    compiled: bool
-    channels: int = 0
-    energy_scale: float = 0.0
 
 
 class Hamiltonian(ABC):

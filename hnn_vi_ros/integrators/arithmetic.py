@@ -4,8 +4,8 @@
 
 import math
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.integrators.base import Point
+from hnn_vi_ros.kernels.compilation import inlined
 import numpy as np
 
 

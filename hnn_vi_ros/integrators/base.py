@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
-from hnn_vi_ros.compilation import is_own
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import is_own
 import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from functools import cache
 from typing import ClassVar
 
-from hnn_vi_ros.compilation import inlined
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 
 BASES = {
     'generalized_leapfrog': GeneralizedLeapfrog,

@@ -6,11 +6,11 @@ from collections.abc import Callable
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import called, inlined
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NO_SOLUTION
 from hnn_vi_ros.integrators.newton import fill_matrix, newton
-from hnn_vi_ros.linear_algebra import solve_linear
+from hnn_vi_ros.kernels.compilation import called, inlined
+from hnn_vi_ros.kernels.linear_algebra import solve_linear
 import numpy as np
 
 # Of the way from h = 0; points of it that are tried, and Newton steps at each.

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import Annotated
 
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.checkpoint import load_checkpoint
-from hnn_vi_ros.hamiltonians.lagrangian import midpoint_action
+from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
-from hnn_vi_ros.named_code import import_named, NAMES_CODE
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.lagrangian import midpoint_action
 import numpy as np
 
 _ITERATIONS = 30

@@ -4,13 +4,13 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import inlined
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
 

@@ -4,8 +4,8 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, OK, Point
+from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
 

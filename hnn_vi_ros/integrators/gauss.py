@@ -5,13 +5,13 @@
 from functools import cache
 from typing import ClassVar, NamedTuple
 
-from hnn_vi_ros.compilation import inlined
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
 

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The generalised leapfrog: the Störmer-Verlet method for a Hamiltonian of any form."""
 
-from hnn_vi_ros.compilation import inlined
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import solve_coordinates, solve_momenta
@@ -12,6 +10,8 @@ from hnn_vi_ros.integrators.modified import leapfrog_energy
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 
 
 # Compiled code knows functions, not the classes that hold them.

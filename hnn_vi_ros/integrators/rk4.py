@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The classical Runge-Kutta method, a control."""
 
-from hnn_vi_ros.compilation import inlined
-from hnn_vi_ros.hamiltonians.base import Kernel
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 
 
 class RK4(Integrator):

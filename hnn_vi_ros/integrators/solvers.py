@@ -22,9 +22,9 @@ from collections.abc import Callable
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import FAST_MATRIX, Memory, NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.kernels.compilation import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Störmer-Verlet method, explicit, for separable Hamiltonians."""
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.modified import leapfrog_energy
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
 
 
 @inlined

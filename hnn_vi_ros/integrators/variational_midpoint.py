@@ -4,15 +4,16 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.symplectic_form import raise_index, slope
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.symplectic_form import raise_index, slope
 import numpy as np
 
 

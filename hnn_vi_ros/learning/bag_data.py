@@ -7,13 +7,13 @@ import logging
 from pathlib import Path
 from typing import Annotated, Literal
 
+from hnn_vi_ros.bags.state_message import MOMENTUM, RATE
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.bag_signals import JOINT_STATE, Signal, SignalReader
 from hnn_vi_ros.learning.dataset import (
     Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
 from hnn_vi_ros.learning.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
-from hnn_vi_ros.sinks.state_message import MOMENTUM, RATE
-from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline

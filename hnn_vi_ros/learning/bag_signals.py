@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import final, NamedTuple, TYPE_CHECKING
 
+from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, JointStates
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.bags.state_message import MOMENTUM
 from hnn_vi_ros.errors import DataError, RecordingError
-from hnn_vi_ros.sinks.cdr import decode_float64_multi_array, decode_joint_state, JointStates
-from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.sinks.state_message import MOMENTUM
 import numpy as np
 
 if TYPE_CHECKING:

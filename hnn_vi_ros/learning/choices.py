@@ -4,8 +4,8 @@
 
 from typing import Annotated, ClassVar, Literal
 
-from hnn_vi_ros.hamiltonians.model_card import Scheme
-from hnn_vi_ros.yaml_file import StrictModel
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.models.model_card import Scheme
 from pydantic import Field
 
 

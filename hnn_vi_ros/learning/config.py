@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians.model_card import CoordinateCard
+from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
 from hnn_vi_ros.learning.sources import dimension, Source
-from hnn_vi_ros.resources import is_path, shipped_file, shipped_names
-from hnn_vi_ros.yaml_file import load_yaml, StrictModel
+from hnn_vi_ros.models.model_card import CoordinateCard
 from pydantic import Field, model_validator
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians.model_card import Box
+from hnn_vi_ros.models.model_card import Box
 import numpy as np
 from pydantic import Field
 

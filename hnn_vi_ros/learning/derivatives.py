@@ -4,7 +4,7 @@
 
 from typing import Literal
 
-from hnn_vi_ros.yaml_file import StrictModel
+from hnn_vi_ros.files.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field
 from scipy.interpolate import make_smoothing_spline

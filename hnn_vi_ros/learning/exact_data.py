@@ -6,11 +6,11 @@ from inspect import signature
 from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.model_card import Box, Interval
 from hnn_vi_ros.learning.dataset import Dataset, MIN_ROWS
-from hnn_vi_ros.yaml_file import StrictModel
+from hnn_vi_ros.models.model_card import Box, Interval
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from scipy.integrate import solve_ivp

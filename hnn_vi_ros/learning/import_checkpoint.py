@@ -20,13 +20,13 @@ from pathlib import Path
 import shlex
 
 from hnn_vi_ros.errors import ModelError, ParameterError
-from hnn_vi_ros.hamiltonians.activations import ACTIVATIONS
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers, save_checkpoint
-from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.learning.state_dict import read_layers
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.networks.activations import ACTIVATIONS
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.dataset import (
     Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
 from hnn_vi_ros.learning.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
-from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field, model_validator
 

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
-from hnn_vi_ros.hamiltonians.checkpoint import Layers
+from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import platform
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.model_card import ModelCard
+from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.loop import History
 from hnn_vi_ros.learning.problem import Comparison
-from hnn_vi_ros.sinks.rerun_curves import write_curves
-from hnn_vi_ros.yaml_text import dump_yaml
+from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.viewer.rerun_curves import write_curves
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np

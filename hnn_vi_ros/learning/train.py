@@ -16,11 +16,7 @@ from pathlib import Path
 import shlex
 import time
 
-from hnn_vi_ros.energy_error import energy_error, energy_spread, EnergyError
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, save_checkpoint
-from hnn_vi_ros.hamiltonians.families import FAMILIES
-from hnn_vi_ros.hamiltonians.model_card import ModelCard
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
@@ -31,6 +27,10 @@ from hnn_vi_ros.learning.loop import History, Loop
 from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.report import Outputs, write_report
 from hnn_vi_ros.learning.sources import make_dataset
+from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.energy_error import energy_error, energy_spread, EnergyError
+from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.version import __version__
 import numpy as np
 import torch

@@ -4,12 +4,12 @@
 
 import math
 
-from hnn_vi_ros.local_error import local_error
+from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.ros.messages import array_message
-from hnn_vi_ros.ros.monitor import Monitor
-from hnn_vi_ros.ros.serialization import Template
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.serialization import Template
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
 from std_msgs.msg import Float64MultiArray
 
 ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)

@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.build import build
+from hnn_vi_ros.bags.state_message import State
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.event_topic import COMPONENT
-from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
+from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.sinks.rerun_sink import RerunSink
-from hnn_vi_ros.sinks.rerun_stream import Target
-from hnn_vi_ros.sinks.sample import Sample
-from hnn_vi_ros.sinks.state_message import State
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer.rerun_sink import RerunSink
+from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
 
 # Simulated time of which the picture leaves room [s].

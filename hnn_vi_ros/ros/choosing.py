@@ -4,11 +4,11 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.automatic_choice import budget_of, Chosen, resolve
-from hnn_vi_ros.calibration import Choice
-from hnn_vi_ros.choices import AutoChoice
+from hnn_vi_ros.accuracy.automatic_choice import budget_of, Chosen, resolve
+from hnn_vi_ros.accuracy.calibration import Choice
+from hnn_vi_ros.accuracy.trials import Budget
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.trials import Budget
+from hnn_vi_ros.scene.choices import AutoChoice
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
-from hnn_vi_ros.ros.pacing import LONGEST_CALL
 from hnn_vi_ros.ros.run import Run
+from hnn_vi_ros.run.pacing import LONGEST_CALL
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros.ros.messages import describe_topic
-from hnn_vi_ros.ros.serialization import serialize
+from hnn_vi_ros.run.serialization import serialize
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 

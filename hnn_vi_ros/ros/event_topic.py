@@ -5,12 +5,12 @@
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.events import WatchedSimulation
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, OK, Status
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.events import WatchedSimulation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from hnn_vi_ros.command_line import did_you_mean
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.parameters import Specification
 from hnn_vi_ros.ros.qos_overrides import Endpoint, expected, parameter_names, PREFIX
-from hnn_vi_ros.yaml_text import parse_mapping
 from rclpy.node import Node
 
 # What rclpy declares in every node.

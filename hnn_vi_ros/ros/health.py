@@ -11,9 +11,9 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status, WARN
-from hnn_vi_ros.ros.pacing import OverrunGuard
 from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.run.pacing import OverrunGuard
+from hnn_vi_ros.simulation.sample import Sample
 
 STEP_FAILED = 'step failed'
 # Wall time between two log lines of the same kind [s].

@@ -3,7 +3,7 @@
 """Initial states from messages like those that the simulator publishes as joint states."""
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.legendre import momenta
+from hnn_vi_ros.hamiltonians.legendre import momenta
 import numpy as np
 from sensor_msgs.msg import JointState
 

@@ -6,7 +6,7 @@ import time
 
 from geometry_msgs.msg import Point
 from hnn_vi_ros.mechanisms.parts import Box, Line, Mechanism, Part
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from rclpy.publisher import Publisher
 from visualization_msgs.msg import Marker, MarkerArray

@@ -11,12 +11,12 @@ import re
 import sys
 from typing import Any, final
 
+from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.state_message import state_names
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.serialization import Template
-from hnn_vi_ros.sinks.bag_metadata import Topic
-from hnn_vi_ros.sinks.sample import Sample
-from hnn_vi_ros.sinks.state_message import state_names
-from hnn_vi_ros.yaml_text import dump_yaml
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile

@@ -7,19 +7,19 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.automatic_choice import Chosen
-from hnn_vi_ros.build import build
+from hnn_vi_ros.accuracy.automatic_choice import Chosen
+from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
-from hnn_vi_ros.ros.look_ahead import look_ahead
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.remapped_topics import KEY
-from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.ros.scene_report import scene_report
+from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.bag_metadata import BagTopics
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 

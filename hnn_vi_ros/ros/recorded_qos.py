@@ -5,7 +5,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from hnn_vi_ros.sinks.bag_metadata import qos_profiles
+from hnn_vi_ros.bags.bag_metadata import qos_profiles
 from rclpy.duration import Duration
 from rclpy.qos import (
     DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy)

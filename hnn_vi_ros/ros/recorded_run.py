@@ -8,17 +8,17 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.build import build
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.described_scene import described_scene, ONE_RUN, only_scene
-from hnn_vi_ros.ros.held_state import STATE_FILE
+from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.remapped_topics import own_topics
-from hnn_vi_ros.ros.sampling import steps_between
+from hnn_vi_ros.run.held_state import STATE_FILE
+from hnn_vi_ros.run.sampling import steps_between
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.described_scene import described_scene, ONE_RUN, only_scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.sinks.state_message import decode_state, State
-from hnn_vi_ros.yaml_text import parse_mapping
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String

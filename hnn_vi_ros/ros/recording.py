@@ -7,20 +7,20 @@ import os
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
+from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.ros.held_state import STATE_FILE, state_file
-from hnn_vi_ros.ros.run_folder import create_run_folder
-from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.ros.serialization import serialize
-from hnn_vi_ros.ros.timing import Figures
-from hnn_vi_ros.ros.told_files import tell_files
+from hnn_vi_ros.run.held_state import STATE_FILE, state_file
+from hnn_vi_ros.run.run_folder import create_run_folder
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.serialization import serialize
+from hnn_vi_ros.run.timing import Figures
+from hnn_vi_ros.run.told_files import tell_files
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.sinks.mcap_sink import McapSink
-from hnn_vi_ros.sinks.sample import Sample
-from hnn_vi_ros.yaml_text import dump_yaml
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import String
@@ -257,7 +257,7 @@ class Recording:
         if self._target is None:
             return
         # Imported here: a run without a picture starts without the viewer's libraries.
-        from hnn_vi_ros.sinks.rerun_sink import RerunSink
+        from hnn_vi_ros.viewer.rerun_sink import RerunSink
         if values['rerun_sink'] == 'serve':
             self._logger.info(f'rerun viewers can connect to {VIEWER_URL}')
         mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None

@@ -9,6 +9,7 @@ from pathlib import Path
 import sys
 
 from ament_index_python.resources import has_resource
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
@@ -24,7 +25,6 @@ from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.remapped_topics import own_topics
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
-from hnn_vi_ros.sinks.mcap_reader import BagReader, Recorded
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException

@@ -9,12 +9,12 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
 from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
-from hnn_vi_ros.ros.described_scene import described_scene
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.executing import take_once
@@ -25,8 +25,8 @@ from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.ros.topics import EVENTS_QOS, LATCHED
-from hnn_vi_ros.sinks.rerun_stream import Target
-from hnn_vi_ros.sinks.state_message import decode_state, State
+from hnn_vi_ros.scene.described_scene import described_scene
+from hnn_vi_ros.viewer.rerun_stream import Target
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor

@@ -7,8 +7,9 @@ import math
 import time
 from typing import Any
 
+from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
-from hnn_vi_ros.events import watched
+from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
@@ -17,17 +18,16 @@ from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.event_topic import EventTopic
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.log import log
-from hnn_vi_ros.ros.monitor import Monitor
-from hnn_vi_ros.ros.pacing import LONGEST_CALL, OverrunGuard, Pacer
 from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
 from hnn_vi_ros.ros.run_status import RunStatus
-from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.ros.status_line import StatusLine
 from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.pacing import LONGEST_CALL, OverrunGuard, Pacer
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.status_line import StatusLine
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.sinks.bag_metadata import Topic
-from hnn_vi_ros.sinks.sample import Sample
-from hnn_vi_ros.yaml_text import dump_yaml
+from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.sample import Sample
 from rclpy.node import Node
 
 

@@ -6,12 +6,12 @@ import math
 
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
-from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
 
 
 class RunStatus:

@@ -2,32 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The services of the simulator beside those of its lifecycle and parameters."""
 
-from collections.abc import Awaitable, Callable
-from typing import Any, Protocol
+from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.control import Answer, Control
-from hnn_vi_ros.ros.run import Run
+from hnn_vi_ros.ros.control import Answer
+from hnn_vi_ros.ros.served import Simulator
 from hnn_vi_ros.ros.simulation_services import offer_simulation_interfaces
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
-
-
-class Simulator(Protocol):
-    """What the services need of the node; the refusal says why there is no run."""
-
-    run: Run | None
-    control: Control | None
-    values: dict[str, Any]
-    state: int
-    stop: Callable[[int, str], None]
-    change_state: Callable[[int], Awaitable[bool]]
-    in_thread: Callable[[Callable[[], Any]], Awaitable[Any]]
-    set_parameters_atomically: Callable[[list[Parameter]], SetParametersResult]
-    refusal: str
 
 
 def offer_services(node: Node, simulator: Simulator) -> None:

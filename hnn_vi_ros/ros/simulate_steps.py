@@ -5,17 +5,15 @@
 from collections.abc import Callable
 import math
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from hnn_vi_ros.ros.control import Answer
+from hnn_vi_ros.ros.served import Simulator
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
-
-if TYPE_CHECKING:
-    from hnn_vi_ros.ros.services import Simulator
 
 ACTION = 'SimulateSteps'
 # Least wall time between two feedbacks [s]; thousands of steps a second would flood the client.
@@ -44,7 +42,7 @@ class SimulateSteps:
 
     """
 
-    def __init__(self, node: Node, kind: type, codes: type, simulator: 'Simulator',
+    def __init__(self, node: Node, kind: type, codes: type, simulator: Simulator,
                  group: CallbackGroup):
         self._kind, self._codes, self._simulator = kind, codes, simulator
         self._goal: tuple[Any, Future] | None = None

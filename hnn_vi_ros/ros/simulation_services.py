@@ -6,18 +6,16 @@ from collections.abc import Mapping
 from importlib import import_module
 import re
 from types import ModuleType
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from hnn_vi_ros.ros.control import Answer
+from hnn_vi_ros.ros.served import Simulator
 from hnn_vi_ros.ros.simulate_steps import ACTION, SimulateSteps
 from hnn_vi_ros.ros.world_services import WorldServices
 from hnn_vi_ros.version import __version__
 from lifecycle_msgs.msg import State
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-
-if TYPE_CHECKING:
-    from hnn_vi_ros.ros.services import Simulator
 
 _PACKAGE = 'simulation_interfaces'
 # What each interface that is served here adds to the features that are told of.
@@ -42,7 +40,7 @@ def service_name(interface: str) -> str:
     return re.sub('(?<!^)(?=[A-Z])', '_', interface).lower()
 
 
-def offer_simulation_interfaces(node: Node, simulator: 'Simulator', group: CallbackGroup) -> bool:
+def offer_simulation_interfaces(node: Node, simulator: Simulator, group: CallbackGroup) -> bool:
     """
     Create the services if simulation_interfaces can be imported; tell whether it can.
 
@@ -95,7 +93,7 @@ class SimulationServices:
 
     """
 
-    def __init__(self, messages: ModuleType, simulator: 'Simulator', offered: Mapping[str, type]):
+    def __init__(self, messages: ModuleType, simulator: Simulator, offered: Mapping[str, type]):
         self._simulator = simulator
         self._result, self._state = messages.Result, messages.SimulationState
         kinds = messages.SimulatorFeatures

@@ -10,6 +10,7 @@ import sys
 import time
 from typing import Any
 
+from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Control
@@ -26,7 +27,6 @@ from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
 from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
-from hnn_vi_ros.sinks.bag_metadata import Topic
 from lifecycle_msgs.msg import State, Transition
 import rclpy
 from rclpy.clock import Clock, ClockType

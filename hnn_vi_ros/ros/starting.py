@@ -9,7 +9,7 @@ import signal
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.standard_streams import ENDING, spare_output
+from hnn_vi_ros.files.standard_streams import ENDING, spare_output
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
@@ -13,14 +14,13 @@ from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.graph import wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
-from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.ros.remapped_topics import remapped
-from hnn_vi_ros.ros.serialization import serialize
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.sinks.phase_portrait import frames_of, reach_of
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer.phase_portrait import frames_of, reach_of
 import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher

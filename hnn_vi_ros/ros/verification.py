@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.build import build
+from hnn_vi_ros.bags.even_grid import missing_stamps
 from hnn_vi_ros.errors import RecordingError, StepFailure
-from hnn_vi_ros.identity import identity
-from hnn_vi_ros.ros.held_state import restore_state
+from hnn_vi_ros.kernels.identity import identity
 from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.run.held_state import restore_state
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.even_grid import missing_stamps
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 
 # A relative change of the initial state that is far above round-off and far below the motion.

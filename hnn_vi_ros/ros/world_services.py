@@ -3,15 +3,13 @@
 """The services of simulation_interfaces that list and load worlds, which are scenes."""
 
 from types import ModuleType
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.ros.worlds import find_worlds, open_world, World, world_of, WorldError
+from hnn_vi_ros.ros.served import Simulator
+from hnn_vi_ros.run.worlds import find_worlds, open_world, World, world_of, WorldError
 from lifecycle_msgs.msg import State, Transition
 from rclpy.parameter import Parameter
-
-if TYPE_CHECKING:
-    from hnn_vi_ros.ros.services import Simulator
 
 
 class WorldServices:
@@ -27,7 +25,7 @@ class WorldServices:
 
     """
 
-    def __init__(self, messages: ModuleType, simulator: 'Simulator'):
+    def __init__(self, messages: ModuleType, simulator: Simulator):
         self._simulator, self._messages = simulator, messages
         self._result = messages.Result
 

@@ -107,3 +107,20 @@ def hard_cases() -> Parser:
     parser.add_argument('--commit', action='store_true', help=(
         'take what comes out for what is expected from now on'))
     return parser
+
+
+def scene() -> Parser:
+    """Return the parser of ``scene``."""
+    parser = Parser('scene', 'Check, list and explain scenes, and print their JSON schema.', [
+        'ros2 run hnn_vi_ros scene --list',
+        'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
+        'ros2 run hnn_vi_ros scene --explain double_pendulum'])
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument('--check', nargs='+', metavar='SCENE', help=(
+        'say of each scene, a shipped name or a file, whether it is valid'))
+    task.add_argument('--list', action='store_true', help='name the shipped scenes')
+    task.add_argument('--schema', action='store_true', help=(
+        'print the JSON schema by which editors complete and check scenes'))
+    task.add_argument('--explain', metavar='SCENE', help=(
+        'tell what a scene simulates, and measure what each of its effects adds to a step'))
+    return parser

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import io
 import math
 
-from hnn_vi_ros.diagnostics import energy_band, rounding_walk
+from hnn_vi_ros.accuracy.diagnostics import energy_band, rounding_walk
 from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation import Simulation

@@ -10,14 +10,14 @@ from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import ParameterError, UnsupportedSystem
+from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.resources import share_folder
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.variants import create, parse_method
-from hnn_vi_ros.yaml_file import load_yaml, StrictModel
 from pydantic import Field
 
 EXACT, LEARNED = 'exact', 'learned'

@@ -11,8 +11,7 @@ import shutil
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.studies.hard_cases_figure import draw_case
 from hnn_vi_ros.studies.hard_cases_plan import Case
-from hnn_vi_ros.studies.hard_cases_results import (
-    CSV, differences, Expectation, Folder, Key, Row)
+from hnn_vi_ros.studies.hard_cases_results import CSV, differences, Expectation, Folder, Key, Row
 
 MARKDOWN = 'hard_cases.md'
 PAGE, PICTURES = 'hard-cases.md', 'hard_cases'

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.resources import share_folder
+from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from hnn_vi_ros.studies.hard_cases_plan import Job
 

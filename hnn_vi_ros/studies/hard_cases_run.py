@@ -5,9 +5,9 @@
 from collections.abc import Iterator
 import math
 
-from hnn_vi_ros.diagnostics import (
-    block_maxima, energy_band, reversal_defect, rounding_scale, rounding_walk,
-    secular_change, stationary_energy, symplectic_defect)
+from hnn_vi_ros.accuracy.diagnostics import (
+    block_maxima, energy_band, reversal_defect, rounding_scale, rounding_walk, secular_change,
+    stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import Alarm

@@ -16,8 +16,8 @@ from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.studies.measuring import Peer, Solve
 import numba
 import numpy as np

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 import time
 
+from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.studies import published_pendulum
 from hnn_vi_ros.studies.published_data import (
     ORBITS, Orbits, PENDULUM, Plane, SPRING, TWO_BODY, TWO_BODY_ORBITS)
@@ -14,7 +15,6 @@ from hnn_vi_ros.studies.published_measures import (
 from hnn_vi_ros.studies.published_models import (
     Model, train_on_differences, train_on_rates, Training)
 from hnn_vi_ros.studies.published_page import REAL
-from hnn_vi_ros.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field
 

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.resources import share_folder
+from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.yaml_file import load_yaml
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.published_page import (
     FOLDER, PAGE, read_results, Result, write_page, write_results)
 from hnn_vi_ros.studies.published_pendulum import FILE
 from hnn_vi_ros.studies.published_runs import Plan, run_table
 from hnn_vi_ros.studies.results import commit, machine
-from hnn_vi_ros.yaml_file import load_yaml
 from tqdm import tqdm
 
 

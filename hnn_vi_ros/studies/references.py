@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import math
 import re
 
-from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models.energy_error import EnergyError
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from scipy.special import ellipj, ellipk, ellipkinc

@@ -12,8 +12,8 @@ import platform
 import subprocess
 from typing import Any, TextIO
 
-from hnn_vi_ros.energy_error import EnergyError
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.studies.measuring import Row
 from hnn_vi_ros.studies.references import ModelError, Reference
 import numpy as np

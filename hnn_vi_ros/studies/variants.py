@@ -16,14 +16,15 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.compilation import inlined
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
+from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 import numpy as np
 
 FLOAT32 = 'float32'

@@ -9,8 +9,7 @@ from pathlib import Path
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.measuring import measure_row, Row, Run, TOO_LONG
-from hnn_vi_ros.studies.references import (
-    make_reference, model_error, Reference, true_hamiltonian)
+from hnn_vi_ros.studies.references import make_reference, model_error, Reference, true_hamiltonian
 from hnn_vi_ros.studies.work_precision_plan import prepare, Setting, Study
 from tqdm import tqdm
 

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.energy_error import EnergyError
+from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.studies.label_placement import place_labels
 from hnn_vi_ros.studies.measuring import Row
 from hnn_vi_ros.studies.references import ModelError, Reference

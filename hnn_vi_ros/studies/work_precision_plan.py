@@ -12,11 +12,12 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from hnn_vi_ros.automatic_choice import resolve
+from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.resources import share_folder
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.arguments import HALVINGS, LONGEST
@@ -24,7 +25,6 @@ from hnn_vi_ros.studies.measuring import OwnRun, Peer, PeerRun, Run, whole_steps
 from hnn_vi_ros.studies.results import machine, Results
 from hnn_vi_ros.studies.variants import applicable, create, Method, parse_method
 from hnn_vi_ros.version import __version__
-from hnn_vi_ros.yaml_file import load_yaml, StrictModel
 import numpy as np
 from pydantic import Field
 

@@ -7,11 +7,10 @@ import math
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.sinks.rerun_diagram import Curve, Diagram, record_diagrams
 from hnn_vi_ros.studies.measuring import Row, TOO_LONG
 from hnn_vi_ros.studies.results import CSV, Results
-from hnn_vi_ros.studies.work_precision_figure import (
-    draw, INK, is_peer, PANELS, series_of, STYLES)
+from hnn_vi_ros.studies.work_precision_figure import draw, INK, is_peer, PANELS, series_of, STYLES
+from hnn_vi_ros.viewer.rerun_diagram import Curve, Diagram, record_diagrams
 
 MARKDOWN, RECORDING = 'work_precision.md', 'work_precision.rrd'
 # For which the cheapest method is named.

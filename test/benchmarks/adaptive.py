@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.studies import peers
 import numpy as np
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 import math
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from hnn_vi_ros.calibration import calibrate, CANDIDATES
+from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES
+from hnn_vi_ros.accuracy.trials import Budget, Method, Problem
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.trials import Budget, Method, Problem
 import numpy as np
 
 _PAIRS = (

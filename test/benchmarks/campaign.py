@@ -17,12 +17,12 @@ from pathlib import Path
 import time
 
 from benchmarks.systems import System, systems
-from hnn_vi_ros.calibration import calibrate
-from hnn_vi_ros.energy_scale import energy_scale
+from hnn_vi_ros.accuracy.calibration import calibrate
+from hnn_vi_ros.accuracy.energy_scale import energy_scale
+from hnn_vi_ros.accuracy.trials import Budget, Method, Problem
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.studies.references import EXACT
 from hnn_vi_ros.studies.results import commit, machine
-from hnn_vi_ros.trials import Budget, Method, Problem
 import numpy as np
 from scipy.integrate import solve_ivp
 

@@ -5,18 +5,18 @@
 from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
-from hnn_vi_ros.build import build
-from hnn_vi_ros.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, Point
-from hnn_vi_ros.loops import advance
-from hnn_vi_ros.resources import shipped_file
+from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.loops import advance
 import numpy as np
 
 _H = 0.01

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
 from benchmarks.networks import jax_gradient
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.resources import shipped_names
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import jax

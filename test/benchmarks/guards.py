@@ -8,16 +8,16 @@ from tempfile import TemporaryDirectory
 import time
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from hnn_vi_ros.build import build
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.scale import SampledScale
-from hnn_vi_ros.ros.look_ahead import look_ahead
-from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 import rclpy
 from rclpy.context import Context

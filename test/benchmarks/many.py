@@ -9,8 +9,8 @@ import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
 from benchmarks.networks import random_network
-from hnn_vi_ros.ensemble import BLOCK, simulate_many
-from hnn_vi_ros.hamiltonians.checkpoint import save_checkpoint
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.run.ensemble import BLOCK, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

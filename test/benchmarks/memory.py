@@ -14,14 +14,15 @@ from unittest.mock import patch
 
 from benchmarks.cold_start import simulator
 from benchmarks.measurement import Row, Settings
-from hnn_vi_ros.build import build
-from hnn_vi_ros.ros.look_ahead import look_ahead
-from hnn_vi_ros.ros.monitor import Monitor
+from hnn_vi_ros.bags import mcap_sink
 from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.sinks import mcap_sink, rerun_sink
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.viewer import rerun_sink
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node

@@ -4,9 +4,9 @@
 
 from collections.abc import Callable
 
-from hnn_vi_ros.hamiltonians.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.hamiltonians.model_card import Box, CoordinateCard, ModelCard
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.studies.peers import jax_energy
 import jax
 import numpy as np

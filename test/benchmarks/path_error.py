@@ -8,8 +8,8 @@ import time
 from benchmarks.adaptive import adaptive_peers, scipy_solution, Solve
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

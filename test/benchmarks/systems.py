@@ -8,12 +8,13 @@ import math
 from typing import NamedTuple
 
 from helpers import random_checkpoint
-from hnn_vi_ros.hamiltonians.base import Hamiltonian, Kernel
-from hnn_vi_ros.hamiltonians.checkpoint import Layers
+from hnn_vi_ros.accuracy.trials import Problem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.hamiltonians.neural import NeuralHamiltonian
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.trials import Problem
 import numba
 import numpy as np
 

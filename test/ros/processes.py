@@ -9,7 +9,7 @@ import tempfile
 import time
 from typing import TextIO
 
-from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from rosbags.highlevel import AnyReader
 
 # By the present test, with their standard output and error; see conftest.py.

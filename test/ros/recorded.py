@@ -5,19 +5,19 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
-from hnn_vi_ros.build import build
-from hnn_vi_ros.ros.held_state import STATE_FILE, state_file
+from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
-from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.ros.scene_report import scene_report
-from hnn_vi_ros.ros.serialization import serialize
 from hnn_vi_ros.ros.topics import COMMANDS_TOPIC, LATCHED, SCENE_TOPIC
+from hnn_vi_ros.run.held_state import STATE_FILE, state_file
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.sinks.bag_metadata import Topic
-from hnn_vi_ros.sinks.mcap_reader import BagReader
-from hnn_vi_ros.sinks.mcap_sink import McapSink
-from hnn_vi_ros.sinks.sample import Sample
-from hnn_vi_ros.yaml_text import dump_yaml
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.sample import Sample
 from mcap.writer import Writer
 import numpy as np
 from rclpy.qos import QoSProfile

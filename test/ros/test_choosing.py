@@ -5,13 +5,14 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from hnn_vi_ros import calibration, load_scene
-from hnn_vi_ros.automatic_choice import resolve
-from hnn_vi_ros.build import build
-from hnn_vi_ros.calibration import Choice
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.accuracy import calibration
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.accuracy.calibration import Choice
+from hnn_vi_ros.accuracy.trials import Budget
 from hnn_vi_ros.ros.choosing import told
-from hnn_vi_ros.ros.scene_report import scene_report
-from hnn_vi_ros.trials import Budget
+from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.simulation.build import build
 from processes import finish, start
 import pytest
 from rerun.chunk import RrdReader

@@ -10,9 +10,9 @@ import sys
 import time
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros import run_folder
+from hnn_vi_ros.files.standard_streams import ENDING
 from hnn_vi_ros.ros.starting import note_signals
-from hnn_vi_ros.standard_streams import ENDING
+from hnn_vi_ros.run import run_folder
 from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer
 from processes import finish, read_bag, start, start_executable
 import pytest
@@ -133,7 +133,7 @@ def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
 
 def test_run_folders_of_two_processes_in_one_second_differ(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code = ('import sys; from hnn_vi_ros.ros.run_folder import create_run_folder as create, Path\n'
+    code = ('import sys; from hnn_vi_ros.run.run_folder import create_run_folder as create, Path\n'
             'print("ready", flush=True); sys.stdin.readline()\n'
             'print(*[create("a", Path()) for _ in range(50)])')
     processes = [subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE,

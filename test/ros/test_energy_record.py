@@ -5,13 +5,13 @@
 from dataclasses import replace
 import math
 
+from hnn_vi_ros.accuracy.trials import Budget
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.ros.energy_record import EnergyRecord
-from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.run.energy_record import EnergyRecord
+from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.trials import Budget
 import numpy as np
 import pytest
 

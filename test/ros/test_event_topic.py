@@ -3,11 +3,11 @@
 """Events of a scene on ~/events, in the bag, in the picture and in the end of the run."""
 
 from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import bridge_picture
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics import EVENTS_QOS
 from hnn_vi_ros.ros.verification import verify
-from hnn_vi_ros.sinks.mcap_reader import BagReader
 import numpy as np
 from peer import peer, SIMULATOR
 from processes import finish, start

@@ -8,12 +8,12 @@ import shutil
 import sqlite3
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.bags import sqlite_file
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.bag_data import BagData, read_bags
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.verification import verify
-from hnn_vi_ros.sinks import sqlite_file
-from hnn_vi_ros.sinks.mcap_reader import BagReader
 from mcap.writer import Writer as McapWriter
 import numpy as np
 from processes import finish, start_executable
@@ -184,7 +184,7 @@ def damaged(bag: Path, target: Path, part: float) -> Path:
 @pytest.fixture(scope='module')
 def many_chunks(tmp_path_factory) -> Path:
     """Return a bag of ours that ends without a summary, each second in a chunk of its own."""
-    import hnn_vi_ros.sinks.mcap_sink as module
+    import hnn_vi_ros.bags.mcap_sink as module
     folder = tmp_path_factory.mktemp('chunks') / 'bag'
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, 'CHUNK_SIZE', 2**14)

@@ -8,6 +8,7 @@ from pathlib import Path
 import signal
 from xml.etree import ElementTree
 
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.node_parameters import declare_parameters
@@ -16,7 +17,6 @@ from hnn_vi_ros.ros.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.starting import own_arguments
 from hnn_vi_ros.ros.topics import ENDPOINTS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.sinks.mcap_reader import BagReader
 from peer import Peer, peer
 from processes import finish, start, start_executable
 import pytest

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.barrier import BarrierGuard
@@ -25,12 +24,13 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.health import Health
-from hnn_vi_ros.ros.monitor import Monitor
-from hnn_vi_ros.ros.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.ros.parameters import PARAMETERS
-from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.pacing import OverrunGuard, Pacer
+from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.studies.hard_cases_plan import load_plan
 import numpy as np
 from peer import hearing

@@ -8,7 +8,7 @@ import time
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Box
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
 import rclpy

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import sys
 import time
 
+from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.sinks.mcap_sink import McapSink
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader

@@ -12,8 +12,8 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.rerun_sink import RerunSink
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
 from PIL import Image
 import pytest

@@ -10,6 +10,7 @@ import subprocess
 import time
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.ros.messages import qos_yaml
 from hnn_vi_ros.ros.parameters import markdown_table
@@ -17,7 +18,6 @@ from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_node import find_type, main
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.ros.topics import LATCHED
-from hnn_vi_ros.sinks.mcap_reader import BagReader
 from mcap.writer import Writer
 import numpy as np
 from processes import finish, start_executable, wait_until

@@ -9,15 +9,15 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
+from hnn_vi_ros.accuracy.trials import Budget
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
-from hnn_vi_ros.ros.monitor import Monitor
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run_status import RunStatus
-from hnn_vi_ros.ros.sampling import Sampler
-from hnn_vi_ros.trials import Budget
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.build import build
 from peer import hearing
 from processes import finish, start
 import pytest

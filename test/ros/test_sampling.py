@@ -5,7 +5,7 @@
 from types import SimpleNamespace
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.sampling import Sampler
+from hnn_vi_ros.run.sampling import Sampler
 import pytest
 
 # What a 32-bit signed number of seconds holds.

@@ -5,10 +5,10 @@
 from itertools import zip_longest
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hnn_vi_ros.bags.state_message import decode_state
 from hnn_vi_ros.ros.messages import array_message, MessageEncoder, TICK_TOPICS
-from hnn_vi_ros.ros.serialization import serialize, Template
-from hnn_vi_ros.sinks.sample import Sample
-from hnn_vi_ros.sinks.state_message import decode_state
+from hnn_vi_ros.run.serialization import serialize, Template
+from hnn_vi_ros.simulation.sample import Sample
 from hypothesis import given, strategies as st
 import numpy as np
 import pytest

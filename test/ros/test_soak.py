@@ -9,7 +9,7 @@ import sys
 import time
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 from processes import finish, start
 import pytest

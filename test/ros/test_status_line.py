@@ -8,8 +8,8 @@ import sys
 from types import SimpleNamespace
 
 from hnn_vi_ros.ros.control import Control
-from hnn_vi_ros.ros.status_line import StatusLine
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.run.status_line import StatusLine
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
 

@@ -10,9 +10,9 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, ClockPublisher
-from hnn_vi_ros.ros.pacing import Pacer
+from hnn_vi_ros.run.pacing import Pacer
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 from peer import Peer, peer, SIMULATOR, stamp
 from processes import finish, read_bag, start

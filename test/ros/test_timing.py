@@ -4,7 +4,7 @@
 
 import math
 
-from hnn_vi_ros.ros.timing import quantiles, Timing, WINDOW
+from hnn_vi_ros.run.timing import quantiles, Timing, WINDOW
 from hypothesis import given, strategies
 import numpy as np
 import pytest

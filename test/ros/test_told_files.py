@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.ros.told_files import tell_files
+from hnn_vi_ros.run.told_files import tell_files
 import pytest
 
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import time
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
-from hnn_vi_ros.local_error import local_error
+from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.ros.accuracy import ENTRIES
-from hnn_vi_ros.ros.look_ahead import look_ahead
-from hnn_vi_ros.ros.monitor import Monitor
-from hnn_vi_ros.ros.scene_report import scene_report
 from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.sinks.sample import Sample
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
 import rclpy

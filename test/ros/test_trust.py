@@ -11,21 +11,22 @@ import sys
 import time
 from types import SimpleNamespace
 
-from hnn_vi_ros import load_scene, yaml_text
-from hnn_vi_ros.build import build
+from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
-from hnn_vi_ros.named_code import trusting
-from hnn_vi_ros.resources import shipped_file
-from hnn_vi_ros.ros.described_scene import described_scene
+from hnn_vi_ros.files import yaml_text
+from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay_node import find_type
 from hnn_vi_ros.ros.replay_node import main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.ros.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.run.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.yaml_text import dump_yaml
+from hnn_vi_ros.scene.described_scene import described_scene
+from hnn_vi_ros.simulation.build import build
 from processes import finish, start, start_executable, started, wait_until
 from pydantic import ValidationError
 import pytest
@@ -186,7 +187,7 @@ def test_trust_is_given_on_the_command_line(tmp_path, marker, on_path, capsys):
 def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, monkeypatch, name, words):
     bag = record(tmp_path, **PYTHON)
     monkeypatch.setenv('PYTHONPATH', ':'.join(
-        [str(marker.parent / 'code'), str(Path(yaml_text.__file__).parents[1])]))
+        [str(marker.parent / 'code'), str(Path(yaml_text.__file__).parents[2])]))
     process = start_executable(name, *[word.replace('BAG', str(bag)) for word in words],
                                folder=tmp_path)
     status, _, error = finish(process, 120.0)
@@ -221,7 +222,7 @@ def test_names_are_imported_in_one_place():
     # Which modules a name may choose: ours, those of packages of messages, and named_code.
     allowed = {'named_code.py', 'cli.py', '__init__.py', 'replay_node.py',
                'simulation_services.py'}
-    for path in Path(yaml_text.__file__).parent.rglob('*.py'):
+    for path in Path(yaml_text.__file__).parents[1].rglob('*.py'):
         for call in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
             if isinstance(call, ast.Call) and ast.unparse(call.func).endswith('import_module'):
                 assert path.name in allowed or isinstance(call.args[0], ast.Constant), path

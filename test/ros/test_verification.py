@@ -7,16 +7,16 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.build import build
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
-from hnn_vi_ros.identity import identity
+from hnn_vi_ros.kernels.identity import identity
 from hnn_vi_ros.ros import verification
 from hnn_vi_ros.ros.bridge_picture import BridgePicture
-from hnn_vi_ros.ros.held_state import restore_state, state_file
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.sampling import Sampler
 from hnn_vi_ros.ros.verification import verify
-from hnn_vi_ros.sinks.mcap_reader import BagReader
+from hnn_vi_ros.run.held_state import restore_state, state_file
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.build import build
 from mcap.writer import Writer
 import numpy as np
 from peer import peer, SIMULATOR

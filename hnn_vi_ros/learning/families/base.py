@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
-from hnn_vi_ros.hamiltonians.checkpoint import Layers
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
 

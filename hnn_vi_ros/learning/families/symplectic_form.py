@@ -5,11 +5,11 @@
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians.checkpoint import Layers
-from hnn_vi_ros.hamiltonians.symplectic_form import irregularity
 from hnn_vi_ros.learning.choices import SymplecticFormChoice
 from hnn_vi_ros.learning.families.base import Family, gradient, Scales
 from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models.symplectic_form import irregularity
 import numpy as np
 import torch
 

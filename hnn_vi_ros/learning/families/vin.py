@@ -4,11 +4,11 @@
 
 from typing import Any
 
-from hnn_vi_ros.hamiltonians.checkpoint import Layers
 from hnn_vi_ros.learning.choices import VINChoice
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, Scales
 from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
 

@@ -1,0 +1,64 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a scene with the integrator auto to one that names its method and its step size."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from hnn_vi_ros.accuracy.calibration import Choice, remembered
+from hnn_vi_ros.accuracy.trials import Budget, Problem
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.choices import AutoChoice
+import numpy as np
+
+
+class Chosen(NamedTuple):
+    """What the integrator auto was asked for, its energy scale known now, and what it chose."""
+
+    budget: Budget
+    choice: Choice
+
+
+def budget_of(choice: AutoChoice) -> Budget:
+    """Return what the integrator auto is asked for."""
+    if choice.energy_error is not None:
+        return Budget('energy_error', choice.energy_error, choice.horizon)
+    return Budget('path_error', choice.path_error, choice.horizon)
+
+
+def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Chosen | None]:
+    """
+    Return a scene with a method and a step size in place of the integrator auto, if it has that.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the integrator auto or any other.
+    largest_step : float, optional
+        A time that the step must divide where the scene names none, such as that between two
+        samples [s].
+
+    Returns
+    -------
+    scene : Scene
+        The same if it names its method.
+    chosen : Chosen or None
+        What was chosen, if that was to be done.
+
+    Raises
+    ------
+    HnnViRosError
+        No method holds the budget, or the scene cannot be built.
+
+    """
+    if not isinstance(scene.integrator, AutoChoice):
+        return scene, None
+    problem = Problem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                      np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+    budget = budget_of(scene.integrator)
+    with scene.placed('integrator'):
+        choice = remembered(problem, budget, scene.step_size or largest_step,
+                            scene.model_dump_json())
+    resolved = scene.changed({'step_size': choice.step_size,
+                              'integrator': {'kind': choice.method, **choice.arguments}})
+    return resolved, Chosen(replace(budget, energy_scale=choice.energy_scale), choice)

@@ -1,0 +1,221 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The path that trials are measured against, and how far it can be known."""
+
+from dataclasses import dataclass
+import math
+
+from hnn_vi_ros.accuracy.lyapunov import time_between_motions
+from hnn_vi_ros.accuracy.survey import Survey
+from hnn_vi_ros.accuracy.trials import Budget, carried, ENOUGH, FAILED, Problem, Trial
+from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+# Instants at which paths are compared: at least and at most; the least of an H that is slow.
+_LEAST, _MOST, _FEW = 320, 2000, 40
+_SLOW = 1_000_000
+# References may take this many times the gradients of a trial.
+_PATIENCE = 6
+# A reference is good enough when it is known to this share of the budget, and usable up to half.
+_KNOWN, _USABLE = 0.02, 0.5
+# Refinements without progress after which round-off is what is left, or chaos.
+_STUCK = 3
+# Each refinement's number of steps over that of the one before.
+_RATIO = 1.5
+_CHUNK = 20
+# Steps up to which chaos is looked for at least.
+_CHAOS_STEPS = 2 ** 14
+
+
+@dataclass(frozen=True)
+class Instants:
+    """
+    When paths are compared: each so many bases, or so many times a base.
+
+    Parameters
+    ----------
+    base : float
+        What steps divide [s].
+    stride, density : int
+        One instant each ``stride`` bases, or ``density`` in each base; one of them is 1.
+    count : int
+        How many up to the horizon.
+
+    """
+
+    base: float
+    stride: int
+    density: int
+    count: int
+
+    @classmethod
+    def of(cls, horizon: float, base: float, least: int) -> 'Instants':
+        """Return instants that steps meet, of base / 4, / 5, / 6, / 8, ...: see parts_for."""
+        bases = max(1, round(horizon / base))
+        if bases >= least:
+            stride = math.ceil(bases / _MOST)
+            return cls(base, stride, 1, bases // stride)
+        doublings = math.ceil(math.log2(least / bases))
+        density = 15 * 2 ** doublings
+        return cls(base, 1, density, bases * density)
+
+    @property
+    def gap(self) -> float:
+        """Return the time between two instants [s]."""
+        return self.base * self.stride / self.density
+
+    def met(self, parts: int) -> tuple[int, int]:
+        """Return steps of base / parts between instants that they meet, and their distance."""
+        if self.density == 1:
+            return self.stride * parts, 1
+        common = math.gcd(parts, self.density)
+        return parts // common, self.density // common
+
+
+@dataclass(frozen=True)
+class PathReference:
+    """
+    A path as it is known.
+
+    Parameters
+    ----------
+    states : np.ndarray, shape (n, 2 d)
+        (q, p) at the first n instants.
+    accuracy : float
+        The largest difference from the one before it.
+
+    """
+
+    instants: Instants
+    states: np.ndarray
+    accuracy: float
+
+
+def find_reference(problem: Problem, budget: Budget, base: float, known: Survey) -> PathReference:
+    """
+    Return the path, refined until two of them agree.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is simulated.
+    budget : Budget
+        How well it must be known, and until when.
+    base : float
+        What the steps of trials divide [s].
+    known : Survey
+        Of the path.
+
+    Raises
+    ------
+    CalibrationError
+        Round-off or chaos, which is measured, keeps it from being known so well.
+
+    """
+    limit = _PATIENCE * problem.gradients
+    instants = Instants.of(budget.horizon, base, _LEAST if limit >= _SLOW else _FEW)
+    steps = max(1, math.ceil(instants.gap / known.step_size))
+    before, best, last, stuck = None, None, math.inf, 0
+    while stuck < _STUCK:
+        states = _path(problem, known.method, instants, steps, limit)
+        if states is None:
+            stuck += 1
+        elif before is not None:
+            n = min(len(states), len(before))
+            distance = float(np.abs(states[:n] - before[:n]).max())
+            stuck = 0 if distance < 0.5 * last else stuck + 1
+            last = min(last, distance)
+            if best is None or distance < best.accuracy:
+                best = PathReference(instants, states[:n], distance)
+            if distance <= _KNOWN * budget.error or n < min(instants.count, _FEW):
+                break
+        before, steps = states, math.ceil(_RATIO * steps)
+    if best is None or best.accuracy > _USABLE * budget.error:
+        raise CalibrationError(_refusal(problem, budget, known, best))
+    return best
+
+
+def _path(problem: Problem, method: str, instants: Instants, steps: int, limit: int
+          ) -> np.ndarray | None:
+    """Return the states at the instants, as many as gradients allow; None if a step fails."""
+    simulation = problem.simulation(method, instants.gap / steps)
+    rows: list[np.ndarray] = []
+    count = 0
+    try:
+        while count < instants.count and simulation.gradients < limit:
+            rows.append(np.hstack(simulation.record(min(_CHUNK, instants.count - count), steps)))
+            count += len(rows[-1])
+    except StepFailure:
+        return None
+    return np.concatenate(rows)
+
+
+def _refusal(problem: Problem, budget: Budget, known: Survey, best: PathReference | None) -> str:
+    """Say why the path cannot be known so well."""
+    wanted = f'path_error {budget.error:g} up to {budget.horizon:g} s: '
+    if best is None:
+        return f'{wanted}no path can be computed; take a shorter horizon'
+    near = (f'two references differ by {best.accuracy:.2g} at best up to '
+            f'{len(best.states) * best.instants.gap:.3g} s')
+    try:
+        time = time_between_motions(
+            problem.hamiltonian, problem.effects, INTEGRATORS[known.method](), known.step_size,
+            problem.q, problem.p, max(_CHAOS_STEPS, 2.0 * budget.horizon / known.step_size))
+    except (HnnViRosError, ValueError) as problem_of_measure:
+        return f'{wanted}{near} (Lyapunov time not measured: {problem_of_measure}); take ' \
+               'energy_error, a shorter horizon or a larger error'
+    if math.isinf(time):
+        return (f'{wanted}{near}, which is round-off: the motion is regular, but in double '
+                'precision its path is not known better; take a larger error or a shorter '
+                'horizon')
+    size = float(np.abs(best.states).max())
+    reach = time * math.log(max(budget.error / (np.finfo(float).eps * size), 1.0))
+    return (f'{wanted}{near}: the motion is chaotic, with a Lyapunov time of {time:.3g} s, so '
+            f'that round-off alone reaches this error after some {reach:.2g} s; take '
+            'energy_error, a shorter horizon or a larger error')
+
+
+class PathJudge:
+    """
+    Measure the distance from a reference.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is simulated.
+    budget : Budget
+        What must be held.
+    reference : PathReference
+        The path.
+
+    """
+
+    def __init__(self, problem: Problem, budget: Budget, reference: PathReference):
+        self._limit, self._reference, self.budget = problem.gradients, reference, budget
+        self.known = reference.accuracy
+
+    def __call__(self, simulation: Simulation, bound: float) -> Trial:
+        """Run as far as the reference goes and gradients allow; see Trial."""
+        instants, states = self._reference.instants, self._reference.states
+        every, apart = instants.met(round(instants.base / simulation.step_size))
+        reference = states[apart - 1::apart]
+        extent = len(reference) * apart * instants.gap
+        most = min(4.0 * _PATIENCE * self._limit, bound * extent)
+        errors: list[float] = []
+        cost, done = math.inf, 0
+        while done < len(reference):
+            more = min(_CHUNK, len(reference) - done)
+            try:
+                found = np.hstack(simulation.record(more, every))
+            except StepFailure:
+                return FAILED
+            errors.append(float(np.abs(found - reference[done:done + more]).max()))
+            done += more
+            cost = simulation.gradients / simulation.time
+            dear = simulation.gradients > most and done < len(reference)
+            if dear or errors[-1] > ENOUGH * self.budget.error:
+                return Trial(max(errors), simulation.time, cost, False, dear)
+        return Trial(carried(errors, simulation.time, self.budget.horizon, 1.0),
+                     simulation.time, cost)

@@ -1,0 +1,207 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Describe a recording in the form of rosbag2: its topics and its metadata.yaml."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.regular_file import open_file
+from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
+from mcap.records import Channel, Schema
+
+METADATA_VERSION = 9
+# rosbag2 gives a bag without messages the latest time there is as its start.
+NEVER = 2**63 - 1
+# No metadata.yaml is larger [bytes].
+_LARGEST = 2**20
+# Metadata of our recordings: the definitions of all types, by their names.
+DEFINITIONS = 'definitions'
+
+
+@dataclass(frozen=True)
+class Topic:
+    """
+    What a reader must know of a recorded topic to decode it and to publish it again.
+
+    Parameters
+    ----------
+    name : str
+        Fully resolved name, ``'/hnn_simulator/q'``.
+    type : str
+        Message type, ``'std_msgs/msg/Float64'``.
+    definition : str
+        Text of the .msg file, followed by those of the types that it uses.
+    type_hash : str
+        RIHS01 hash of the type.
+    offered_qos_profiles : str
+        YAML list of the publishers' QoS profiles, in the form of rosbag2.
+
+    """
+
+    name: str
+    type: str  # noqa: A003
+    definition: str
+    type_hash: str
+    offered_qos_profiles: str
+
+
+class BagTopics(NamedTuple):
+    """
+    What a bag holds from its start on.
+
+    Parameters
+    ----------
+    tick : sequence of Topic
+        Those of every tick, in the order of its payloads.
+    scene : Topic
+        That of the scene.
+    remapped : mapping of str to str
+        What topics are called, by their own names, where these are others.
+
+    """
+
+    tick: Sequence[Topic]
+    scene: Topic
+    remapped: Mapping[str, str] = {}
+
+
+class Extent(NamedTuple):
+    """
+    What a file of a bag holds.
+
+    Parameters
+    ----------
+    name : str
+        In the bag's folder.
+    messages : int
+        How many.
+    first, last : int
+        Earliest and latest log time [ns]; of no account where there is no message.
+
+    """
+
+    name: str
+    messages: int
+    first: int
+    last: int
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Return what rosbag2 calls it."""
+        start, duration = (self.first, self.last - self.first) if self.messages else (NEVER, 0)
+        return {'duration': {'nanoseconds': duration},
+                'starting_time': {'nanoseconds_since_epoch': start},
+                'message_count': self.messages}
+
+
+def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Sequence[int],
+                 ros_distro: str) -> dict[str, Any]:
+    """
+    Describe a bag in the fields of rosbag2's metadata, version 9.
+
+    Parameters
+    ----------
+    files : sequence of Extent
+        In their order.
+    topics : sequence of Topic
+        The recorded topics.
+    counts : sequence of int
+        Messages of each topic.
+    ros_distro : str
+        ROS distribution of the recording.
+
+    """
+    held = [file for file in files if file.messages]
+    extent = Extent('', sum(file.messages for file in files),
+                    min((file.first for file in held), default=NEVER),
+                    max((file.last for file in held), default=0)).fields
+    return {
+        'version': METADATA_VERSION, 'storage_identifier': 'mcap', **extent,
+        'topics_with_message_count': [
+            {'topic_metadata': _topic_metadata(topic), 'message_count': count}
+            for topic, count in zip(topics, counts, strict=True)],
+        # These two speak of compression around the file; the chunks' own is the file's affair.
+        'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [{'path': file.name, **file.fields} for file in files],
+        'custom_data': None, 'ros_distro': ros_distro,
+    }
+
+
+def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
+    """Write ``metadata.yaml`` into the folder of a bag, whole or not at all."""
+    temporary = folder / 'metadata.yaml.tmp'
+    text = dump_yaml({'rosbag2_bagfile_information': dict(metadata)})
+    temporary.write_text(text, encoding='utf-8')
+    os.replace(temporary, folder / 'metadata.yaml')
+
+
+def qos_profiles(text: str) -> list[Any]:
+    """Return the QoS profiles that a channel's metadata lists; none where they are damaged."""
+    try:
+        profiles, _ = parse_yaml(text or '[]', 'offered_qos_profiles', RecordingError)
+    except RecordingError:
+        return []
+    return profiles if isinstance(profiles, list) else []
+
+
+def read_bag_metadata(folder: Path) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` tells of the bag in a folder; empty if that is not there."""
+    path = folder / 'metadata.yaml'
+    try:
+        with open_file(path, path) as stream:
+            content = read_description(stream.read(_LARGEST))
+    except OSError:
+        return {}
+    described = content.get('rosbag2_bagfile_information')
+    return described if isinstance(described, dict) else {}
+
+
+def read_description(text: str | bytes) -> dict[str, Any]:
+    """Return rosbag2's description of a bag from its YAML; empty if that is damaged."""
+    try:
+        return parse_mapping(text, 'the description of the bag', RecordingError)[0]
+    except RecordingError:
+        return {}
+
+
+def described_channels(rosbag2: Mapping[str, str], definitions: Mapping[str, str]
+                       ) -> list[Schema | Channel]:
+    """
+    Return the channels of a recording of ours whose first chunk, which defines them, is lost.
+
+    The recorder numbers them in the order of its description.
+
+    Parameters
+    ----------
+    rosbag2, definitions : mapping of str to str
+        Metadata of the file.
+
+    """
+    described = read_description(rosbag2.get('serialized_metadata', ''))
+    found: list[Schema | Channel] = []
+    try:
+        for number, entry in enumerate(described['topics_with_message_count'], 1):
+            topic = entry['topic_metadata']
+            kind, qos = str(topic['type']), dump_yaml(topic['offered_qos_profiles'])
+            # No number that a schema of the file may have.
+            found.append(Schema(id=-number, data=definitions.get(kind, '').encode(),
+                                encoding='ros2msg', name=kind))
+            found.append(Channel(id=number, topic=str(topic['name']), message_encoding='cdr',
+                                 schema_id=-number, metadata={
+                                     'offered_qos_profiles': qos,
+                                     'topic_type_hash': str(topic['type_description_hash'])}))
+    except (KeyError, TypeError):
+        # Not as we write it.
+        return []
+    return found
+
+
+def _topic_metadata(topic: Topic) -> dict[str, Any]:
+    return {'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
+            'offered_qos_profiles': qos_profiles(topic.offered_qos_profiles),
+            'type_description_hash': topic.type_hash}

@@ -1,0 +1,223 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read the messages of a bag in the order of their times, an unfinished or damaged one as well."""
+
+from collections.abc import Collection, Iterator
+from hashlib import sha256
+from pathlib import Path
+from typing import final, NamedTuple
+
+from hnn_vi_ros.bags.bag_files import bag_files, open_source
+from hnn_vi_ros.bags.bag_source import Piece, Source
+from hnn_vi_ros.bags.mcap_records import LARGEST
+from hnn_vi_ros.errors import RecordingError
+from mcap.records import Channel, Schema
+import zstandard
+
+_ZSTD = b'\x28\xb5\x2f\xfd'
+_BLOCK = 2**20
+# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks;
+# each takes so many besides.
+_HELD, _BESIDES = 2**30, 160
+
+
+class Recorded(NamedTuple):
+    """
+    One message of a bag.
+
+    Parameters
+    ----------
+    time : int
+        Log time [ns].
+    channel : int
+        Number of its channel.
+    data : bytes
+        As it was serialised.
+
+    """
+
+    time: int
+    channel: int
+    data: bytes
+
+
+class _Part(NamedTuple):
+    """A piece of one of the files, with the numbers that their channels have here."""
+
+    piece: Piece
+    source: Source
+    numbers: dict[int, int]
+
+
+@final
+class BagReader:
+    """
+    A bag, finished, cut off or damaged; nothing but its outline is held in memory.
+
+    It is one MCAP file or several, as rosbag2 splits them, or SQLite files; packed with zstd as
+    wholes or message by message, or not. The channels of a topic in several files are one.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with the files of one bag, or one file.
+
+    Attributes
+    ----------
+    path : Path
+        The file; the folder, if there are several.
+    channels : dict of int to Channel
+        Topic, encoding and metadata of each channel.
+    schemas : dict of int to Schema
+        Name and definition of each type.
+    first, last : int
+        Earliest and latest log time [ns]; 0 in a bag without messages.
+
+    Raises
+    ------
+    RecordingError
+        It is no bag, or cannot be read.
+
+    """
+
+    def __init__(self, bag: Path):
+        files = bag_files(bag)
+        self.path = files[0] if len(files) == 1 else bag
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self._files, self._parts = files, list[_Part]()
+        try:
+            self._sources = [open_source(path) for path in files]
+        except OSError as problem:
+            raise RecordingError(f'{self.path}: cannot be read ({problem.strerror or problem}); '
+                                 'give the folder of a bag, or its file') from problem
+        for source in self._sources:
+            numbers = self._join(source)
+            self._parts += [_Part(piece, source, numbers) for piece in source.pieces]
+        self._parts.sort(key=lambda part: part.piece.first)
+        self.first = min((part.piece.first for part in self._parts), default=0)
+        self.last = max((part.piece.last for part in self._parts), default=0)
+
+    @property
+    def unread(self) -> int:
+        """Return how many parts could not be read; those of messages once these were read."""
+        return sum(len(source.unread) for source in self._sources)
+
+    @property
+    def damage(self) -> str:
+        """Return what is to be told of parts that could not be read; empty if there are none."""
+        places = [(source, start) for source in self._sources for start in sorted(source.unread)]
+        if not places:
+            return ''
+        size = sum(source.unread[start] for source, start in places)
+        source, start = places[0]
+        return (f'{source.name}: {len(places)} damaged parts, {size} bytes, cannot be read, the '
+                f'first at {start}: what they held is missing')
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the files."""
+        found = sha256()
+        for path in self._files:
+            with path.open('rb') as stream:
+                while block := stream.read(_BLOCK):
+                    found.update(block)
+        return found.hexdigest()
+
+    def attachment(self, name: str) -> bytes:
+        """Return a file that is kept with the bag, or raise RecordingError."""
+        for source in self._sources:
+            if (found := source.attachment(name)) is not None:
+                return found
+        raise RecordingError(f'{self.path}: holds no {name}; was it recorded by the simulator?')
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return the newest metadata of a name; empty if there is none."""
+        found = [source.metadata(name) for source in self._sources]
+        return next(filter(None, reversed(found)), {})
+
+    def messages(self, channels: Collection[int] | None = None, first: int = 0,
+                 last: int = 2**64 - 1) -> Iterator[Recorded]:
+        """
+        Yield messages in the order of their log times, those of one time as they were recorded.
+
+        Parameters
+        ----------
+        channels : collection of int, optional
+            Their channels; without it all.
+        first, last : int
+            Earliest and latest log time [ns].
+
+        """
+        wanted = self.channels.keys() if channels is None else frozenset(channels)
+        parts = [part for part in self._parts
+                 if part.piece.last >= first and part.piece.first <= last]
+        held: list[Recorded] = []
+        size = 0
+        for i, part in enumerate(parts):
+            for message in self._read(part, wanted):
+                if first <= message.time <= last:
+                    held.append(message)
+                    size += len(message.data) + _BESIDES
+                if size > _HELD:
+                    raise RecordingError(
+                        f'{self.path}: its messages are too many in one place or too far out of '
+                        f'order: to sort them takes more than {_HELD >> 20} MiB; sort it with '
+                        '`mcap sort`')
+            held.sort(key=lambda message: message.time)
+            # What a later piece may come before is kept.
+            until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
+            place = 0
+            while place < len(held) and held[place].time < until:
+                size -= len(held[place].data) + _BESIDES
+                yield held[place]
+                place += 1
+            del held[:place]
+
+    def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[Recorded]:
+        """Yield the messages of a piece, unpacked."""
+        for message in part.source.read(part.piece):
+            number = part.numbers[message.channel_id]
+            if number not in wanted:
+                continue
+            data = message.data
+            # What is not packed begins with how it is encoded, 00 .. in CDR.
+            if data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
+                data = _unpacked(data)
+            if data is None:
+                part.source.unread[part.piece.start] = len(message.data)
+            else:
+                yield Recorded(message.log_time, number, data)
+
+    def _join(self, source: Source) -> dict[int, int]:
+        """Take the channels of a file; return the numbers that they have here."""
+        known = {self._key(channel, self.schemas): number
+                 for number, channel in self.channels.items()}
+        numbers = {}
+        for number, channel in source.channels.items():
+            key = self._key(channel, source.schemas)
+            if key not in known:
+                known[key] = len(self.channels) + 1
+                schema = source.schemas.get(channel.schema_id)
+                if schema is not None:
+                    self.schemas[known[key]] = schema
+                self.channels[known[key]] = Channel(
+                    id=known[key], topic=channel.topic, schema_id=known[key],
+                    message_encoding=channel.message_encoding, metadata=channel.metadata)
+            numbers[number] = known[key]
+        return numbers
+
+    @staticmethod
+    def _key(channel: Channel, schemas: dict[int, Schema]) -> tuple[str, str, str]:
+        schema = schemas.get(channel.schema_id)
+        return channel.topic, channel.message_encoding, schema.name if schema else ''
+
+
+def _unpacked(data: bytes) -> bytes | None:
+    """Return a message that was packed by itself; None if it is damaged or too large."""
+    try:
+        size = zstandard.get_frame_parameters(data).content_size
+        if size > LARGEST and size != zstandard.CONTENTSIZE_UNKNOWN:
+            return None
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST)
+    except zstandard.ZstdError:
+        return None

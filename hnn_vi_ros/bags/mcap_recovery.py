@@ -1,0 +1,281 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Make an MCAP bag whole whose recording was interrupted, or that was damaged."""
+
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+import fcntl
+from itertools import count as numbers
+import os
+from pathlib import Path
+import shutil
+import tempfile
+from typing import BinaryIO
+
+from hnn_vi_ros.bags.bag_files import bag_files
+from hnn_vi_ros.bags.bag_metadata import (
+    bag_metadata, Extent, NEVER, read_bag_metadata, Topic, write_bag_metadata)
+from hnn_vi_ros.bags.even_grid import Missing, missing_in_all
+from hnn_vi_ros.bags.mcap_check import data_crc_holds, is_finished
+from hnn_vi_ros.bags.mcap_copy import copy_messages, describe_topic, ros_distro
+from hnn_vi_ros.bags.mcap_file import McapFile
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.regular_file import open_file
+
+
+@dataclass
+class Recovery:
+    """
+    What a file holds once it is whole, and what is lost.
+
+    Parameters
+    ----------
+    path : Path
+        The MCAP file.
+    messages : int
+        Those that are kept.
+    first, last : int
+        Earliest and latest log time [ns].
+    changed : bool
+        Whether the file was written anew.
+    described : bool
+        Whether metadata.yaml was written.
+    original : Path or None
+        Where the file is kept as it was.
+    incomplete : int
+        Bytes with which a recording breaks off: no damage, its last second or less.
+    damaged : int
+        Parts that cannot be read.
+    unread : int
+        Their bytes.
+    altered : bool
+        Whether the header or metadata, of which nothing else tells, are not as recorded.
+    fewer : int
+        Messages that there were, by the file's own count or metadata.yaml's, and are not kept.
+    gaps : list of Missing
+        Where stamps are missing that otherwise come evenly.
+
+    """
+
+    path: Path
+    messages: int = 0
+    first: int = NEVER
+    last: int = 0
+    changed: bool = False
+    described: bool = False
+    original: Path | None = None
+    incomplete: int = 0
+    damaged: int = 0
+    unread: int = 0
+    altered: bool = False
+    fewer: int = 0
+    gaps: list[Missing] = field(default_factory=list)
+
+    @property
+    def lost(self) -> bool:
+        """Tell whether something that was recorded is not kept."""
+        return bool(self.damaged or self.altered or self.fewer or self.gaps)
+
+    @property
+    def seconds(self) -> float:
+        """Return the time from the first message to the last [s]."""
+        return (self.last - self.first) * 1e-9 if self.messages else 0.0
+
+
+def recover(bag: Path, replace: bool = False) -> Recovery:
+    """
+    Make a bag whole: indexes, summary and footer of its file, and its metadata.yaml.
+
+    What is whole already stays as it is. What can be read is written into a file beside it, which
+    is read back and then takes its place in one stroke; whatever goes wrong before leaves all as
+    it was.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with one MCAP file, or the file.
+    replace : bool
+        Whether the original goes; else it is kept as ``<file>.orig``.
+
+    Raises
+    ------
+    RecordingError
+        Nothing can be recovered, it is being recorded, or nothing can be written beside it.
+
+    """
+    files = bag_files(bag)
+    path = files[0]
+    if len(files) > 1 or path.name.endswith(('.db3', '.zstd')):
+        raise RecordingError(f'{bag}: expected one .mcap file, found '
+                             f'{", ".join(file.name for file in files)}; give one, unpacked')
+    try:
+        with open_file(path, path) as stream, _not_being_recorded(stream, path):
+            file = McapFile(path, path, thorough=True)
+            recovery = _survey(file, stream)
+            if recovery.changed:
+                _refuse_if_nothing(file, recovery)
+                _write_anew(file, recovery, replace)
+            if (bag.is_dir() or _is_bag(path)) and (
+                    recovery.changed or not (path.parent / 'metadata.yaml').exists()):
+                describe(path.parent, [path])
+                recovery.described = True
+            return recovery
+    except OSError as problem:
+        raise RecordingError(
+            f'{path}: cannot be made whole ({problem.strerror or problem}); it is left as it is; '
+            'give a file that exists, in a folder that can be written, with room for a second '
+            'one') from problem
+
+
+@contextmanager
+def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
+    """Hold the file against a second recovery; refuse it while a recorder holds it."""
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as problem:
+        raise RecordingError(f'{path}: is still being recorded; stop that first') from problem
+    except OSError:
+        # A file system without locks: the recorder could not hold it either.
+        pass
+    yield
+
+
+def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
+    """Return what can be read of a file, and what is lost; it is to be changed if not whole."""
+    recovery, stamps = Recovery(file.path), {}
+    for message in file.messages():
+        stamps.setdefault(message.channel_id, array('Q')).append(message.log_time)
+    recovery.messages = sum(map(len, stamps.values()))
+    recovery.first = min(map(min, stamps.values()), default=NEVER)
+    recovery.last = max(map(max, stamps.values()), default=0)
+    finished = is_finished(stream, file, recovery.messages)
+    recovery.altered = finished and not data_crc_holds(stream, file.survey)
+    recovery.changed = not finished or recovery.altered
+    recovery.incomplete = file.incomplete
+    recovery.damaged, recovery.unread = len(file.unread), sum(file.unread.values())
+    recorded = _recorded(file)
+    # A count of fewer was made before the recording ended, and tells nothing.
+    if recovery.changed and recorded is not None and recorded >= recovery.messages:
+        recovery.fewer = max(0, recorded - recovery.messages)
+    elif recovery.changed:
+        recovery.gaps = missing_in_all(list(stamps.values()))
+    return recovery
+
+
+def _recorded(file: McapFile) -> int | None:
+    """Return how many messages were recorded; None if nothing tells."""
+    if file.survey.statistics is not None:
+        return file.survey.statistics.message_count
+    described = read_bag_metadata(file.path.parent)
+    if described.get('relative_file_paths') == [file.path.name]:
+        files = [described]
+    else:
+        # Of each file of several.
+        told = described.get('files')
+        files = [entry for entry in (told if isinstance(told, list) else ())
+                 if isinstance(entry, dict) and entry.get('path') == file.path.name]
+    count = files[0].get('message_count') if files else None
+    return count if isinstance(count, int) else None
+
+
+def _refuse_if_nothing(file: McapFile, recovery: Recovery) -> None:
+    described = file.survey.attachments or file.survey.metadata
+    if not recovery.messages and (recovery.lost or not described):
+        raise RecordingError(f'{file.name}: nothing can be recovered: no message in '
+                             f'{file.path.stat().st_size} bytes can be read; it is left as it is')
+
+
+def _write_anew(file: McapFile, recovery: Recovery, replace: bool) -> None:
+    """Write what can be read of a file into another, which then takes its place."""
+    path = file.path.resolve()
+    handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', suffix='.tmp', dir=path.parent)
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, 'wb') as target:
+            copy_messages(file, target)
+            target.flush()
+            os.fsync(target.fileno())
+        _read_back(temporary, recovery.messages)
+        shutil.copymode(path, temporary)
+        if not replace:
+            recovery.original = _keep(path)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _read_back(path: Path, messages: int) -> None:
+    """Read all of a file that was written; RecordingError unless every message is in it."""
+    copy = McapFile(path, path, thorough=True)
+    found = sum(1 for _ in copy.messages())
+    with open_file(path, path) as stream:
+        if found != messages or not is_finished(stream, copy, messages) \
+                or not data_crc_holds(stream, copy.survey):
+            raise RecordingError(f'{path}: what was written reads back with {found} of {messages} '
+                                 'messages; the bag is left as it is; look at the disk')
+
+
+def _keep(path: Path) -> Path:
+    """Give a file a second name, that none has yet, and return that."""
+    for number in numbers(1):
+        original = path.with_name(f'{path.name}.orig' + (f'-{number}' if number > 1 else ''))
+        try:
+            os.link(path, original)
+        except FileExistsError:
+            continue
+        except PermissionError:
+            # A file system without second names.
+            if original.exists():
+                continue
+            path.rename(original)
+        return original
+
+
+def _is_bag(path: Path) -> bool:
+    """Tell whether a file is a bag by itself: not one of many, nor one that lies anywhere."""
+    folder = path.parent
+    try:
+        return path.name == f'{folder.absolute().name}_0.mcap' and bag_files(folder) == [path]
+    except RecordingError:
+        # It lies among others that are no one bag.
+        return False
+
+
+def describe(folder: Path, paths: Sequence[Path]) -> int:
+    """
+    Write the metadata.yaml of a bag, and return how many messages are in it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the bag.
+    paths : sequence of Path
+        Its MCAP files, in their order; whole.
+
+    Raises
+    ------
+    RecordingError
+        A file is none.
+    OSError
+        A file cannot be read, or metadata.yaml not be written.
+
+    """
+    # The same topic in several files is one.
+    counts: dict[Topic, int] = {}
+    extents = []
+    for path in paths:
+        file = McapFile(path, path)
+        topics = {number: describe_topic(channel, file.schemas.get(channel.schema_id))
+                  for number, channel in file.channels.items()}
+        counts |= {topic: counts.get(topic, 0) for topic in topics.values()}
+        messages, first, last = 0, NEVER, 0
+        for message in file.messages():
+            counts[topics[message.channel_id]] += 1
+            messages += 1
+            first, last = min(first, message.log_time), max(last, message.log_time)
+        extents.append(Extent(path.name, messages, first, last))
+    write_bag_metadata(folder, bag_metadata(
+        extents, list(counts), list(counts.values()), ros_distro(file)))
+    return sum(extent.messages for extent in extents)

@@ -1,0 +1,281 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Record serialised messages as a rosbag2 folder that holds one MCAP file."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+import fcntl
+import os
+from pathlib import Path
+import shlex
+import time
+from typing import Any, BinaryIO, final
+
+from hnn_vi_ros.bags.bag_metadata import (
+    bag_metadata, DEFINITIONS, Extent, NEVER, Topic, write_bag_metadata)
+from hnn_vi_ros.bags.mcap_index import compact_index
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.kernels.identity import identity
+from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
+
+CHUNK_SIZE = 256 * 1024
+# A quarter of the second that an interruption may cost: the ticks that a busy machine delays, and
+# the first step of a run, still fit in.
+FLUSH_INTERVAL = 0.25
+# Room for all that comes before the first message [bytes].
+_BUFFER = 2**20
+
+
+@final
+class McapSink:
+    """
+    Write the messages of each tick, and others, to ``<folder>/<folder name>_0.mcap``.
+
+    What explains the recording is with the operating system once it is open, and whatever is
+    older than a second: it outlives a killed process.
+    Nothing here calls ROS, so a recording can be closed after ROS was shut down.
+
+    Parameters
+    ----------
+    folder : Path
+        The bag. It must not exist; its parents are created.
+    topics : sequence of Topic
+        What is recorded at each tick, in the order of its payloads.
+    attachments : mapping of str to bytes
+        Files that explain the recording, by name: the scene, the parameters.
+    ros_distro : str
+        ROS distribution that the log names as its origin.
+
+    Raises
+    ------
+    RecordingError
+        The folder exists or cannot be written.
+
+    """
+
+    def __init__(self, folder: Path, topics: Sequence[Topic], attachments: Mapping[str, bytes],
+                 ros_distro: str = 'jazzy'):
+        self._topics, self._ros_distro = tuple(topics), ros_distro
+        self._ticks, self._described = 0, False
+        # Of topics that have no message each tick: their channel, and how many they have.
+        self._others: dict[Topic, list[int]] = {}
+        self._schemas: dict[str, int] = {}
+        self._first, self._last = NEVER, 0
+        self._path = Path(folder) / f'{Path(folder).name}_0.mcap'
+        origin = identity()
+        hidden = self._path.with_name(f'.{self._path.name}.tmp')
+        self._stream: BinaryIO | None = _create(hidden)
+        try:
+            self._writer = Writer(
+                self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
+                enable_data_crcs=True)
+            compact_index(self._writer)
+            self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
+            self._describe()
+            self._attach(attachments)
+            # By which it is known whether the same run could be had again, bit by bit.
+            self._writer.add_metadata('hnn_vi_ros', origin)
+            self._channels = [self._register(topic) for topic in self._topics]
+            self._writer.flush()
+            # What is there under this name can be read, whenever the process is killed.
+            os.rename(hidden, self._path)
+            # With the first tick, at once: of a run that began there is a sample.
+            self._next_flush = 0.0
+        except OSError as problem:
+            raise self._abandon(problem) from problem
+
+    def write(self, stamp_ns: int, payloads: Sequence[bytes]) -> None:
+        """
+        Record the messages of one tick.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Time of all messages of the tick [ns], not negative.
+        payloads : sequence of bytes
+            One serialised message for each topic, in their order.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be written any more; the recording is closed.
+
+        """
+        self._check_open()
+        # The format holds the sequence in 32 bits.
+        sequence = self._ticks & 0xFFFFFFFF
+        try:
+            for channel, payload in zip(self._channels, payloads, strict=True):
+                self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
+            self._ticks += 1
+            self._extend_to(stamp_ns)
+            if time.monotonic() >= self._next_flush:
+                self._flush()
+        except OSError as problem:
+            raise self._abandon(problem) from problem
+
+    def write_other(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
+        """
+        Record a message that does not come each tick.
+
+        Parameters
+        ----------
+        topic : Topic
+            Which the bag holds only if something is written to it.
+        stamp_ns : int
+            Time of the message [ns], not negative.
+        payload : bytes
+            The serialised message.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be written any more; the recording is closed.
+
+        """
+        self._check_open()
+        try:
+            if topic not in self._others:
+                self._others[topic] = [self._register(topic), 0]
+            channel, count = self._others[topic]
+            self._writer.add_message(channel, stamp_ns, payload, stamp_ns, count & 0xFFFFFFFF)
+            self._others[topic][1] += 1
+            self._extend_to(stamp_ns)
+        except OSError as problem:
+            raise self._abandon(problem) from problem
+
+    def flush(self) -> None:
+        """
+        Hand everything to the operating system; `write` does so each FLUSH_INTERVAL.
+
+        Call it where no `write` follows for a while, as in a pause.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be written any more; the recording is closed.
+
+        """
+        if self._stream is None:
+            return
+        try:
+            self._flush()
+        except OSError as problem:
+            raise self._abandon(problem) from problem
+
+    def close(self) -> None:
+        """
+        Complete the file and write metadata.yaml; a second call does nothing.
+
+        Raises
+        ------
+        RecordingError
+            The end of the recording cannot be written.
+
+        """
+        if self._stream is None:
+            return
+        try:
+            self._flush()
+            self._add_metadata()
+            self._writer.finish()
+            self._stream.close()
+            self._stream = None
+            write_bag_metadata(self._path.parent, self._metadata())
+        except OSError as problem:
+            raise self._abandon(problem) from problem
+
+    def _attach(self, attachments: Mapping[str, bytes]) -> None:
+        for name, data in attachments.items():
+            media = 'application/yaml' if name.endswith('.yaml') else 'application/octet-stream'
+            self._writer.add_attachment(time.time_ns(), 0, name, media, data)
+
+    def _register(self, topic: Topic) -> int:
+        """Describe a topic, and its type once; return its channel."""
+        if topic.type not in self._schemas:
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, 'ros2msg', topic.definition.encode())
+        return self._writer.register_channel(
+            topic.name, 'cdr', self._schemas[topic.type],
+            {'offered_qos_profiles': topic.offered_qos_profiles,
+             'topic_type_hash': topic.type_hash})
+
+    def _extend_to(self, stamp_ns: int) -> None:
+        self._first = min(self._first, stamp_ns)
+        self._last = max(self._last, stamp_ns)
+
+    def _metadata(self) -> dict[str, Any]:
+        counts = [self._ticks] * len(self._topics) + [count for _, count in self._others.values()]
+        file = Extent(self._path.name, sum(counts), self._first, self._last)
+        return bag_metadata([file], [*self._topics, *self._others], counts, self._ros_distro)
+
+    def _check_open(self) -> None:
+        if self._stream is None:
+            raise RecordingError(f'{self._path}: the recording is closed; start a new one')
+
+    def _add_metadata(self) -> None:
+        # As rosbag2 does: once at the start for a file that is cut off, once at the end.
+        self._writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(self._metadata())})
+
+    def _describe(self) -> None:
+        """
+        Write once more what the first chunk defines: without it, messages mean nothing.
+
+        Done some kilobytes before that chunk and again behind it, so that no damage of one page
+        takes it all from a file that was never finished.
+        """
+        self._writer.add_metadata(
+            DEFINITIONS, {topic.type: topic.definition for topic in self._topics})
+        self._add_metadata()
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        if self._ticks and not self._described:
+            self._described = True
+            self._describe()
+        # What goes into a file that was removed is lost.
+        self._path.stat()
+        self._next_flush = time.monotonic() + FLUSH_INTERVAL
+
+    def _abandon(self, problem: OSError) -> RecordingError:
+        """Let go of the file as it is and return the error to raise."""
+        if self._stream is not None:
+            # Closing tries once more what has just failed; that failure is the one we report.
+            with suppress(OSError):
+                self._stream.close()
+            self._stream = None
+        kept = 'the file was removed'
+        if self._path.exists():
+            kept = ('what was written before is kept: free some space, then make it whole with: '
+                    f'ros2 run hnn_vi_ros recover_bag {shlex.quote(str(self._path.parent))}')
+        return RecordingError(
+            f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
+
+
+def _create(path: Path) -> BinaryIO:
+    """Create the file in a new folder, or leave nothing behind."""
+    folder = path.parent
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir()
+    except FileExistsError as problem:
+        raise RecordingError(f'{problem.filename}: exists already and is not overwritten; '
+                             'record to a folder that does not exist') from problem
+    except OSError as problem:
+        raise RecordingError(f'{folder}: cannot be created ({_reason(problem)}); '
+                             'record to a folder that can be written') from problem
+    try:
+        stream = path.open('xb', buffering=_BUFFER)
+        # Held until it is closed, or the process ends: nobody makes whole what still grows.
+        with suppress(OSError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return stream
+    except OSError as problem:
+        folder.rmdir()
+        raise RecordingError(f'{path}: cannot be created ({_reason(problem)}); '
+                             'record to a folder that can be written') from problem
+
+
+def _reason(problem: OSError) -> str:
+    return problem.strerror or str(problem)

@@ -1,0 +1,73 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Make bags whole whose recording was interrupted, or that were damaged."""
+
+from pathlib import Path
+import sys
+
+from hnn_vi_ros.bags import arguments
+from hnn_vi_ros.bags.bag_files import bag_files
+from hnn_vi_ros.bags.mcap_recovery import describe, recover, Recovery
+from hnn_vi_ros.errors import RecordingError
+
+
+def main(argv: list[str]) -> int:
+    """Make each bag whole, and say what is in it."""
+    options = arguments.recover_bag().parse_args(argv)
+    return max(_recover(bag, options.replace) for bag in options.bag)
+
+
+def _recover(bag: Path, replace: bool) -> int:
+    """Make the files of a bag whole; return the exit status."""
+    status, changed = 0, False
+    try:
+        files = bag_files(bag)
+        for path in [bag] if len(files) == 1 else files:
+            recovery = recover(path, replace)
+            print(_told(recovery), flush=True)
+            status, changed = max(status, int(recovery.lost)), changed or recovery.changed
+        if len(files) > 1 and (changed or not (bag / 'metadata.yaml').exists()):
+            messages = describe(bag, files)
+            print(f'{bag}: metadata.yaml written: {messages} messages in {len(files)} files',
+                  flush=True)
+    except OSError as problem:
+        return _fail(f'{bag}: its metadata.yaml cannot be written ({problem.strerror}); the '
+                     'files are whole')
+    except RecordingError as problem:
+        return _fail(str(problem))
+    return status
+
+
+def _fail(problem: str) -> int:
+    print(f'recover_bag: {problem}', file=sys.stderr, flush=True)
+    return 2
+
+
+def _told(recovery: Recovery) -> str:
+    done = 'recovered' if recovery.changed else 'whole already'
+    if recovery.described and not recovery.changed:
+        done = 'whole already, metadata.yaml written'
+    told = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
+    if recovery.incomplete:
+        told.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
+    if recovery.lost:
+        told.append(f'LOST: {", ".join(_losses(recovery))}')
+    if recovery.original:
+        told.append(f'as it was: {recovery.original.name}')
+    return '; '.join(told)
+
+
+def _losses(recovery: Recovery) -> list[str]:
+    """Return what is not kept, each in some words."""
+    losses = []
+    if recovery.damaged:
+        losses.append(f'{recovery.damaged} damaged parts, {recovery.unread} bytes not understood')
+    if recovery.fewer:
+        losses.append(f'{recovery.fewer} messages that had been counted')
+    if recovery.gaps:
+        first = recovery.gaps[0]
+        losses.append(f'{sum(gap.count for gap in recovery.gaps)} stamps in {len(recovery.gaps)} '
+                      f'gaps, the first after t = {first.after * 1e-9:.9g} s')
+    if recovery.altered:
+        losses.append('a checksum: the header or metadata are not as they were recorded')
+    return losses

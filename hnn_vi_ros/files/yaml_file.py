@@ -1,0 +1,133 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read a YAML file into a pydantic model; every error names file, line and key."""
+
+from collections.abc import Mapping
+import os
+from pathlib import Path
+from typing import Any, TypeVar
+
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.files.yaml_text import MAX_BYTES, one_line, parse_mapping, Places
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+Model = TypeVar('Model', bound=BaseModel)
+
+
+class StrictModel(BaseModel):
+    """A schema that refuses unknown keys, strings for numbers, NaN and infinity."""
+
+    model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False, frozen=True)
+
+
+def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Model:
+    """Read and validate one YAML file; see ``read_yaml``."""
+    return read_yaml(path, schema, error)[0]
+
+
+def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
+              ) -> tuple[Model, Places]:
+    """
+    Read and validate one YAML file that the user names, and keep where its keys stand.
+
+    Parameters
+    ----------
+    path : Path
+        The file, of at most 1 MiB.
+    schema : type of BaseModel
+        What the file must hold.
+    error : type of HnnViRosError
+        The exception to raise, with one line: file, line, key, what is expected.
+
+    """
+    data, places = parse_mapping(_read(path, error), path, error)
+    return validate(data, places, schema, error, trust_code=True), places
+
+
+def validate(data: Mapping[str, Any], places: Places, schema: type[Model],
+             error: type[HnnViRosError], *, trust_code: bool = False) -> Model:
+    """
+    Return the model of data that were read from YAML.
+
+    Parameters
+    ----------
+    data : mapping
+        What was read.
+    places : Places
+        Where its keys stand.
+    schema, error
+        See ``read_yaml``.
+    trust_code : bool, optional
+        Whether the data may name Python code that is run; see ``named_code``.
+
+    """
+    try:
+        return schema.model_validate(data, context=trusting(trust_code))
+    except ValidationError as problem:
+        raise error(_describe(places, schema, problem)) from problem
+
+
+def _read(path: Path, error: type[HnnViRosError]) -> bytes:
+    """Return the content of a regular file; of one that is too large as much as shows that."""
+    try:
+        if not os.path.isfile(path):
+            raise error(f'{path}: no such file')
+        with path.open('rb') as stream:
+            return stream.read(MAX_BYTES + 1)
+    except OSError as problem:
+        raise error(f'{path}: {one_line(problem)}') from problem
+
+
+def _describe(places: Places, schema: type[BaseModel], problem: ValidationError) -> str:
+    problems = problem.errors(include_url=False)
+    # A misspelt key is reported as unknown rather than as missing under its right name; of the
+    # types that a value may have, the one that it fits best is the one that was meant.
+    first = max(problems, key=lambda p: (p['type'] == 'extra_forbidden', len(p['loc'])))
+    loc, problem_type, key = first['loc'], first['type'], places.follow(first['loc'])
+    if problem_type == 'extra_forbidden':
+        valid = {name for owner in _schemas_at(schema, loc[:-1]) for name in owner.model_fields}
+        message = f'unknown key; valid keys: {", ".join(sorted(valid))}'
+    elif problem_type in ('union_tag_invalid', 'union_tag_not_found'):
+        key, tag = (*key, 'kind'), first['ctx'].get('tag')
+        message = 'required' if tag is None else f'unknown kind {repr(tag)[:80]}'
+        message += f'; valid kinds: {", ".join(sorted(map(_kind, _schemas_at(schema, loc))))}'
+    elif problem_type in ('model_type', 'model_attributes_type'):
+        message = 'expected keys and values, as in {key: value}'
+    elif problem_type == 'missing':
+        key, message = (*key, str(loc[-1])), first['msg']
+    else:
+        message = ' or '.join(dict.fromkeys(
+            p['msg'].removeprefix('Value error, ') for p in problems
+            if places.follow(p['loc']) == key))
+    # What the file as a whole lacks names its key itself.
+    place = places.place(*key) if key else f'{places.where}:1'
+    return f'{place}: {one_line(message)}'
+
+
+def _schemas_at(schema: type[BaseModel], loc: tuple) -> list[type[BaseModel]]:
+    """Return the schemas, more than one for a union, to which a pydantic location leads."""
+    owners = [schema]
+    for part in loc:
+        nested = [model for owner in owners for model in _nested_models(owner, part)]
+        # Not a key: the number of an item, or the kind that tells the schemas of a union apart.
+        owners = nested or [owner for owner in owners if _kind(owner) == part] or owners
+    return owners
+
+
+def _kind(schema: type[BaseModel]) -> str:
+    """Return the value of ``kind`` that chooses a schema; empty for one without."""
+    field = schema.model_fields.get('kind')
+    return getattr(field.annotation, '__args__', ('',))[0] if field else ''
+
+
+def _nested_models(owner: type[BaseModel], part: object) -> list[type[BaseModel]]:
+    field = owner.model_fields.get(str(part))
+    found: list[type[BaseModel]] = []
+    pending = [field.annotation] if field else []
+    while pending:
+        annotation = pending.pop()
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found.append(annotation)
+        pending.extend(getattr(annotation, '__args__', ()))
+    return found

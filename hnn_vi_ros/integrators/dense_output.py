@@ -1,0 +1,146 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Polynomials through one step: the path between its two ends."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.kernels.compilation import inlined
+import numpy as np
+from numpy.polynomial import legendre, polynomial
+
+
+@inlined
+def cubic(h: float, x0: float, v0: float, x1: float, v1: float) -> tuple:
+    """
+    Return the coefficients of the cubic Hermite polynomial in theta = t / h, constant first.
+
+    Its error is h^4 max abs(x'''') / 384.
+
+    Parameters
+    ----------
+    h : float
+        Length of the step [s].
+    x0, v0, x1, v1 : float or np.ndarray of one shape
+        Value and slope [1/s] at t = 0 and at t = h.
+
+    """
+    rise, first, last = x1 - x0, h * v0, h * v1
+    return x0, first, 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise, 0.0, 0.0
+
+
+@inlined
+def quintic(h: float, x0: float, v0: float, a0: float, x1: float, v1: float, a1: float) -> tuple:
+    """
+    Return the coefficients of the quintic Hermite polynomial in theta = t / h, constant first.
+
+    Its error is h^6 max abs(x^(6)) / 46080.
+
+    Parameters
+    ----------
+    h : float
+        Length of the step [s].
+    x0, v0, a0, x1, v1, a1 : float or np.ndarray of one shape
+        Value, slope [1/s] and second derivative [1/s^2] at t = 0 and at t = h.
+
+    """
+    rise, first, last = x1 - x0, h * v0, h * v1
+    bend, bent = h * h * a0, h * h * a1
+    return (x0, first, 0.5 * bend,
+            10.0 * rise - 6.0 * first - 4.0 * last - 1.5 * bend + 0.5 * bent,
+            -15.0 * rise + 8.0 * first + 7.0 * last + 1.5 * bend - bent,
+            6.0 * rise - 3.0 * (first + last) + 0.5 * (bent - bend))
+
+
+class DenseOutput:
+    """
+    A polynomial in time through one step, for all coordinates and momenta at once.
+
+    Parameters
+    ----------
+    order : int
+        m: its error is O(h^(m + 1)) anywhere in the step, beside that of the step's ends.
+    coefficients : np.ndarray, shape (k, 2 n)
+        Of (q, p), of the powers of theta = t / h, or of Legendre's polynomials in 2 theta - 1.
+    in_legendre : bool
+        Which of the two: high powers would lose digits.
+
+    """
+
+    def __init__(self, order: int, coefficients: np.ndarray, in_legendre: bool = False):
+        self.order, self._coefficients, self._in_legendre = order, coefficients, in_legendre
+
+    def __call__(self, theta: float | Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at times in the step.
+
+        Parameters
+        ----------
+        theta : float or sequence of float, shape (k,)
+            Shares of the step, from 0 to 1.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (n,) or (k, n)
+            q and p.
+
+        """
+        theta = np.asarray(theta, dtype=np.float64)
+        if self._in_legendre:
+            z = legendre.legval(2.0 * theta - 1.0, self._coefficients)
+        else:
+            z = polynomial.polyval(theta, self._coefficients)
+        z, n = z.T, len(z) // 2
+        return z[..., :n], z[..., n:]
+
+
+def hermite_output(h: float, z0: np.ndarray, v0: np.ndarray, z1: np.ndarray, v1: np.ndarray,
+                   a0: np.ndarray | None = None, a1: np.ndarray | None = None) -> DenseOutput:
+    """
+    Return the Hermite polynomial of a step: quintic if second derivatives are given, else cubic.
+
+    Parameters
+    ----------
+    h : float
+        Length of the step [s].
+    z0, v0, z1, v1, a0, a1 : np.ndarray, shape (2 n,)
+        (q, p), and its first and second derivatives, at both ends.
+
+    References
+    ----------
+    E. Hairer, S. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6.
+
+    """
+    if a0 is None or a1 is None:
+        return DenseOutput(3, np.array(cubic(h, z0, v0, z1, v1)[:4]))
+    return DenseOutput(5, np.array(quintic(h, z0, v0, a0, z1, v1, a1)))
+
+
+def collocation_output(h: float, z0: np.ndarray, slopes: np.ndarray) -> DenseOutput:
+    """
+    Return the collocation polynomial of a step of a Gauss method of s stages, of degree s.
+
+    It passes through z0, and its derivative is the slope of each stage at its node: its order is
+    s anywhere in the step, and that of the method, 2 s, at its end alone.
+
+    Parameters
+    ----------
+    h : float
+        Length of the step [s].
+    z0 : np.ndarray, shape (2 n,)
+        (q, p) at its start.
+    slopes : np.ndarray, shape (s, 2 n)
+        (q', p') at the stages.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section II.1.2.
+
+    """
+    stages = len(slopes)
+    nodes, weights = legendre.leggauss(stages)
+    # The derivative has degree s - 1: Gauss quadrature gives its Legendre coefficients exactly.
+    basis = legendre.legvander(nodes, stages - 1) * (np.arange(stages) + 0.5)
+    derivative = np.einsum('j,jk,jn->kn', weights, basis, slopes)
+    path = legendre.legint(derivative, lbnd=-1.0, scl=0.5 * h)
+    path[0] += z0
+    return DenseOutput(stages, path, in_legendre=True)

@@ -1,0 +1,188 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compile a loop over a step over a Hamiltonian into one kernel, once for all processes."""
+
+from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from types import FunctionType
+
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linking import LINK_ONLY, Part, Whole
+import numba
+from numba.extending import register_jitable
+
+# Plain Python when called from Python; compiled and inlined when called from a compiled function.
+# A call that is not inlined passes every field of every array and counts its references.
+inlined = register_jitable(forceinline=True, **LINK_ONLY)
+# The same, for what is called so seldom that a call costs less than a larger function to compile.
+called = register_jitable(**LINK_ONLY)
+
+# Of loops, which only Python calls.
+_LOOP = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
+
+_PACKAGE = __name__.partition('.')[0]
+# The rooms that what is compiled comes from, or by which it is composed.
+_ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'networks', 'simulation')
+
+
+@cache
+def compiled(function: Callable, name: str) -> Callable:
+    """
+    Return a function compiled by numba, the same dispatcher each time.
+
+    Parameters
+    ----------
+    function : callable
+        Plain Python in numba's subset.
+    name : str
+        What tells it from every other function that is compiled, in any process.
+
+    """
+    dispatcher = Part(function, targetoptions={'forceinline': True})
+    _give_identity(dispatcher, name)
+    return dispatcher
+
+
+def entry_point(function: Callable, *arguments: object) -> Callable:
+    """
+    Return what calls a function with arguments of these very types and no others.
+
+    For a dispatcher that is the compiled code without numba's look-up of the types, which for
+    arguments of many arrays takes ten times as long as the call; anything else is returned as it
+    is.
+    """
+    if not isinstance(function, numba.core.dispatcher.Dispatcher):
+        return function
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    function.compile(signature)
+    return function.overloads[signature].entry_point
+
+
+def compiled_options(options: tuple) -> tuple:
+    """Return options of a step with each function in them, however deep, compiled."""
+    parts = []
+    for part in options:
+        if callable(part):
+            part = compiled(part, f'{part.__module__}.{part.__name__}')
+        elif isinstance(part, tuple):
+            part = compiled_options(part)
+        parts.append(part)
+    return type(options)(*parts) if hasattr(options, '_fields') else tuple(parts)
+
+
+def is_own(module: str | None) -> bool:
+    """Tell whether a module, None for none, belongs to this package, whose changes are noticed."""
+    return module is not None and module.startswith(f'{_PACKAGE}.')
+
+
+def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True) -> Callable:
+    """
+    Return a loop over steps, to be compiled over one Hamiltonian and one method.
+
+    Parameters
+    ----------
+    loop : callable
+        One of the module loops.
+    kernel : Kernel
+        Of the Hamiltonian. Where all its functions are this package's, what is compiled is found
+        again by later processes; changes of functions from elsewhere could not be noticed.
+    method : str
+        Name of the method's step.
+    own : bool, optional
+        Whether the step is all of this package.
+
+    """
+    functions = functions_of(kernel)
+    if not (own and all(is_own(function.py_func.__module__) for function in functions)):
+        return _uncached(loop)
+    return _cached(loop, *(identify(function) for function in functions), method)
+
+
+@cache
+def _uncached(loop: Callable) -> Callable:
+    return numba.njit(loop, **_LOOP)
+
+
+@cache
+def _cached(loop: Callable, *names: str) -> Callable:
+    # Under a name of its own it has an index of its own on disk. In one index for all, reading
+    # any kernel would build the functions of every other one anew, those of older sources too.
+    copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
+    digest = sha256('/'.join([*names, sources()]).encode()).hexdigest()
+    copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
+    return numba.njit(copy, cache=True, **_LOOP)
+
+
+@cache
+def identify(dispatcher: Callable) -> str:
+    """Give a compiled function the name that it has in every process, and return it."""
+    function = dispatcher.py_func
+    name = f'{function.__module__}.{function.__qualname__}'
+    _give_identity(dispatcher, name)
+    return name
+
+
+def functions_of(kernel: Kernel) -> tuple[Callable, Callable, Callable]:
+    """Return energy, gradient and hessian_vector."""
+    return kernel.energy, kernel.gradient, kernel.hessian_vector
+
+
+def composed(kernel: Kernel, functions: tuple[Callable, ...], kinds: tuple[type, ...],
+             parameters: tuple) -> Kernel:
+    """
+    Return a kernel whose functions call those of another.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        The other.
+    functions : tuple of callable
+        What takes the place of ``functions_of(kernel)``: plain Python, the same functions for the
+        same kernel and kinds.
+    kinds : tuple of type
+        What is joined to the kernel; their names tell the functions from others.
+    parameters : tuple
+        What the functions take first.
+
+    """
+    if kernel.compiled:
+        for function in functions_of(kernel):
+            # Before it is compiled into others, when numba names what has no name yet.
+            identify(function)
+        functions = tuple(_compile(function, base, kinds)
+                          for function, base in zip(functions, functions_of(kernel), strict=True))
+    energy, gradient, hessian_vector = functions
+    return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
+                           parameters=parameters)
+
+
+@cache
+def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Callable:
+    # The name tells what is composed, and the module where any of it comes from elsewhere; see
+    # identify and compiled_loop.
+    names = ','.join(kind.__qualname__ for kind in kinds)
+    foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
+    function.__module__ = [*foreign, base.py_func.__module__][0]
+    function.__qualname__ = f'{names}({base.py_func.__qualname__})'
+    # Inlined like what it calls; see the network's gradient.
+    inline = base.targetoptions.get('forceinline', False)
+    return numba.njit(function, error_model='numpy', forceinline=inline, no_cfunc_wrapper=True)
+
+
+def _give_identity(dispatcher: Callable, name: str) -> None:
+    # A function that is passed to a compiled one is part of its signature, by which numba looks
+    # up its cache on disk. Numba knows such a function by a random number, new in each process;
+    # a name that changes with our sources makes the look-up succeed.
+    dispatcher._set_uuid(f'{name}-{sources()}')
+
+
+@cache
+def sources() -> str:
+    """Return a digest of the sources of this package that a compiled kernel comes from."""
+    root = Path(__file__).parents[1]
+    digest = sha256()
+    for path in sorted(path for room in _ROOMS for path in (root / room).glob('*.py')):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,168 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small linear systems, solved in compiled code."""
+
+from hnn_vi_ros.kernels.compilation import inlined
+import numpy as np
+
+# Share of the diagonal below which a pivot is rounding.
+DEPENDENT = 1e-12
+
+
+@inlined
+def solve_linear(matrix: np.ndarray, right: np.ndarray) -> int:
+    """Solve in place by elimination with row pivots; return the sign of the determinant."""
+    n, sign = right.size, 1
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if not abs(matrix[pivot, k]) > 0.0:
+            return 0
+        if (matrix[pivot, k] < 0.0) != (pivot != k):
+            sign = -sign
+        if pivot != k:
+            right[k], right[pivot] = right[pivot], right[k]
+            for j in range(k, n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        _clear_column(matrix, right, k)
+    _substitute_back(matrix, right)
+    return sign
+
+
+@inlined
+def factorise_rows(matrix: np.ndarray, pivots: np.ndarray) -> bool:
+    """
+    Put the factors L and U of a matrix with its rows exchanged into its place.
+
+    Parameters
+    ----------
+    matrix : np.ndarray, shape (n, n)
+        Holds U on and above its diagonal afterwards, and L, whose own diagonal is one, below.
+    pivots : np.ndarray, shape (n,)
+        Filled: with which row each row was exchanged, in order.
+
+    Returns
+    -------
+    bool
+        False if the matrix is singular.
+
+    """
+    n = pivots.size
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        pivots[k] = pivot
+        if not abs(matrix[pivot, k]) > 0.0:
+            return False
+        if pivot != k:
+            for j in range(n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            matrix[i, k] = factor
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+    return True
+
+
+@inlined
+def solve_factorised(matrix: np.ndarray, pivots: np.ndarray, right: np.ndarray) -> None:
+    """Solve in place with what ``factorise_rows`` has left."""
+    n = right.size
+    for k in range(n):
+        pivot = pivots[k]
+        right[k], right[pivot] = right[pivot], right[k]
+    for i in range(n):
+        for j in range(i):
+            right[i] -= matrix[i, j] * right[j]
+    _substitute_back(matrix, right)
+
+
+@inlined
+def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) -> int:
+    """
+    Solve in place by elimination without exchanges, for a matrix near a positive definite one.
+
+    Parameters
+    ----------
+    matrix : np.ndarray, shape (n, n)
+        Holds pivots on its diagonal afterwards.
+    right, diagonal : np.ndarray, shape (n,)
+        The right-hand side; and space for the diagonal of the matrix.
+
+    Returns
+    -------
+    int
+        -1, or the first row whose pivot is negative or vanishes beside its diagonal.
+
+    """
+    for k in range(right.size):
+        diagonal[k] = matrix[k, k]
+    for k in range(right.size):
+        if not matrix[k, k] > DEPENDENT * abs(diagonal[k]):
+            return k
+        _clear_column(matrix, right, k)
+    _substitute_back(matrix, right)
+    return -1
+
+
+@inlined
+def _clear_column(matrix: np.ndarray, right: np.ndarray, k: int) -> None:
+    """Take row k from those below it so that their column k vanishes."""
+    for i in range(k + 1, right.size):
+        factor = matrix[i, k] / matrix[k, k]
+        right[i] -= factor * right[k]
+        for j in range(k, right.size):
+            matrix[i, j] -= factor * matrix[k, j]
+
+
+@inlined
+def _substitute_back(matrix: np.ndarray, right: np.ndarray) -> None:
+    """Solve with the upper triangle."""
+    for k in range(right.size - 1, -1, -1):
+        for j in range(k + 1, right.size):
+            right[k] -= matrix[k, j] * right[j]
+        right[k] /= matrix[k, k]
+
+
+@inlined
+def factorise(matrix: np.ndarray) -> bool:
+    """
+    Put the Cholesky factor C of a symmetric matrix C C^T into its lower triangle.
+
+    The upper triangle is left as it is. False if the matrix is not positive definite.
+    """
+    for j in range(matrix.shape[0]):
+        for i in range(j, matrix.shape[0]):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not matrix[j, j] > 0.0:
+                    return False
+                matrix[j, j] = np.sqrt(matrix[j, j])
+            else:
+                matrix[i, j] /= matrix[j, j]
+    return True
+
+
+@inlined
+def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
+    """Solve C x = right in place, with C in the lower triangle of ``factor``."""
+    for i in range(right.size):
+        for j in range(i):
+            right[i] -= factor[i, j] * right[j]
+        right[i] /= factor[i, i]
+
+
+@inlined
+def solve_upper(factor: np.ndarray, right: np.ndarray) -> None:
+    """Solve C^T x = right in place, with C in the lower triangle of ``factor``."""
+    for i in range(right.size - 1, -1, -1):
+        for j in range(i + 1, right.size):
+            right[i] -= factor[j, i] * right[j]
+        right[i] /= factor[i, i]

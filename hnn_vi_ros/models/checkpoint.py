@@ -1,0 +1,238 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Trained networks on disk: one safetensors file, its metadata the model card.
+
+The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ... in
+the order of the layers, with the card's activation between them, of the one network of a model.
+Those of a model of several networks begin with the network's name, as in
+``potential.linear1.weight``. The metadata entry ``model_card`` is a ModelCard as JSON. Nothing in
+it is ever executed.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+import json
+import os
+from pathlib import Path
+import stat
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.files.lfs_pointer import refuse_pointer
+from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.models.model_card import ModelCard
+import numpy as np
+from pydantic import ValidationError
+import safetensors
+import safetensors.numpy
+
+MAX_BYTES = 256 << 20
+
+_DTYPES = {'F64': '<f8', 'F32': '<f4'}
+_ANEW = 'copy the file again, or train the model anew'
+# How a file begins that torch.save or pickle wrote: a zip archive, or a protocol 2 to 5 pickle.
+_PICKLES = (b'PK\x03\x04', b'\x80\x02', b'\x80\x03', b'\x80\x04', b'\x80\x05')
+
+
+class Layers(NamedTuple):
+    """
+    A multilayer perceptron, one entry a layer.
+
+    Parameters
+    ----------
+    weights : tuple of np.ndarray, each (outputs, inputs)
+        In float64.
+    biases : tuple of np.ndarray, each (outputs,)
+        In float64.
+
+    """
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """
+    A trained model.
+
+    Parameters
+    ----------
+    card : ModelCard
+        What it is.
+    networks : mapping of str to Layers
+        By name, those of the card's layout.
+    sha256 : str
+        Of the file that it was loaded from; empty for one that was not.
+
+    """
+
+    card: ModelCard
+    networks: Mapping[str, Layers]
+    sha256: str = ''
+
+    @property
+    def weights(self) -> tuple[np.ndarray, ...]:
+        """Return the weights of the network of H, in families that have one."""
+        return self.networks['energy'].weights
+
+    @property
+    def biases(self) -> tuple[np.ndarray, ...]:
+        """Return the biases of the network of H, in families that have one."""
+        return self.networks['energy'].biases
+
+
+def load_checkpoint(path: str | Path) -> Checkpoint:
+    """
+    Load and validate a model file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A safetensors file of at most 256 MiB.
+
+    Returns
+    -------
+    Checkpoint
+        Weights in float64, whatever the file holds.
+
+    Raises
+    ------
+    ModelError
+        The file is missing, damaged, or not a model of ours; one line says which.
+
+    """
+    raw = _read(Path(path))
+    refuse_pointer(raw, path, ModelError)
+    try:
+        tensors = dict(safetensors.deserialize(raw))
+        metadata = json.loads(raw[8:8 + int.from_bytes(raw[:8], 'little')]).get('__metadata__')
+    except (safetensors.SafetensorError, ValueError, RecursionError) as problem:
+        if raw.startswith(_PICKLES):
+            raise ModelError(f'{path}: a pickle or torch.save file, which could run code when '
+                             'loaded; a model is a .safetensors file, see: ros2 run hnn_vi_ros '
+                             'train --help') from problem
+        raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
+                         ) from problem
+    card = _card(path, metadata or {})
+    networks = {}
+    for network in card.layout:
+        layers = [[_tensor(path, name, shape, tensors.pop(name, None)) for name, shape in layer]
+                  for layer in _expected_layers(card, network)]
+        networks[network] = Layers(*zip(*layers))
+    if tensors:
+        raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
+    return Checkpoint(card, networks, sha256(raw).hexdigest())
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a model file, as load_checkpoint tells it; ModelError if none."""
+    return sha256(_read(path)).hexdigest()
+
+
+def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
+    """
+    Write a model file, whole or not at all; never over one that exists.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where to; missing folders are made.
+    checkpoint : Checkpoint
+        Its tensors must be finite and fit its card.
+
+    Raises
+    ------
+    ModelError
+        The file exists, cannot be written, or the checkpoint contradicts itself.
+
+    """
+    path = Path(path)
+    tensors = {}
+    for network in checkpoint.card.layout:
+        layers = zip(*checkpoint.networks[network], strict=True)
+        for layer, parts in zip(
+                _expected_layers(checkpoint.card, network), layers, strict=True):
+            for (name, shape), part in zip(layer, parts, strict=True):
+                if part.shape != shape or not np.isfinite(part).all():
+                    raise ModelError(f'{path}: {name} has shape {part.shape}, expected {shape}, '
+                                     'all values finite')
+                tensors[name] = np.ascontiguousarray(part, dtype='<f8')
+    card = checkpoint.card.model_dump_json(exclude_none=True)
+    raw = safetensors.numpy.save(tensors, {'model_card': card})
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_new(path, raw)
+    except FileExistsError as problem:
+        raise ModelError(f'{path}: exists already and is not overwritten; name another file'
+                         ) from problem
+    except OSError as problem:
+        raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
+
+
+def _write_new(path: Path, raw: bytes) -> None:
+    path.open('xb').close()  # claims the name: of two that write it, one fails here
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}')
+    try:
+        temporary.write_bytes(raw)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+        raise
+
+
+def _read(path: Path) -> bytes:
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise ModelError(f'{path}: not a regular file; give the path of a .safetensors file')
+        if status.st_size > MAX_BYTES:
+            raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, which no model needs')
+        return path.read_bytes()
+    except FileNotFoundError as problem:
+        raise ModelError(f'{path}: no such model file; train one with: '
+                         'ros2 run hnn_vi_ros train --config NAME') from problem
+    except (OSError, ValueError) as problem:
+        raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
+
+
+def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
+    if 'model_card' not in metadata:
+        raise ModelError(f'{path}: has no model_card in its metadata, so it is not a model of '
+                         'hnn_vi_ros; train one with: ros2 run hnn_vi_ros train --config NAME')
+    try:
+        return ModelCard.model_validate_json(metadata['model_card'])
+    except ValidationError as problem:
+        first = problem.errors(include_url=False)[0]
+        key = '.'.join(str(part) for part in ('model_card', *first['loc']))
+        message = first['msg'].removeprefix('Value error, ')
+        raise ModelError(f'{path}: {key}: {one_line(message)}; {_ANEW}, or use the version of '
+                         'hnn_vi_ros that wrote it') from problem
+
+
+def _expected_layers(card: ModelCard, network: str
+                     ) -> Iterator[tuple[tuple[str, tuple[int, ...]], ...]]:
+    """Yield for each layer of a network the names and shapes of its weight and its bias."""
+    widths, prefix = card.layout[network], '' if card.networks is None else f'{network}.'
+    for layer, (inputs, outputs) in enumerate(zip(widths, widths[1:]), start=1):
+        name = f'{prefix}linear{layer}'
+        yield (f'{name}.weight', (outputs, inputs)), (f'{name}.bias', (outputs,))
+
+
+def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict | None
+            ) -> np.ndarray:
+    if found is None:
+        raise ModelError(f'{path}: {name} is missing; {_ANEW}')
+    if found['dtype'] not in _DTYPES:
+        raise ModelError(f'{path}: {name} has type {found["dtype"]}, expected F64 or F32; {_ANEW}')
+    if tuple(found['shape']) != shape:
+        raise ModelError(f'{path}: {name} has shape {tuple(found["shape"])}, expected {shape} '
+                         f'by the widths of its card; {_ANEW}')
+    # A copy, since a view of the file's bytes can neither be written to nor be relied on to align.
+    values = np.frombuffer(found['data'], _DTYPES[found['dtype']]).astype(np.float64)
+    if not np.isfinite(values).all():
+        raise ModelError(f'{path}: {name} holds values that are not finite; {_ANEW}')
+    return values.reshape(shape)

@@ -1,0 +1,185 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A learned Hamiltonian that holds its states near the box that it was trained in."""
+
+from collections.abc import Callable
+from functools import cache, cached_property
+from pathlib import Path
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import composed, functions_of, inlined
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.families import FAMILIES
+import numpy as np
+
+# States on each face of the box at which the gradient is looked at.
+_SAMPLES = 64
+
+
+class ConfinedHamiltonian(Hamiltonian):
+    """
+    H(z) + sum_i K_i (phi(y(q_i)) + phi(y(p_i))): H in the box, and a convex wall around it.
+
+    y(x) = (abs(x - c) - w) / w is how far x is outside of its interval of centre c and half-width
+    w, in half-widths, and
+
+        phi(y) = 0 for y <= 0,  y^4 / (2 (1 + y^2)) for y > 0,
+
+    convex, three times continuously differentiable, with phi'' <= 5/4 and phi ~ y^2 / 2 far away.
+    In the box H is what it is, to the last bit. K_i = max(w_q G_q, w_p G_p), with G the largest
+    size of H's derivative by that coordinate or momentum on the faces of the box: what H changes
+    by over a half-width. One half-width outside the wall turns back with 3/4 of G at least, from
+    there on ever harder, and its frequencies K_i phi'' / (w_q w_p) stay those of the box.
+
+    A tanh network by itself holds no state: its gradient vanishes far away, and abs(H - b) <= B,
+    with b its last bias and B the sum of the sizes of its last weights. Of a motion at the energy
+    E, the wall confines each coordinate and momentum to K_i phi(y) <= E - b + B. What the motion
+    is like outside of the box remains a guess. An angle is held like any other coordinate: it
+    does not turn over.
+
+    Parameters
+    ----------
+    base : Hamiltonian
+        With a box.
+
+    Raises
+    ------
+    ModelError
+        Its coordinates are not canonical.
+    ValueError
+        It has no box.
+
+    Attributes
+    ----------
+    energies : np.ndarray, shape (d,)
+        K [J].
+
+    """
+
+    def __init__(self, base: Hamiltonian):
+        if base.box is None:
+            raise ValueError(f'{type(base).__name__} has no training box to hold states in')
+        if not base.canonical:
+            raise ModelError('confine: a wall holds states by forces on canonical momenta, which '
+                             'this model has not; leave confine out')
+        self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
+        self.energies = self._wall_energies()
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the box of the base."""
+        return self.base.box
+
+    @property
+    def smooth(self) -> bool:
+        """Tell whether the gradient of the base is continuous."""
+        return self.base.smooth
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Return what identifies the data behind the base, and that it is confined."""
+        return self.base.provenance | {'confined': 'to its training box'}
+
+    @property
+    def scheme(self) -> tuple[str, float] | None:
+        """Return the method and step size [s] of the base."""
+        return self.base.scheme
+
+    def twin(self) -> 'ConfinedHamiltonian':
+        """Return the same function with working memory of its own."""
+        return ConfinedHamiltonian(self.base.twin())
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions that simulations compile."""
+        base = self.base.kernel
+        walls = np.column_stack([np.concatenate(self.box), np.tile(self.energies, 2)])
+        return composed(base, _confined(*functions_of(base)), (ConfinedHamiltonian,),
+                        (base.parameters, walls))
+
+    def _wall_energies(self) -> np.ndarray:
+        """Return K of each degree of freedom [J], from states on the faces of the box."""
+        d = self.dimension
+        low, high = np.concatenate(self.box).T
+        z = np.random.default_rng(0).uniform(low, high, (2, 2 * d, _SAMPLES, 2 * d))
+        for i in range(2 * d):
+            z[0, i, :, i], z[1, i, :, i] = low[i], high[i]
+        gradient = np.concatenate(self.base.gradient(z[..., :d], z[..., d:]), axis=-1)
+        largest = np.abs(gradient).max(axis=(0, 1, 2))
+        return (0.5 * (high - low) * largest).reshape(2, d).max(axis=0)
+
+
+def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
+    """
+    Return the Hamiltonian of a model file.
+
+    Parameters
+    ----------
+    model : Path
+        See ``load_checkpoint``, whose errors it raises.
+    confine : bool, optional
+        Whether to hold states near the training box; None: as its model card says.
+
+    """
+    checkpoint = load_checkpoint(model)
+    try:
+        learned = FAMILIES[checkpoint.card.family](checkpoint)
+        if checkpoint.card.confine if confine is None else confine:
+            return ConfinedHamiltonian(learned)
+    except ModelError as problem:
+        raise ModelError(f'{model}: {problem}') from problem
+    return learned
+
+
+# Parameters are not unpacked into names: each array that gets one is counted in every call.
+@cache
+def _confined(base_energy: Callable, base_gradient: Callable, base_hessian_vector: Callable
+              ) -> tuple[Callable, Callable, Callable]:
+    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+        total, walls, d = base_energy(parameters[0], q, p), parameters[1], q.size
+        for i in range(d):
+            if not walls[i, 0] <= q[i] <= walls[i, 1]:
+                total += _wall(walls, i, q[i])[0]
+            if not walls[d + i, 0] <= p[i] <= walls[d + i, 1]:
+                total += _wall(walls, d + i, p[i])[0]
+        return total
+
+    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        base_gradient(parameters[0], q, p, dH_dq, dH_dp)
+        walls = parameters[1]
+        d = walls.shape[0] // 2
+        for k in range(q.size):
+            i = k % d
+            if not walls[i, 0] <= q[k] <= walls[i, 1]:
+                dH_dq[k] += _wall(walls, i, q[k])[1]
+            if not walls[d + i, 0] <= p[k] <= walls[d + i, 1]:
+                dH_dp[k] += _wall(walls, d + i, p[k])[1]
+
+    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+        base_hessian_vector(parameters[0], q, p, v_q, v_p, product_q, product_p)
+        walls = parameters[1]
+        d = walls.shape[0] // 2
+        for k in range(q.size):
+            i = k % d
+            if not walls[i, 0] <= q[k] <= walls[i, 1]:
+                product_q[k] += _wall(walls, i, q[k])[2] * v_q[k]
+            if not walls[d + i, 0] <= p[k] <= walls[d + i, 1]:
+                product_p[k] += _wall(walls, d + i, p[k])[2] * v_p[k]
+    return energy, gradient, hessian_vector
+
+
+@inlined
+def _wall(walls: np.ndarray, i: int, x: float) -> tuple[float, float, float]:
+    """Return K phi(y(x)) and its two derivatives by x, for x outside of interval i."""
+    low, high, energy = walls[i, 0], walls[i, 1], walls[i, 2]
+    half = 0.5 * (high - low)
+    # Of the sign of the derivative.
+    y = (x - high if x > high else x - low) / half
+    square = y * y
+    s = square / (1.0 + square)
+    return (0.5 * energy * square * s, energy / half * y * s * (2.0 - s),
+            energy / (half * half) * s * (6.0 - s * (9.0 - 4.0 * s)))

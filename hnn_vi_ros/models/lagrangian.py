@@ -1,0 +1,263 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Hamiltonian of a learned Lagrangian: its Legendre transform, compiled."""
+
+from collections.abc import Callable
+from functools import cached_property
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.outputs import part_gradient
+from hnn_vi_ros.networks import perceptron
+import numba
+import numpy as np
+
+# States of the box at which the Lagrangian must be regular, and how much L_vv may vary there.
+_SAMPLES = 1000
+_CONDITION = 1e8
+_ITERATIONS = 50
+# Relative changes below which Newton's method goes on with the last inverse, and stops.
+_HOLD, _STOP = 1e-4, 1e-15
+
+
+class LagrangianHamiltonian(LearnedHamiltonian):
+    """
+    H(q, p) = p . v - L(q, v), where L_v(q, v) = p, for L = v . M v / 2 + N(q, v).
+
+    M is the mass matrix of the model card, N the network ``lagrangian``. The velocity is found
+    by Newton's method in each evaluation, from the same start whatever was evaluated before, and
+
+        (H_q, H_p) = (-L_q, v),    L_vv v' = p' - L_vq q',
+
+    the latter giving the Hessian. Where no velocity is found, all values are NaN, with which a
+    step fails.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of the family lagrangian.
+
+    Raises
+    ------
+    ModelError
+        L_vv is not positive definite throughout the box of the data.
+
+    References
+    ----------
+    M. Cranmer, S. Greydanus, S. Hoyer, P. Battaglia, D. Spergel, S. Ho, Lagrangian Neural
+    Networks, 2020, arXiv:2003.04630.
+
+    """
+
+    def __init__(self, checkpoint: Checkpoint):
+        super().__init__(checkpoint)
+        card = checkpoint.card
+        self._mass = np.array(card.mass)
+        low, high = np.array([*card.box.q, *card.velocities]).T
+        x = np.random.default_rng(0).uniform(low, high, (_SAMPLES, low.size))
+        x[0] = 0.5 * (low + high)
+        self._check(x, np.linalg.eigvalsh(self._masses(x)))
+        self._centre = x[:1]
+
+    def _check(self, x: np.ndarray, masses: np.ndarray) -> None:
+        worst = masses[:, 0].argmin()
+        if not 0.0 < masses.max() < _CONDITION * masses.min():
+            q, v = np.split(x[worst], 2)
+            raise ModelError(
+                f'the learned Lagrangian is singular in its box: at q = {q.round(3).tolist()}, '
+                f'v = {v.round(3).tolist()} the smallest eigenvalue of L_vv is '
+                f'{masses[worst, 0]:.3g}, expected positive ones; train it longer or on more data')
+
+    @cached_property
+    def _network(self) -> tuple:
+        return self._packed('lagrangian')
+
+    def _masses(self, x: np.ndarray) -> np.ndarray:
+        """Return L_vv, shape (m, d, d), at points (q, v) of shape (m, 2 d)."""
+        q, v = (np.ascontiguousarray(part).ravel() for part in np.split(x, 2, axis=1))
+        columns = []
+        for unit in np.eye(self.dimension):
+            product_q, product_v = np.empty_like(q), np.empty_like(q)
+            perceptron.hessian_vector(self._network, q, v, np.zeros_like(q),
+                                      np.tile(unit, len(x)), product_q, product_v)
+            columns.append(product_v.reshape(len(x), -1))
+        masses = np.stack(columns, axis=2) + self._mass
+        return 0.5 * (masses + masses.transpose(0, 2, 1))
+
+    def _slope(self, x: np.ndarray) -> np.ndarray:
+        """Return (L_q, L_v) at points (q, v) of shape (m, 2 d), in extended precision."""
+        _, v = np.split(x.astype(np.longdouble), 2, axis=1)
+        slope = self._evaluated('lagrangian', x)[1][:, 0]
+        return slope + np.hstack([np.zeros_like(v), v @ self._mass])
+
+    def _kernel(self) -> Kernel:
+        d = self.dimension
+        inverse = np.linalg.inv(self._masses(self._centre)[0])
+        momentum = self._slope(self._centre)[0, d:].astype(np.float64)
+        start = np.vstack([self._centre[0, d:] - inverse @ momentum, inverse])
+        # A twin has a network of its own: it is where the loops work.
+        parameters = (self._packed('lagrangian'), self._mass, start,
+                      np.zeros((7, d)), np.zeros((2, d, d)))
+        return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
+                      compiled=True)
+
+    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
+        q, p = np.split(z.astype(np.longdouble), 2, axis=1)
+        v = np.tile(self._centre[:, self.dimension:], (len(z), 1)).astype(np.longdouble)
+        for _ in range(_ITERATIONS):
+            x = np.hstack([q, v])
+            inverses = np.linalg.inv(self._masses(x.astype(np.float64)))
+            missing = p - np.split(self._slope(x), 2, axis=1)[1]
+            v = v + (inverses * missing[:, None, :]).sum(axis=2)
+        return np.hstack([-np.split(self._slope(np.hstack([q, v])), 2, axis=1)[0], v])
+
+
+def midpoint_action(checkpoint: Checkpoint) -> Callable:
+    """
+    Return the midpoint rule for the action of a learned Lagrangian, in torch.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of the family lagrangian.
+
+    Returns
+    -------
+    callable
+        See DiscreteEulerLagrange.
+
+    Raises
+    ------
+    ModelError
+        The model is of another family.
+
+    """
+    family = checkpoint.card.family
+    if family != 'lagrangian':
+        raise ModelError(f'{checkpoint.card.name}: a model of the family {family} has no '
+                         'Lagrangian, as the family lagrangian has; take another integrator')
+    import torch  # where it is needed: shipped scenes run without it
+    activate = {'tanh': torch.tanh, 'sine': torch.sin,
+                'softplus': torch.nn.functional.softplus}[checkpoint.card.activation]
+    mass = torch.tensor(checkpoint.card.mass, dtype=torch.float64)
+    layers = [tuple(torch.tensor(part) for part in parts)
+              for parts in zip(*checkpoint.networks['lagrangian'], strict=True)]
+
+    def action(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.Tensor:
+        velocity = (q1 - q0) / h
+        a = torch.cat([0.5 * (q0 + q1), velocity])
+        for weight, bias in layers[:-1]:
+            a = activate(weight @ a + bias)
+        weight, bias = layers[-1]
+        return h * (0.5 * velocity @ mass @ velocity + (weight @ a + bias)[0])
+    return action
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    network, mass, _, space, _ = parameters
+    _solve(parameters, q, p)
+    v = space[0]
+    energy = -perceptron.energy(network, q, v)
+    for i in range(v.size):
+        energy += p[i] * v[i]
+        for j in range(v.size):
+            energy -= 0.5 * v[i] * mass[i, j] * v[j]
+    return energy
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    space = parameters[3]
+    d = space.shape[1]
+    for a in range(0, q.size, d):
+        _solve(parameters, q[a:a + d], p[a:a + d])
+        for i in range(d):
+            dH_dq[a + i], dH_dp[a + i] = -space[1, i], space[0, i]
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    network, _, _, space, matrices = parameters
+    d = space.shape[1]
+    zero, along_q, along_v = space[3], space[4], space[5]
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        v, inverse = space[0], matrices[1]
+        _invert_mass(parameters, q[a:b], v)
+        perceptron.hessian_vector(network, q[a:b], v, v_q[a:b], zero, along_q, along_v)
+        for i in range(d):
+            product_p[a + i] = 0.0
+            for j in range(d):
+                product_p[a + i] += inverse[i, j] * (v_p[a + j] - along_v[j])
+        perceptron.hessian_vector(network, q[a:b], v, v_q[a:b], product_p[a:b], along_q, along_v)
+        for i in range(d):
+            product_q[a + i] = -along_q[i]
+
+
+@part(error_model='numpy')
+def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill v, L_q and L_v in the first rows of the space by Newton's method for L_v(q, v) = p."""
+    network, mass, start, space, matrices = parameters
+    v, L_q, L_v, change, inverse = space[0], space[1], space[2], space[6], matrices[1]
+    d = v.size
+    for i in range(d):
+        v[i] = start[0, i]
+        for j in range(d):
+            v[i] += start[1 + i, j] * p[j]
+    before, held = np.inf, False
+    for _ in range(_ITERATIONS):
+        part_gradient(network, q, v, L_q, L_v)
+        if not held:
+            _invert_mass(parameters, q, v)
+        for i in range(d):
+            for j in range(d):
+                L_v[i] += mass[i, j] * v[j]
+        size, length = 0.0, 0.0
+        for i in range(d):
+            change[i] = 0.0
+            for j in range(d):
+                change[i] += inverse[i, j] * (p[j] - L_v[j])
+            size, length = max(size, abs(change[i])), max(length, abs(v[i]))
+        if size <= _STOP * length or (size >= before and size <= 1e-10 * length):
+            return
+        # Far from the solution a step that grows is halved; NaN ends here as well.
+        scale = 1.0 if size < before else 0.5
+        held, before = size <= _HOLD * length, size
+        for i in range(d):
+            v[i] += scale * change[i]
+    v[:] = np.nan
+    L_q[:] = np.nan
+
+
+@part(error_model='numpy')
+def _invert_mass(parameters: tuple, q: np.ndarray, v: np.ndarray) -> None:
+    """Fill the second matrix with L_vv^-1 at (q, v)."""
+    network, mass, _, space, matrices = parameters
+    zero, unit, along_v = space[3], space[4], space[5]
+    A, inverse = matrices
+    d = v.size
+    for j in range(d):
+        for i in range(d):
+            unit[i] = 1.0 if i == j else 0.0
+        perceptron.hessian_vector(network, q, v, zero, unit, space[6], along_v)
+        for i in range(d):
+            A[i, j], inverse[i, j] = along_v[i] + mass[i, j], unit[i]
+    # Gauss and Jordan, without a search for pivots: the matrix is positive definite in the box.
+    for k in range(d):
+        pivot = 1.0 / A[k, k]
+        for j in range(d):
+            A[k, j] *= pivot
+            inverse[k, j] *= pivot
+        for i in range(d):
+            factor = A[i, k]
+            if i != k:
+                for j in range(d):
+                    A[i, j] -= factor * A[k, j]
+                    inverse[i, j] -= factor * inverse[k, j]

@@ -1,0 +1,148 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The model card: what a trained model is, for people and for the loader."""
+
+from typing import Annotated, Literal
+
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.models.energy_error import EnergyError
+import numpy as np
+from pydantic import Field, model_validator
+
+# The networks of each family, with their inputs for each coordinate: 2 for (q, p) or (q, v).
+FAMILIES = {
+    'hnn': {'energy': 2},
+    'separable_hnn': {'kinetic': 1, 'potential': 1},
+    'dissipative_hnn': {'energy': 2, 'dissipation': 2},
+    'dgnet': {'energy': 2},
+    'vin': {'potential': 1},
+    'lagrangian': {'lagrangian': 2},
+    'symplectic_form': {'one_form': 2, 'energy': 2},
+    'control_affine': {'mass_inverse': 1, 'potential': 1, 'input_map': 1},
+}
+# What else is learned, or needed, in some of them.
+_CONSTANTS = {'dgnet': ('friction',), 'vin': ('mass',), 'lagrangian': ('mass', 'velocities'),
+              'symplectic_form': ('mass',)}
+
+Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
+                   Field(min_length=3, max_length=100)]
+
+
+class CoordinateCard(StrictModel):
+    """One generalised coordinate of a model and its conjugate momentum."""
+
+    name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=64, description=(
+        'a letter or underscore, then letters, digits, underscores'))
+    q_unit: str = Field('1', max_length=32, description='unit of the coordinate')
+    p_unit: str = Field('1', max_length=32, description='unit of the momentum')
+
+
+class Box(StrictModel):
+    """A box in phase space: for each coordinate the bounds [low, high] of q and of p."""
+
+    q: list[Interval] = Field(min_length=1)
+    p: list[Interval] = Field(min_length=1)
+
+    @model_validator(mode='after')
+    def _check(self) -> 'Box':
+        if len(self.q) != len(self.p):
+            raise ValueError(f'{len(self.q)} intervals of q but {len(self.p)} of p')
+        for low, high in (*self.q, *self.p):
+            if not 0.0 < high - low < np.inf:
+                raise ValueError(
+                    f'[{low:g}, {high:g}] is not an interval of positive, finite size')
+        return self
+
+
+class Scheme(StrictModel):
+    """A one-step map."""
+
+    integrator: str = Field(description='a method, as a scene names it')
+    step_size: float = Field(gt=0.0, description='h [s]')
+
+
+class Units(StrictModel):
+    """In what units the networks saw the data: x enters them as (x - centre) / scale."""
+
+    centre: list[float] = Field(description='of the states (q, p)')
+    scale: list[float] = Field(description='of the states (q, p)')
+    target: list[float] = Field(description='of what the loss compares, such as (dq/dt, dp/dt)')
+
+
+class ModelCard(StrictModel):
+    """What a model is, what it was learned from, and how well."""
+
+    format_version: Literal[1] = 1
+    name: str = Field(min_length=1, max_length=255)
+    family: Literal[tuple(FAMILIES)] = 'hnn'  # type: ignore[valid-type]
+    activation: Literal['tanh', 'sine', 'relu', 'softplus'] = 'tanh'
+    widths: Widths | None = Field(None, description=(
+        'of all layers of the one network, input and output included'))
+    networks: dict[str, Widths] | None = Field(None, description=(
+        'the same for each network, in a family of several'))
+    coordinates: list[CoordinateCard] = Field(min_length=1)
+    box: Box = Field(description='bounds of the data that the model was trained on')
+    velocities: list[Interval] | None = Field(None, description=(
+        'bounds of dq/dt in the data, for a Lagrangian'))
+    mass: list[list[float]] | None = Field(None, description=(
+        'M, for a family whose kinetic energy holds dq/dt . M dq/dt / 2, or theta M times p'))
+    friction: list[Annotated[float, Field(ge=0.0)]] | None = Field(None, description=(
+        'gamma [1/s], for a family that learned dp/dt = -H_q - gamma p'))
+    scheme: Scheme | None = Field(None, description=(
+        'the one-step map that the model was trained through, and is right for'))
+    dataset: str
+    seed: int
+    losses: dict[str, float]
+    units: Units | None = Field(None, description='of training')
+    energy_error: EnergyError | None = Field(None, description='of H in the box, where known')
+    training_command: str
+    package_version: str
+    confine: bool = Field(False, description=(
+        'whether H holds states near the box, unless a scene says otherwise'))
+
+    @property
+    def layout(self) -> dict[str, list[int]]:
+        """Return the widths of each network."""
+        (first, *_) = FAMILIES[self.family]
+        return {first: self.widths} if self.networks is None else self.networks
+
+    @model_validator(mode='after')
+    def _check(self) -> 'ModelCard':
+        d = len(self.coordinates)
+        if len({coordinate.name for coordinate in self.coordinates}) != d:
+            raise ValueError('two coordinates have the same name')
+        if len(self.box.q) != d:
+            raise ValueError(f'the box has {len(self.box.q)} coordinates, expected {d}')
+        self._check_networks(d)
+        self._check_constants(d)
+        return self
+
+    def _check_networks(self, d: int) -> None:
+        expected = FAMILIES[self.family]
+        if len(expected) == 1:
+            if self.widths is None or self.networks is not None:
+                raise ValueError(f'widths, and no networks, must describe a model of the family '
+                                 f'{self.family}')
+        elif self.widths is not None or (self.networks or {}).keys() != expected.keys():
+            raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
+                             f'the family {self.family}')
+        for name, widths in self.layout.items():
+            outputs = {'one_form': 2 * d, 'mass_inverse': d * (d + 1) // 2,
+                       'input_map': -(-widths[-1] // d) * d}.get(name, 1)
+            if (widths[0], widths[-1]) != (expected[name] * d, outputs):
+                raise ValueError(f'widths {widths} of {name} must begin with {expected[name] * d} '
+                                 f'and end with {outputs}, for {d} coordinates')
+
+    def _check_constants(self, d: int) -> None:
+        for name in ('friction', 'mass', 'velocities'):
+            value, needed = getattr(self, name), name in _CONSTANTS.get(self.family, ())
+            if (value is not None) != needed:
+                raise ValueError(f'{name} must {"" if needed else "not "}be given for the family '
+                                 f'{self.family}')
+            if needed and len(value) != d:
+                raise ValueError(f'{name} has {len(value)} entries, expected {d}')
+        if self.mass is not None:
+            mass = np.array([row for row in self.mass if len(row) == d])
+            if mass.shape != (d, d) or not (np.linalg.eigvalsh(mass) > 0.0).all():
+                raise ValueError(f'mass must be a positive definite {d} x {d} matrix')

@@ -1,0 +1,43 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Hamiltonian neural network: a perceptron H(q, p), its gradient written out."""
+
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.networks import perceptron
+import numpy as np
+
+
+class NeuralHamiltonian(LearnedHamiltonian):
+    """
+    A trained multilayer perceptron with an activation f between its layers, H = w . a_K + b.
+
+    With a_0 = (q, p), z_l = W_l a_(l-1) + b_l, a_l = f(z_l), the gradient is propagated back by
+    g_K = w, g_(l-1) = W_l^T (f'(z_l) g_l), so (H_q, H_p) = g_0: two passes through the weights,
+    no automatic differentiation. f is tanh, the sine, softplus or relu, as the model card says.
+    With relu, H_q and H_p jump: it is not ``smooth``.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Weights W_l of shape (n_l, n_(l-1)), biases of shape (n_l,), and the model card.
+    network : str
+        Which of its networks, if it has several: that of H, or another of (q, p).
+
+    References
+    ----------
+    S. Greydanus, M. Dzamba, J. Yosinski, Hamiltonian Neural Networks, NeurIPS 2019.
+
+    """
+
+    def __init__(self, checkpoint: Checkpoint, network: str = 'energy'):
+        super().__init__(checkpoint)
+        self._network = network
+
+    def _kernel(self) -> Kernel:
+        return Kernel(perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
+                      self._packed(self._network), self.dimension, (0.0, 0.0), compiled=True)
+
+    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
+        return self._evaluated(self._network, z)[1][:, 0]

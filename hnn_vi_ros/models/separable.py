@@ -1,0 +1,70 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A learned Hamiltonian whose kinetic and potential energies are networks of their own."""
+
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.outputs import part_gradient
+from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import MAX_STATES
+import numba
+import numpy as np
+
+
+class SeparableHamiltonian(LearnedHamiltonian):
+    """
+    H(q, p) = T(p) + V(q), of the networks ``kinetic`` and ``potential``.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of the family separable_hnn.
+
+    References
+    ----------
+    Z. Chen, J. Zhang, M. Arjovsky, L. Bottou, Symplectic Recurrent Neural Networks, ICLR 2020.
+
+    """
+
+    separable = True
+
+    def _kernel(self) -> Kernel:
+        parameters = (self._packed('kinetic', 'p'), self._packed('potential', 'q'),
+                      np.zeros(MAX_STATES * self.dimension))
+        return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension, (0.0, 0.0),
+                      compiled=True)
+
+    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
+        q, p = np.split(z, 2, axis=1)
+        return np.hstack([self._evaluated('potential', q)[1][:, 0],
+                          self._evaluated('kinetic', p)[1][:, 0]])
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    kinetic, potential, _ = parameters
+    return perceptron.energy(kinetic, q, p) + perceptron.energy(potential, q, p)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    kinetic, potential, space = parameters
+    for a in range(0, q.size, space.size):
+        b = min(a + space.size, q.size)
+        zero = space[:b - a]
+        part_gradient(kinetic, q[a:b], p[a:b], zero, dH_dp[a:b])
+        part_gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    kinetic, potential, space = parameters
+    for a in range(0, q.size, space.size):
+        b = min(a + space.size, q.size)
+        zero = space[:b - a]
+        perceptron.hessian_vector(kinetic, q[a:b], p[a:b], v_q[a:b], v_p[a:b], zero,
+                                  product_p[a:b])
+        perceptron.hessian_vector(potential, q[a:b], p[a:b], v_q[a:b], v_p[a:b], product_q[a:b],
+                                  zero)

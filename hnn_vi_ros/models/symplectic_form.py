@@ -1,0 +1,204 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A learned one-form and energy, whose motions follow in coordinates that are not canonical."""
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linear_algebra import solve_linear
+from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.outputs import pack_outputs, weigh
+from hnn_vi_ros.networks import perceptron
+import numba
+import numpy as np
+
+# States of the box at which W is looked at.
+_SAMPLES = 1024
+# Of W in units in which the box is a cube; beyond it too few digits of u' are left.
+_LARGEST_CONDITION = 1e6
+_EPS = float(np.finfo(np.float64).eps)
+_SPACING = _EPS ** (1.0 / 3.0)
+
+_compiled = numba.njit(cache=True, error_model='numpy')
+
+
+class SymplecticFormHamiltonian(LearnedHamiltonian):
+    """
+    The one-form theta(u) and the energy H(u) of a neural symplectic form, u = (q, p) in R^2d.
+
+    The p of u are whatever was measured beside q, often velocities: u need not be canonical. The
+    motions make the integral of theta(u) . u' - H(u) over time stationary. Its variation is
+    zero where
+
+        d/dt theta_i(u) = sum_j d_i theta_j(u) u'_j - d_i H(u),  that is,
+        W(u) u' = H'(u),  W_ij = d_i theta_j - d_j theta_i,
+
+    so H is conserved, since W is skew. With theta = (p, 0) these are Hamilton's equations. Here
+    theta = (M p, 0) + N(u): M is the mass matrix of the model card, N the network ``one_form``,
+    and H the network ``energy``.
+
+    What stands for (H_q, H_p) is (-p', q'), with u' = W^-1 H'.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of the family symplectic_form.
+
+    Raises
+    ------
+    ModelError
+        W is singular somewhere in the box: u' is not defined there.
+
+    References
+    ----------
+    Y. Chen, T. Matsubara, T. Yaguchi, Neural Symplectic Form: Learning Hamiltonian Equations on
+    General Coordinate Systems, NeurIPS 2021.
+
+    """
+
+    canonical = False
+
+    def __init__(self, checkpoint: Checkpoint):
+        super().__init__(checkpoint)
+        half = 0.5 * np.ptp(np.concatenate(self.box), axis=1)
+        problem = irregularity(self.two_forms(self._states()).astype(np.float64), half)
+        if problem:
+            raise ModelError(f'{problem}, so its motions are not defined there; train it anew, '
+                             'on data from a smaller box')
+
+    def two_forms(self, z: np.ndarray) -> np.ndarray:
+        """Return W, shape (m, 2 d, 2 d), at states of shape (m, 2 d), in extended precision."""
+        d = self.dimension
+        slope = self._evaluated('one_form', z)[1]
+        slope[:, :d, d:] += np.array(self.checkpoint.card.mass)
+        return slope.transpose(0, 2, 1) - slope
+
+    def _kernel(self) -> Kernel:
+        energy, n = self._packed('energy'), 2 * self.dimension
+        parameters = (energy, pack_outputs(self.checkpoint, 'one_form', 'both'),
+                      np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
+                      np.empty(n), self._rounding(energy))
+        return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension,
+                      (0.0, 0.0), compiled=True)
+
+    def _rounding(self, energy: tuple) -> np.ndarray:
+        """Return the rounding error of H in units of the unit round-off, and norm(W^-1)."""
+        z, d = self._states(), self.dimension
+        computed = np.array([perceptron.energy(energy, x[:d], x[d:]) for x in z])
+        exact = self._evaluated('energy', z)[0][:, 0]
+        error = max(np.abs(computed).max(), np.abs(computed - exact).max() / _EPS)
+        inverse = np.linalg.inv(self.two_forms(z).astype(np.float64))
+        return np.array([4.0 * error, np.abs(inverse).sum(axis=2).max()], dtype=np.float64)
+
+    def _states(self) -> np.ndarray:
+        low, high = np.concatenate(self.box).T
+        return np.random.default_rng(0).uniform(low, high, (_SAMPLES, 2 * self.dimension))
+
+    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
+        d, rates = self.dimension, self._evaluated('energy', z)[1][:, 0]
+        for two_form, rate in zip(self.two_forms(z), rates, strict=True):
+            solve_linear(two_form, rate)
+        return np.hstack([-rates[:, d:], rates[:, :d]])
+
+
+def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
+    """
+    Say what is wrong with a W that is to be inverted all over a box; empty if nothing.
+
+    A W that is singular on a surface is regular at almost every sample, but its Pfaffian, whose
+    square is its determinant, has both signs.
+
+    Parameters
+    ----------
+    two_forms : np.ndarray, shape (m, 2 d, 2 d)
+        W at samples of the box.
+    half : np.ndarray, shape (2 d,)
+        Half of the sides of the box, the units in which W is judged.
+
+    """
+    scaled = two_forms * np.outer(half, half)
+    signs = np.array([np.sign(_pfaffian(matrix)) for matrix in scaled])
+    condition = np.linalg.cond(scaled).max() if (signs != 0.0).all() else np.inf
+    if np.ptp(signs) > 0.0 or not condition <= _LARGEST_CONDITION:
+        return (f'the learned 2-form is singular in its box (Pfaffian of either sign at '
+                f'{min((signs > 0).sum(), (signs < 0).sum())} of {len(signs)} states, condition '
+                f'{condition:.1e})')
+    return ''
+
+
+def _pfaffian(matrix: np.ndarray) -> float:
+    """Return the Pfaffian of a skew matrix, by elimination with pivots."""
+    a, value = matrix.copy(), 1.0
+    for k in range(0, len(a), 2):
+        pivot = k + 1 + int(np.abs(a[k, k + 1:]).argmax())
+        if a[k, pivot] == 0.0:
+            return 0.0
+        if pivot != k + 1:
+            a[[k + 1, pivot]] = a[[pivot, k + 1]]
+            a[:, [k + 1, pivot]] = a[:, [pivot, k + 1]]
+            value = -value
+        value *= a[k, k + 1]
+        ratio, column = a[k, k + 2:] / a[k, k + 1], a[k + 2:, k + 1].copy()
+        a[k + 2:, k + 2:] += np.outer(ratio, column) - np.outer(column, ratio)
+    return value
+
+
+@_compiled
+def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    return perceptron.energy(parameters[0], q, p)
+
+
+@part(error_model='numpy')
+def slope(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
+    """Fill H'(u), shape (2 d,), at one state."""
+    perceptron.gradient(parameters[0], q, p, covector[:q.size], covector[q.size:])
+
+
+@part(error_model='numpy')
+def raise_index(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
+    """Turn a covector c, shape (2 d,), into W(u)^-1 c at one state; NaN if W is singular."""
+    _, form, mass, rows, two_form, unit, _ = parameters
+    d = q.size
+    for i in range(2 * d):
+        for k in range(2 * d):
+            unit[k] = 1.0 if k == i else 0.0
+        weigh(form, unit)
+        perceptron.gradient(form[0], q, p, rows[i, :d], rows[i, d:])
+        if i < d:
+            for j in range(d):
+                rows[i, d + j] += mass[i, j]
+    for i in range(2 * d):
+        for j in range(2 * d):
+            two_form[i, j] = rows[j, i] - rows[i, j]
+    if not solve_linear(two_form, covector):
+        covector[:] = np.nan
+
+
+@_compiled
+def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    d = parameters[2].shape[0]
+    rates = np.empty(2 * d)
+    for a in range(0, q.size, d):
+        slope(parameters, q[a:a + d], p[a:a + d], rates)
+        raise_index(parameters, q[a:a + d], p[a:a + d], rates)
+        for i in range(d):
+            dH_dp[a + i], dH_dq[a + i] = rates[i], -rates[d + i]
+
+
+@_compiled
+def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    """Fill the derivative of what stands for the gradient, by a central difference."""
+    size = max(np.abs(v_q).max(), np.abs(v_p).max())
+    if size == 0.0:
+        product_q[:], product_p[:] = 0.0, 0.0
+        return
+    spacing = _SPACING / size * max(np.abs(q).max(), np.abs(p).max(), 1.0)
+    behind_q, behind_p = np.empty_like(q), np.empty_like(p)
+    _gradient(parameters, q + spacing * v_q, p + spacing * v_p, product_q, product_p)
+    _gradient(parameters, q - spacing * v_q, p - spacing * v_p, behind_q, behind_p)
+    for i in range(q.size):
+        product_q[i] = (product_q[i] - behind_q[i]) / (2.0 * spacing)
+        product_p[i] = (product_p[i] - behind_p[i]) / (2.0 * spacing)

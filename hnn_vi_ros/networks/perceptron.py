@@ -1,0 +1,259 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A network, its gradient and its second derivative as compiled loops over plain arrays.
+
+With a_0 = (q, p), z_l = W_l a_(l-1) + b_l, a_l = f(z_l) and H = w . a_K + b, the gradient is
+propagated back by g_K = w, delta_l = f'(z_l) g_l, g_(l-1) = W_l^T delta_l, so (H_q, H_p) = g_0.
+The derivatives of these lines along a_0' = v, marked by a dash, end in H''(q, p) v = g_0'.
+
+Parameters are those of perceptron_memory.pack: a_l of state s is nodes[s, l], and with K + 1
+rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Layers are done in
+tiles of eight rows of weights.
+"""
+
+from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.networks.activations import activate, FASTMATH, scale, scale_forth, scale_tangent
+from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, ROW, TILE
+import numba
+import numpy as np
+
+_compiled = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy')
+# The gradient is inlined even into the caller's loop: behind a call nothing is known of the arrays
+# that it is given, and each is counted, which is as slow as twenty additions.
+_inlined = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy', forceinline=True)
+_part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
+
+# Weights that are used forward and back while they stay in the nearest cache, 32 KiB.
+_BLOCK = 4096
+
+
+@_compiled
+def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    """Return H(q, p) [J] for q and p of shape (d,)."""
+    sizes, rows, _, nodes, _ = parameters
+    n_layers = sizes.size - 1
+    _load(parameters, 0, 1, 0, q, p)
+    _forward(parameters, 1, n_layers, False)
+    last = sizes[0] + n_layers
+    total = rows[last + 1, 0]
+    for i in range(sizes[n_layers]):
+        total += rows[last, i] * nodes[0, n_layers, i]
+    return total
+
+
+@_inlined
+def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+             dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    """Fill dH_dq and dH_dp, all of shape (m d,): m states one after another."""
+    sizes = parameters[0]
+    n_states = 2 * q.size // sizes[0]
+    for chunk in range((n_states + MAX_STATES - 1) // MAX_STATES):
+        first = chunk * MAX_STATES
+        n = min(MAX_STATES, n_states - first)
+        _load(parameters, first, n, 0, q, p)
+        _propagate(parameters, n, False)
+        _store(parameters, first, n, sizes.size, dH_dq, dH_dp)
+
+
+@_compiled
+def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                   v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    """Fill the last two with H''(q, p) (v_q, v_p), all of shape (m d,)."""
+    sizes = parameters[0]
+    n_states = 2 * q.size // sizes[0]
+    for chunk in range((n_states + MAX_STATES - 1) // MAX_STATES):
+        first = chunk * MAX_STATES
+        n = min(MAX_STATES, n_states - first)
+        _load(parameters, first, n, 0, q, p)
+        _load(parameters, first, n, 2 * sizes.size, v_q, v_p)
+        _propagate(parameters, n, True)
+        _store(parameters, first, n, 3 * sizes.size, product_q, product_p)
+
+
+@_part
+def _load(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
+          ) -> None:
+    sizes, _, _, nodes, _ = parameters
+    d = sizes[0] // 2
+    for s in range(n_states):
+        for i in range(d):
+            nodes[s, row, i] = q[(first + s) * d + i]
+            nodes[s, row, d + i] = p[(first + s) * d + i]
+
+
+@_part
+def _store(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
+           ) -> None:
+    sizes, _, _, nodes, _ = parameters
+    d = sizes[0] // 2
+    for s in range(n_states):
+        for i in range(d):
+            q[(first + s) * d + i] = nodes[s, row, i]
+            p[(first + s) * d + i] = nodes[s, row, d + i]
+
+
+@_part
+def _propagate(parameters: tuple, n_states: int, tangent: bool) -> None:
+    """Fill g_0 from a_0 of the first states; with tangent, g_0' from a_0' too."""
+    sizes, rows, _, nodes, _ = parameters
+    n_layers, g = sizes.size - 1, sizes.size
+    at = _forward(parameters, n_states, max(1, n_layers - 1), tangent)
+    for s in range(n_states):
+        if tangent:
+            for i in range(sizes[n_layers]):
+                nodes[s, 3 * g + n_layers, i] = 0.0
+        for i in range(sizes[n_layers]):
+            nodes[s, g + n_layers, i] = rows[sizes[0] + n_layers, i]
+    for layer in range(n_layers, 1, -1):
+        if layer < n_layers:
+            at -= sizes[layer] // TILE
+        _back(parameters, n_states, at, layer, layer == n_layers, tangent)
+    for s in range(n_states):
+        _first_layer_back(parameters, s, tangent)
+
+
+@_part
+def _forward(parameters: tuple, n_states: int, n_layers: int, tangent: bool) -> int:
+    """Fill a_1 to the activations of layer n_layers; return the tile where the next begins."""
+    sizes = parameters[0]
+    for s in range(n_states):
+        _first_layer(parameters, s, tangent)
+    at = (sizes[0] + sizes.size + TILE) // TILE
+    for layer in range(2, n_layers + 1):
+        n_tiles = sizes[layer] // TILE
+        n_blocks, size = _blocks(sizes[layer - 1], n_tiles)
+        for block in range(n_blocks):
+            first, last = block * size, min(block * size + size, n_tiles)
+            for s in range(n_states):
+                _block_forth(parameters, at, s, layer, first, last, tangent)
+        at += n_tiles
+    return at
+
+
+@_part
+def _back(parameters: tuple, n_states: int, at: int, layer: int, forth: bool, tangent: bool
+          ) -> None:
+    """Go back through a layer, and first forth if it is the last: its weights are read once."""
+    sizes = parameters[0]
+    n_tiles = sizes[layer] // TILE
+    n_blocks, size = _blocks(sizes[layer - 1], n_tiles)
+    for block in range(n_blocks):
+        first, last = block * size, min(block * size + size, n_tiles)
+        for s in range(n_states):
+            if forth:
+                _block_forth(parameters, at, s, layer, first, last, tangent)
+            _block_back(parameters, at, s, layer, first, last, tangent)
+
+
+@_part
+def _blocks(n_in: int, n_tiles: int) -> tuple[int, int]:
+    """Return how many blocks n_tiles tiles of n_in columns make, and the tiles of each."""
+    size = max(1, _BLOCK // (TILE * n_in))
+    return (n_tiles + size - 1) // size, size
+
+
+@_part
+def _block_forth(parameters: tuple, at: int, s: int, layer: int, first: int, last: int,
+                 tangent: bool) -> None:
+    sizes = parameters[0]
+    _product(parameters, at, s, layer, sizes[layer - 1], first, last)
+    activate(parameters, s, layer, first, last)
+    if tangent:
+        _product(parameters, at, s, 2 * sizes.size + layer, sizes[layer - 1], first, last)
+        scale_forth(parameters, s, layer, first, last)
+
+
+@_part
+def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last: int,
+                tangent: bool) -> None:
+    sizes = parameters[0]
+    g = sizes.size
+    if tangent:
+        scale_tangent(parameters, s, layer, first, last)
+        _transposed_product(parameters, at, s, 3 * g + layer, sizes[layer - 1], first, last)
+    scale(parameters, s, layer, g, first, last)
+    _transposed_product(parameters, at, s, g + layer, sizes[layer - 1], first, last)
+
+
+@_part
+def _first_layer(parameters: tuple, s: int, tangent: bool) -> None:
+    sizes = parameters[0]
+    _columns(parameters, s, 0)
+    activate(parameters, s, 1, 0, sizes[1] // TILE)
+    if tangent:
+        _columns(parameters, s, 2 * sizes.size)
+        scale_forth(parameters, s, 1, 0, sizes[1] // TILE)
+
+
+@_part
+def _first_layer_back(parameters: tuple, s: int, tangent: bool) -> None:
+    sizes = parameters[0]
+    if tangent:
+        scale_tangent(parameters, s, 1, 0, sizes[1] // TILE)
+        _transposed_columns(parameters, s, 3 * sizes.size)
+    scale(parameters, s, 1, sizes.size, 0, sizes[1] // TILE)
+    _transposed_columns(parameters, s, sizes.size)
+
+
+@_part
+def _columns(parameters: tuple, s: int, row: int) -> None:
+    """Set row + 1 to W_1 times row: W_1 has few columns, too few to vectorise along its rows."""
+    sizes, rows, _, nodes, _ = parameters
+    for j in range(0, sizes[0], 2):
+        x, y = nodes[s, row, j], nodes[s, row, j + 1]
+        for i in range(sizes[1]):
+            before = nodes[s, row + 1, i] if j > 0 else 0.0
+            nodes[s, row + 1, i] = before + rows[j, i] * x + rows[j + 1, i] * y
+
+
+@_part
+def _transposed_columns(parameters: tuple, s: int, row: int) -> None:
+    """Set row to W_1^T times row + 1."""
+    sizes, rows, _, nodes, _ = parameters
+    for j in range(0, sizes[0], 2):
+        x, y = 0.0, 0.0
+        for i in range(sizes[1]):
+            x += rows[j, i] * nodes[s, row + 1, i]
+            y += rows[j + 1, i] * nodes[s, row + 1, i]
+        nodes[s, row, j], nodes[s, row, j + 1] = x, y
+
+
+@_part
+def _product(parameters: tuple, at: int, s: int, row: int, n_in: int, first: int, last: int
+             ) -> None:
+    """Set tiles first to last of a row to W_l times the row before."""
+    _, _, tiles, nodes, node_tiles = parameters
+    whole = (n_in + ROW - 1) & -ROW
+    for t in range(first, last):
+        w = at + t
+        z0 = z1 = z2 = z3 = z4 = z5 = z6 = z7 = 0.0
+        for j in range(whole):
+            a = nodes[s, row - 1, j]
+            z0 += tiles[w, 0, j] * a
+            z1 += tiles[w, 1, j] * a
+            z2 += tiles[w, 2, j] * a
+            z3 += tiles[w, 3, j] * a
+            z4 += tiles[w, 4, j] * a
+            z5 += tiles[w, 5, j] * a
+            z6 += tiles[w, 6, j] * a
+            z7 += tiles[w, 7, j] * a
+        z = node_tiles[s, row, t]
+        z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7] = z0, z1, z2, z3, z4, z5, z6, z7
+
+
+@_part
+def _transposed_product(parameters: tuple, at: int, s: int, row: int, n_in: int,
+                        first: int, last: int) -> None:
+    """Add to the row before what tiles first to last of a row contribute by W_l^T."""
+    _, _, tiles, nodes, node_tiles = parameters
+    for t in range(first, last):
+        w, d = at + t, node_tiles[s, row, t]
+        d0, d1, d2, d3, d4, d5, d6, d7 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
+        for j in range(n_in):
+            before = nodes[s, row - 1, j] if t > 0 else 0.0
+            nodes[s, row - 1, j] = before + (
+                tiles[w, 0, j] * d0 + tiles[w, 1, j] * d1
+                + tiles[w, 2, j] * d2 + tiles[w, 3, j] * d3
+                + tiles[w, 4, j] * d4 + tiles[w, 5, j] * d5
+                + tiles[w, 6, j] * d6 + tiles[w, 7, j] * d7)

@@ -1,0 +1,25 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What services need of the node that they act on."""
+
+from collections.abc import Awaitable, Callable
+from typing import Any, Protocol
+
+from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.run import Run
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+
+class Simulator(Protocol):
+    """What the services need of the node; the refusal says why there is no run."""
+
+    run: Run | None
+    control: Control | None
+    values: dict[str, Any]
+    state: int
+    stop: Callable[[int, str], None]
+    change_state: Callable[[int], Awaitable[bool]]
+    in_thread: Callable[[Callable[[], Any]], Awaitable[Any]]
+    set_parameters_atomically: Callable[[list[Parameter]], SetParametersResult]
+    refusal: str

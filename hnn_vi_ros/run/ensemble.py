@@ -1,0 +1,241 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+import os
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.cost import CostGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.watch import energies_of, show_many, tell, tell_many, Watch
+from hnn_vi_ros.phase_space import check_state, Trajectory
+from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.checks import check_count, check_seconds
+from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+
+# Trajectories that step together: a network's weights are read once for all of them. Larger
+# blocks gain no more, and each waits for its slowest trajectory.
+BLOCK = 32
+
+
+def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
+             integrator: str | None = None,
+             initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+             effects: Sequence[Mapping[str, Any]] | None = None,
+             commands: Commands | None = None, every: int = 1,
+             times: Sequence[float] | None = None) -> Trajectory:
+    """
+    Simulate a scene without ROS.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
+    duration : float
+        Simulated time [s], which the last sample is at; see DenseStep for a time between steps.
+    step_size : float, optional
+        h [s], in place of the scene's.
+    integrator : str, optional
+        A name from INTEGRATORS, in place of the scene's.
+    initial_state : tuple of (q, p), shape (d,) each, optional
+        In place of the scene's.
+    effects : sequence of mapping, optional
+        In place of the scene's, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+    commands : callable or array, shape (N, c), optional
+        Of the effect external_force: a function of the time [s] that is asked before each step,
+        or a row for each sample, which holds until the next.
+    every : int, optional
+        Steps from one sample to the next.
+    times : sequence of float, optional
+        Of the samples in place of every, rising, from 0 to the duration [s]; they need not be
+        whole steps. Not with commands, which are held from sample to sample.
+
+    Returns
+    -------
+    Trajectory
+        The first sample is the initial state, unless times says otherwise; the last one is where
+        an event ended the run, if one did.
+
+    Warns
+    -----
+    AlarmWarning
+        A guard says that the run is not to be trusted; ``alarms`` of the trajectory holds it.
+
+    Raises
+    ------
+    HnnViRosError
+        An unknown scene or integrator, a model that cannot be loaded, or a StepFailure.
+    ValueError
+        An argument that is not usable, or more samples than fit into memory.
+    TypeError
+        An argument of another type.
+
+    """
+    check_seconds('duration', duration)
+    check_count('every', every)
+    scene, _ = resolve(_scene(scene).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects)))
+    simulation = watched(build(scene), scene)
+    watch = Watch(simulation, simulation.hamiltonian.barrier)
+    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
+    t, takers = recorders(simulation, duration, every, times, commands, watch)
+    try:
+        for take in takers:
+            parts.append(take())
+    except StoppedByEvent as stop:
+        parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
+        t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
+    # Times that were asked for need not begin with the initial state.
+    first = int(times is not None)
+    t, (q, p) = t[first:], (np.vstack(halves) for halves in zip(*parts[first:], strict=True))
+    energies = energies_of(simulation, q, p)
+    if simulation.conservative:
+        watch.show(simulation, t / simulation.step_size, (q, p), energies)
+    tell(watch.alarms, simulation.step_size)
+    return Trajectory(t, q, p, energies[0], tuple(watch.alarms),
+                      tuple(getattr(simulation, 'events', ())))
+
+
+def _scene(scene: Scene | str | Path) -> Scene:
+    """Return the scene of a name."""
+    if isinstance(scene, str | Path):
+        return load_scene(scene)
+    if not isinstance(scene, Scene):
+        raise TypeError(f'scene is a {type(scene).__name__}: give what load_scene returns, the '
+                        'name of a shipped scene, or the path of a YAML file')
+    return scene
+
+
+def _state(state: tuple[Sequence[float], Sequence[float]] | None
+           ) -> dict[str, Sequence[float]] | None:
+    """Return a pair (q, p) by name."""
+    if state is None:
+        return None
+    if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
+        raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p')
+    return {name: np.array(part, dtype=np.float64).tolist()
+            for name, part in zip(('q', 'p'), state, strict=True)}
+
+
+def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
+    """Return a sequence of effects as the list that a scene holds, and anything else as it is."""
+    return list(effects) if isinstance(effects, tuple) else effects
+
+
+def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
+                  p: Sequence[Sequence[float]], duration: float, *, samples: int = 1,
+                  threads: int | None = None) -> Trajectory:
+    """
+    Simulate one scene from many initial states.
+
+    Trajectories do not depend on each other: a block of them is one system, the sum of their
+    Hamiltonians, so the formula of a step is the same code. The implicit equations of a block
+    are solved until each of its trajectories has converged. With a thermostat, an impact or a
+    constraint each trajectory steps alone, and meets its own noise.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        See ``simulate``; its own initial state is not used.
+    q, p : sequence, shape (m, d)
+        Initial states.
+    duration : float
+        Simulated time [s].
+    samples : int, optional
+        Samples after the initial one, evenly spaced; see DenseStep for times between steps.
+    threads : int, optional
+        By default as many as there are processors.
+
+    Returns
+    -------
+    Trajectory
+        t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
+        (samples + 1, m). Where work is done, the energies of trajectories that step together are
+        watched together.
+
+    Warns
+    -----
+    AlarmWarning
+        See ``simulate``.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene cannot be built, or a step of some trajectory fails.
+    ValueError
+        An argument that is not usable, or more samples than fit into memory.
+    TypeError
+        An argument of another type.
+
+    """
+    check_seconds('duration', duration)
+    if duration == 0.0:
+        raise ValueError('duration = 0 s: the samples must lie some time apart')
+    check_count('samples', samples)
+    if threads is not None:
+        check_count('threads', threads)
+    scene, _ = resolve(_scene(scene))
+    if scene.events:
+        raise ValueError('simulate_many watches for no events: leave the events out of '
+                         f'{scene.name}, or simulate one trajectory at a time')
+    hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
+    effects = scene.create_effects()
+    system = System(hamiltonian, effects, integrator)
+    d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
+    q0, p0 = (part.reshape(-1, d) for part in check_state(q, p, d))
+    if q0.size == 0:
+        raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
+    if q0.size * samples > MOST_NUMBERS:
+        raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
+                         'holds; take fewer at a time')
+    interval = duration / samples
+    every, share = whole_steps(interval, scene.step_size)
+    t = np.arange(samples + 1) * (interval if share else every * scene.step_size)
+
+    def start(block: slice) -> Simulation:
+        return Simulation(hamiltonian.twin(), integrator, scene.step_size, q0[block], p0[block],
+                          effects, scene.on_failure)
+
+    workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))
+    q_all, p_all = np.empty((2, samples + 1, len(q0), d))
+    alarms: list[list[Alarm]] = [[] for _ in q0]
+    q_all[0], p_all[0] = q0, p0
+    with ThreadPoolExecutor(workers) as pool:
+        # Taken from the iterator, so that a failure of one worker is raised here.
+        list(pool.map(lambda worker: _fill(
+            start, range(worker * size, len(q0), workers * size), size,
+            t[1:] if share else every, q_all, p_all, alarms), range(workers)))
+    energies = show_many(
+        start(slice(0, 1)), t / scene.step_size, q_all, p_all, alarms)
+    tell_many(alarms, scene.step_size)
+    return Trajectory(t, q_all, p_all, energies, tuple(map(tuple, alarms)))
+
+
+def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
+          every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray,
+          alarms: list[list[Alarm]]) -> None:
+    """Simulate the blocks that begin at these trajectories; every: steps, or samples' times."""
+    samples, d = len(q_all) - 1, q_all.shape[2]
+    simulation = start(slice(firsts[0], firsts[0] + size))
+    for first in firsts:
+        block = slice(first, first + size)
+        # Each trajectory has noise of its own.
+        simulation.restart(q_all[0, block], p_all[0, block], stream=first)
+        watch = Watch(simulation, None, kinds=(EnergyGuard, CostGuard))
+        q_block, p_block = record_samples(simulation, samples, every, watch)
+        for own in alarms[block]:
+            own += watch.alarms
+        q_all[1:, block] = q_block.reshape(samples, -1, d)
+        p_all[1:, block] = p_block.reshape(samples, -1, d)

@@ -1,0 +1,109 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is measured and watched of a run: its timing, its energy, its budget of error, guards."""
+
+from collections.abc import Callable, Iterable
+import math
+import time
+
+from hnn_vi_ros.accuracy.trials import Budget
+from hnn_vi_ros.guards.base import Alarm, Guard
+from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.run.energy_record import EnergyRecord
+from hnn_vi_ros.run.timing import Timing
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.sample import Sample
+
+# Wall time between two warnings of the same thing [s].
+_REPEATED = 10.0
+
+
+class Monitor:
+    """
+    Measure a run, and watch it.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    every : int
+        Steps from sample to sample.
+    tick : float
+        Simulated time from sample to sample [s].
+    budget : Budget, optional
+        What the scene allows, if it does so.
+    warn : callable
+        Told when the budget is exceeded, now and then while it is: the text, and whether it is
+        the first time.
+    guards : iterable of Guard, optional
+        What must hold.
+    scale : SampledScale, optional
+        By which those measure energies.
+
+    Attributes
+    ----------
+    guards : list of Guard
+        What must hold; more can be appended.
+    timing : Timing
+        What steps and samples cost.
+    energy : EnergyRecord
+        What the energy has done.
+    newest : Sample or None
+        The newest one.
+
+    """
+
+    def __init__(self, simulation: Simulation, every: int, tick: float,
+                 budget: Budget | None, warn: Callable[[str, bool], None],
+                 guards: Iterable[Guard] = (), scale: SampledScale | None = None):
+        self.timing = Timing(every, tick)
+        self.energy = EnergyRecord(simulation, tick, budget)
+        self.newest: Sample | None = None
+        self._scale = scale or SampledScale(simulation.hamiltonian)
+        self.guards = list(guards)
+        self._simulation, self._warn = simulation, warn
+        self._warned, self._due = False, 0.0
+
+    def advance(self, n: int) -> float:
+        """Take n steps of the simulation, with its errors; return the wall time it took [s]."""
+        simulation = self._simulation
+        gradients, begin = simulation.gradients, time.perf_counter()
+        simulation.advance(n)
+        seconds = time.perf_counter() - begin
+        self.timing.add_batch(n, seconds, simulation.gradients - gradients)
+        return seconds
+
+    def watch(self, sample: Sample) -> list[Alarm]:
+        """Let the guards look at the next sample, the initial one first; return alarms."""
+        alarms = []
+        # No comprehension, which costs as much as one of the guards.
+        for guard in self.guards:
+            alarm = guard.update(sample)
+            if alarm is not None:
+                alarms.append(alarm)
+        return alarms
+
+    @property
+    def energy_scale(self) -> float:
+        """Return the size of the energies in play as of the newest sample [J]."""
+        return math.nan if self.newest is None else self._scale(self.newest)
+
+    def add(self, sample: Sample) -> bool:
+        """Look at the next sample; tell whether the figures were evaluated anew."""
+        self.newest = sample
+        if self.energy.add(sample) and time.monotonic() >= self._due:
+            self._due = time.monotonic() + _REPEATED
+            self._warn(self.over_budget(), not self._warned)
+            self._warned = True
+        evaluated = self.timing.evaluate()
+        if evaluated:
+            self.energy.evaluate()
+        return evaluated
+
+    def over_budget(self) -> str:
+        """Say by how much the budget is exceeded, and what to do about it."""
+        budget = self.energy.budget
+        least = 'at least ' if budget.kind == 'path_error' else ''
+        return (f'the budget is exceeded: {budget.kind} {least}{self.energy.spent:.3g}, allowed '
+                f'is {budget.error:g} up to {budget.horizon:g} s; use a smaller step_size, or '
+                'ask for a smaller error or a longer horizon')

@@ -1,0 +1,131 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of a simulation, a whole number of steps apart."""
+
+from fractions import Fraction
+from functools import cache
+import math
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.sample import Sample
+
+_MOST_STEPS = 1e9
+# The last second that a time stamp of ROS holds.
+_LAST_SECOND = 2**31 - 1
+
+
+@cache
+def _nanoseconds(step_size: float) -> Fraction:
+    """Return h as it was written, not as it was rounded [ns]."""
+    return Fraction(repr(step_size)) * 10**9
+
+
+def stamp_of(step: int, step_size: float, origin: int = 0) -> int:
+    """Return the stamp of a step from that of step 0 [ns]: a count of steps, never a sum."""
+    return origin + round(step * _nanoseconds(step_size))
+
+
+def steps_between(rate: float, step_size: float) -> int:
+    """Return the steps from sample to sample at a rate [Hz] and a step size [s]."""
+    return max(1, round(1.0 / (rate * step_size)))
+
+
+class Sampler:
+    """
+    Take samples of a simulation.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    rate : float
+        Samples per simulated second that are asked for [Hz].
+    origin : int
+        Stamp of the initial state [ns].
+
+    Attributes
+    ----------
+    every : int
+        Steps from sample to sample.
+    tick : float
+        Simulated time from sample to sample [s].
+    deviation : str
+        What to tell of a rate that the step size does not allow; else empty.
+
+    Raises
+    ------
+    ParameterError
+        Too many steps lie between two samples.
+
+    """
+
+    def __init__(self, simulation: Simulation, rate: float, origin: int = 0):
+        self._simulation, self._energy0 = simulation, simulation.energy
+        self._origin = origin
+        h = simulation.step_size
+        # Of a step that is next to nothing the product is zero.
+        exact = 1.0 / (rate * h) if rate * h else math.inf
+        if exact > _MOST_STEPS:
+            raise ParameterError(
+                f'parameter step_size: {exact:.3g} steps from sample to sample are too many, at '
+                f'most {_MOST_STEPS:.0e}; use a larger step_size or publish_rate')
+        self.every = steps_between(rate, h)
+        self.tick = self.every * h
+        self.deviation = '' if abs(exact - self.every) <= 1e-9 * exact else (
+            f'publish_rate {rate:g} Hz is not a whole number of steps of {h:g} s: publishing '
+            f'every {self.every} steps, {1.0 / self.tick:g} Hz')
+
+    def count(self, duration: float) -> float:
+        """Return how many samples a duration [s] asks for, as far as stamps go; 0 is for ever."""
+        left = self._left()
+        samples = min(round(duration / self.tick), left) if duration else left
+        if samples == 0:
+            raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
+                                 f'time between two samples, {self.tick:g} s, and that they end '
+                                 f'before {_LAST_SECOND} s')
+        return samples
+
+    @property
+    def end(self) -> str:
+        """Return why no more samples are taken after those that were counted."""
+        return 'the duration is over' if self._left() else (
+            f'the next sample would be stamped beyond {_LAST_SECOND} s, the last that ROS can '
+            'tell; reset with reset_time, or begin anew')
+
+    def _left(self) -> int:
+        """Return how many samples can still be stamped."""
+        step = self._simulation.steps
+        left = _LAST_SECOND * 10**9 - self._origin
+        return max(0, (left // _nanoseconds(self._simulation.step_size) - step) // self.every)
+
+    @property
+    def stamp(self) -> int:
+        """Return the stamp of the state [ns]."""
+        return self.stamp_at(self._simulation.steps)
+
+    @property
+    def time(self) -> float:
+        """Return the stamp of the state [s]: the time that is told, in whatever form."""
+        return self.stamp / 1e9
+
+    def stamp_at(self, step: int) -> int:
+        """Return the stamp of a step [ns]."""
+        return stamp_of(step, self._simulation.step_size, self._origin)
+
+    def place_of(self, time: float) -> tuple[int, int]:
+        """Return the stamp [ns] of a time since step 0 [s], and the step before it."""
+        return (self._origin + round(time * 1e9), math.floor(time / self._simulation.step_size))
+
+    def sample(self) -> Sample:
+        """Return the state, and the energies that belong to it."""
+        simulation = self._simulation
+        (energy, modified), work = simulation.energies, simulation.work
+        budget = energy - self._energy0 - work
+        return Sample(
+            step=simulation.steps, stamp=self.stamp,
+            q=simulation.q.copy(), p=simulation.p.copy(),
+            dH_dq=simulation.dH_dq.copy(), dH_dp=simulation.dH_dp.copy(), energy=energy,
+            modified_energy=math.nan if modified is None else modified,
+            energy_error=budget / abs(self._energy0) if self._energy0 else budget,
+            work=work)

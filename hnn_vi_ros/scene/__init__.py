@@ -1,0 +1,273 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes: the schema of their YAML, and how one becomes a Hamiltonian and an integrator."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, EffectError
+from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, UnsupportedSystem
+from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
+from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
+from hnn_vi_ros.models.checkpoint import file_digest
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.scene.choices import (
+    AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
+from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
+from hnn_vi_ros.scene.origin import Origin
+import numpy as np
+from pydantic import BaseModel, Field, model_validator, PrivateAttr, ValidationError
+
+
+class Scene(StrictModel):
+    """What is simulated: a Hamiltonian, effects, an integrator, a step size, an initial state."""
+
+    description: str = Field('', max_length=1000, description='one line for lists and titles')
+    hamiltonian: choices(HAMILTONIANS, LearnedChoice, PythonChoice) = Field(  # type: ignore
+        description='H(q, p) [J]')
+    effects: list[choices(EFFECTS)] = Field([], max_length=100, description=(  # type: ignore
+        'what acts beside H(q, p); nothing else is simulated'))
+    integrator: choices(INTEGRATORS, AutoChoice) = Field(  # type: ignore[valid-type]
+        description='the one-step map of (q, p)')
+    step_size: float | None = Field(None, gt=0.0, le=1e6, description=(
+        'h [s]; with the integrator auto, which chooses it, a time that it must divide'))
+    initial_state: InitialState = Field(description='(q, p) at t = 0 s')
+    on_failure: Literal[ON_FAILURE] = Field('substep', description=(  # type: ignore[valid-type]
+        'what is done about a step that fails: it is taken in sub-steps; or by implicit_midpoint, '
+        'as are all steps beyond the limit of stability of an explicit method; or the run stops'))
+    events: list[EventChoice] = Field([], max_length=100, description='what is watched for')
+    invariants: list[InvariantChoice] = Field([], max_length=20, description=(
+        'what the motion conserves beside H: published with the accuracy, and watched'))
+    mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
+        None, description='how the mechanism is drawn; without it only states are shown')
+
+    @model_validator(mode='after')
+    def _check_step_size(self) -> 'Scene':
+        if self.step_size is None and not isinstance(self.integrator, AutoChoice):
+            raise ValueError('step_size: Field required')
+        return self
+
+    _origin: Origin = PrivateAttr(Origin())
+
+    @property
+    def source(self) -> Path:
+        """Return the file that the scene was read from."""
+        return self._origin.path
+
+    @property
+    def name(self) -> str:
+        """Return the name of the file without its suffix."""
+        return self.source.stem
+
+    def place(self, *key: str | int) -> str:
+        """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
+        return self._origin.place(*key)
+
+    def changed(self, changes: Mapping[str, Any]) -> 'Scene':
+        """Return this scene with other values of some keys, or raise SceneError."""
+        try:
+            # The code that it names was admitted when it was read.
+            scene = Scene.model_validate({**self.model_dump(), **changes}, context=trusting(True))
+        except ValidationError as problem:
+            first = problem.errors(include_url=False)[0]
+            where = '.'.join(str(part) for part in first['loc'])
+            raise SceneError(f'{self.source} with other {", ".join(changes)}: {where}: '
+                             f'{first["msg"]}') from problem
+        scene._origin = replace(
+            self._origin, replaced=self._origin.replaced | changes.keys())
+        return scene
+
+    def with_overrides(self, step_size: float | None = None, integrator: str | None = None,
+                       initial_state: Mapping[str, Sequence[float]] | None = None,
+                       effects: Sequence[Mapping[str, Any]] | None = None) -> 'Scene':
+        """
+        Return this scene with other parts, where given; the integrator's is its name.
+
+        Raises
+        ------
+        SceneError
+            An unknown integrator, or a part that does not fit the schema.
+
+        """
+        if integrator not in (None, *INTEGRATORS):
+            raise SceneError(f'unknown integrator {integrator!r}; valid: '
+                             f'{", ".join(sorted(INTEGRATORS))}')
+        given = {'step_size': step_size, 'integrator': integrator and {'kind': integrator},
+                 'initial_state': initial_state, 'effects': effects}
+        changes = {name: value for name, value in given.items() if value is not None}
+        return self.changed(changes) if changes else self
+
+    def create_integrator(self) -> Integrator:
+        """
+        Build the integrator that the scene names.
+
+        Raises
+        ------
+        SceneError
+            A parameter is out of its range, or no method is named: it is auto.
+
+        """
+        if isinstance(self.integrator, AutoChoice):
+            raise SceneError(f'{self.place("integrator")}: auto names no method yet; '
+                             'automatic_choice.resolve(scene) returns a scene with one')
+        return self._construct(INTEGRATORS, self.integrator, 'integrator')
+
+    def create_effects(self) -> list[Effect]:
+        """
+        Build the effects that the scene lists, in its order.
+
+        Raises
+        ------
+        ModelError
+            A model does not exist or is damaged.
+        SceneError
+            A parameter is out of its range.
+
+        """
+        return [self._construct(EFFECTS, choice, 'effects', i)
+                for i, choice in enumerate(self.effects)]
+
+    def create_hamiltonian(self) -> Hamiltonian:
+        """
+        Build or load the Hamiltonian that the scene names.
+
+        Raises
+        ------
+        ModelError
+            The model does not exist or is damaged.
+        SceneError
+            A parameter is out of its range, or code of the user's cannot be called.
+
+        """
+        choice = self.hamiltonian
+        if isinstance(choice, LearnedChoice):
+            file = self._origin.model_file(choice.model, 'hamiltonian')
+            with self.placed('hamiltonian'):
+                hamiltonian = load_learned(file, choice.confine)
+        elif isinstance(choice, PythonChoice):
+            hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),
+                                       self._origin.code_folder)
+        else:
+            hamiltonian = self._construct(HAMILTONIANS, choice, 'hamiltonian')
+        self._check_dimension([coordinate.name for coordinate in hamiltonian.coordinates])
+        state = np.array(self.initial_state.q), np.array(self.initial_state.p)
+        hamiltonian.invariants = invariants_of(
+            self.invariants, hamiltonian, not self.effects, state, self.place,
+            self._origin.code_folder)
+        return hamiltonian
+
+    def model_files(self) -> dict[str, Path]:
+        """Return the files of the models that it names; ModelError for one that is not there."""
+        placed = [(self.hamiltonian, 'hamiltonian'), (self.integrator, 'integrator'), *(
+            (choice, 'effects', i) for i, choice in enumerate(self.effects))]
+        return {choice.model: self._origin.model_file(choice.model, *key)
+                for choice, *key in placed if getattr(choice, 'model', None)}
+
+    @cached_property
+    def model_digests(self) -> dict[str, str]:
+        """Return the SHA-256 of each model file; of one that is changed later, what it was."""
+        return {name: file_digest(file) for name, file in self.model_files().items()}
+
+    def _check_dimension(self, names: list[str]) -> None:
+        for key, values in self.initial_state:
+            if len(values) != len(names):
+                raise SceneError(
+                    f'{self.place("initial_state", key)}: {len(values)} values, expected '
+                    f'{len(names)}, one for each coordinate: {", ".join(names)}')
+        if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
+            numbers = [str(number) for number in COORDINATES[self.mechanism]]
+            if len(numbers) > 3:
+                numbers[2:-1] = ['...']
+            raise SceneError(
+                f'{self.place("mechanism")}: {self.mechanism} draws '
+                f'{", ".join(numbers)} coordinates, but H has {len(names)}; leave it out or take '
+                'another')
+
+    def _construct(self, classes: Mapping[str, type], choice: BaseModel, *key: str | int) -> Any:
+        arguments = choice.model_dump()
+        kind = arguments.pop('kind')
+        self._origin.find_code(arguments)
+        if arguments.get('model'):
+            arguments['model'] = self._origin.model_file(arguments['model'], *key)
+        with self.placed(*key):
+            return classes[kind](**arguments)
+
+    @contextmanager
+    def placed(self, *key: str | int) -> Iterator[None]:
+        """
+        Say of errors in what the scene asks for where in its file their cause stands.
+
+        Parameters
+        ----------
+        *key : str or int
+            Of what is made inside; ``'initial_state'`` for the simulation of the scene.
+
+        Raises
+        ------
+        CalibrationError, ModelError, SceneError, UnsupportedSystem
+            In place of what is raised inside.
+
+        """
+        try:
+            yield
+        except (ValueError, OverflowError) as problem:
+            if isinstance(problem, EffectError):
+                key = 'effects', problem.index
+            raise SceneError(self._blame(key, str(problem))) from problem
+        except (CalibrationError, ModelError) as problem:
+            raise type(problem)(self._blame(key, str(problem))) from problem
+        except UnsupportedSystem as problem:
+            raise UnsupportedSystem(f'{self.place("integrator")}: {problem}') from problem
+
+    def _blame(self, key: tuple[str | int, ...], message: str) -> str:
+        value: Any = self
+        for part in key:
+            value = value[part] if isinstance(part, int) else getattr(value, part)
+        # What is wrong is named first, if it is one key.
+        name = message.partition(' ')[0]
+        own = name in type(value).model_fields
+        kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
+        return f'{self.place(*key, *[name] * own)}: {kind}{message}'
+
+
+def load_scene(scene: str | Path) -> Scene:
+    """
+    Read and validate a scene.
+
+    Parameters
+    ----------
+    scene : str or Path
+        The name of a shipped scene, or the path of a YAML file.
+
+    Returns
+    -------
+    Scene
+        The validated scene; its model is loaded when a simulation is made of it.
+
+    Raises
+    ------
+    SceneError
+        No such scene, or a file that is not a valid one; names file, line and key.
+
+    """
+    text = str(scene)
+    path = Path(text) if is_path('scene', text) else shipped_file('scene', text)
+    if not is_path('scene', text) and not os.path.isfile(path):
+        raise SceneError(f'no scene {text!r}; shipped: {", ".join(shipped_names("scene"))}; '
+                         'or give the path of a .yaml file')
+    loaded, places = read_yaml(path, Scene, SceneError)
+    # A module beside the scene is found like one that is installed.
+    loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))
+    return loaded

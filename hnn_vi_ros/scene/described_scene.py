@@ -1,0 +1,90 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene that a log or a topic describes, which others may have written."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.yaml_file import validate
+from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.scene.origin import Origin
+
+# What is to be done about a bag of several runs.
+ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the simulator begins a '
+           'bag at each reset')
+
+
+def described_scene(text: bytes | str, where: str, trust_code: bool = False
+                    ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Return the scene that a log or ~/scene describes, and all that is told with it.
+
+    Whoever wrote it chooses none of what is run, or opened, here: code that it names is refused
+    unless it is trusted, and then comes from the path of Python's modules alone; model files are
+    those that the digests told with it belong to.
+
+    Parameters
+    ----------
+    text : bytes or str
+        YAML.
+    where : str
+        What describes it, for errors.
+    trust_code : bool, optional
+        Whether Python code that it names may be run.
+
+    Raises
+    ------
+    RecordingError
+        It is no scene, or names code; one line.
+
+    """
+    described, places = parse_mapping(text, where, RecordingError)
+    fields = {name: value for name, value in described.items() if name in Scene.model_fields}
+    scene = validate(fields, places, Scene, RecordingError, trust_code=trust_code)
+    if isinstance(scene.integrator, AutoChoice):
+        raise RecordingError(f'{places.place("integrator")}: does not say what auto chose')
+    # Where models beside the scene are found again.
+    source = str(described.get('source', 'scene'))
+    files = described.get('model_files', {})
+    digests = [described.get('model_sha256'), *(files.values() if isinstance(files, dict) else ())]
+    scene._origin = Origin(
+        Path(source if source.isprintable() else 'scene'), places,
+        digests=frozenset(digest for digest in digests if isinstance(digest, str)))
+    return scene, described
+
+
+def only_scene(told: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
+    """
+    Return the one scene that was told while a bag was recorded.
+
+    Parameters
+    ----------
+    told : iterable of (str, int)
+        Texts and log times [ns]; the same one may come more than once.
+    topic : str
+        On which they came.
+    bag : Path
+        For errors.
+
+    Raises
+    ------
+    RecordingError
+        There is none, or several.
+
+    """
+    times: dict[str, int] = {}
+    for text, time in told:
+        times.setdefault(text, time)
+    if not times:
+        raise RecordingError(f'{bag}: holds neither a scene.yaml nor a message of {topic}; record '
+                             'that topic too')
+    text, *others = times
+    if others:
+        resets = ', '.join(str(times[other]) for other in others[:3])
+        raise RecordingError(f'{bag}: holds {len(times)} scenes on {topic}: the run was reset at '
+                             f'log time {resets} ns: {ONE_RUN}')
+    return text

@@ -1,0 +1,103 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a motion conserves beside H: the known ones of a system, and the user's own functions."""
+
+from collections.abc import Callable, Sequence
+import math
+from typing import Annotated
+
+from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.files.named_code import NAMES_CODE
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.scene.choices import load_code
+import numpy as np
+from pydantic import Field, StringConstraints
+
+
+class InvariantChoice(StrictModel):
+    """Something that the motion conserves beside H."""
+
+    name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=100, description=(
+        'what it is called; without a function, a known one of the system'))
+    function: Annotated[str, NAMES_CODE, StringConstraints(
+        pattern=r'^[\w.]+:\w+$')] | None = Field(None, description=(
+            'package.module:function of yours; takes q and p, arrays of d numbers each, and '
+            'returns a number'))
+
+
+class Invariant:
+    """
+    A user's function of the state, called with arrays that it may keep or change.
+
+    Parameters
+    ----------
+    function : callable
+        Of q and p, each of shape (d,).
+
+    """
+
+    def __init__(self, function: Callable[[np.ndarray, np.ndarray], float]):
+        self._function = function
+
+    def __call__(self, q: np.ndarray, p: np.ndarray) -> float:
+        """Return its value, NaN where its arithmetic fails."""
+        try:
+            return float(self._function(q.copy(), p.copy()))
+        except ArithmeticError:
+            return math.nan
+
+
+def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, alone: bool,
+                  state: tuple[np.ndarray, np.ndarray], place: Callable[..., str],
+                  folder: str | None) -> dict[str, Callable]:
+    """
+    Return the invariants of a scene by name, each a function of q and p, of shape (d,).
+
+    Parameters
+    ----------
+    choices : sequence of InvariantChoice
+        What the scene lists.
+    hamiltonian : Hamiltonian
+        H, whose known invariants count where nothing else acts.
+    alone : bool
+        Whether no effect acts beside it.
+    state : tuple of np.ndarray, shape (d,)
+        The initial q and p, with which each function is tried.
+    place : callable
+        Returns where a key of the scene stands, for errors.
+    folder : str or None
+        Where a module is found that is not installed, if anywhere.
+
+    Raises
+    ------
+    SceneError
+        A name that stands twice or is not known, or a function that cannot be imported or called.
+
+    """
+    known = hamiltonian.known_invariants
+    found = dict(known) if alone else {}
+    for index, choice in enumerate(choices):
+        where = place('invariants', index)
+        if choice.name in [other.name for other in choices[:index]]:
+            raise SceneError(f'{where}: {choice.name} stands twice; give it another name')
+        if choice.function is not None:
+            found[choice.name] = Invariant(load_code(choice.function, where, folder))
+            _try(found[choice.name], state, f'{where}: {choice.function}')
+        elif choice.name in known:
+            found[choice.name] = known[choice.name]
+        else:
+            raise SceneError(f'{where}: no invariant {choice.name!r} of this system is known; '
+                             f'known: {", ".join(known) or "none"}; or give a function')
+    return found
+
+
+def _try(function: Callable, state: tuple[np.ndarray, np.ndarray], where: str) -> None:
+    """Call a user's function once."""
+    try:
+        value = function(*state)
+    except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
+        raise SceneError(f'{where}: {type(problem).__name__}: {" ".join(str(problem).split())}'
+                         ) from problem
+    if not math.isfinite(value):
+        raise SceneError(f'{where}: is {value} at the initial state; return a finite number')

@@ -1,0 +1,101 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where a scene comes from, and with that what it finds: its models, and Python code beside it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import os
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.files.named_code import find_beside
+from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.yaml_text import Places
+from hnn_vi_ros.models.checkpoint import file_digest
+
+
+@dataclass(frozen=True)
+class Origin:
+    """
+    The file of a scene, or what a bag or a topic tells of it.
+
+    Parameters
+    ----------
+    path : Path
+        The file that the scene was read from, when it was.
+    places : Places or None
+        Where its keys stand.
+    replaced : frozenset of str
+        Keys whose values are no more those that stand there.
+    code_folder : str or None
+        Where Python code is found beside the installed; None for the scene of a bag or a topic,
+        which must not choose it.
+    digests : frozenset of str or None
+        Of the scene of a bag or a topic: SHA-256 of its model files. It may name any path, and
+        has no other file opened as a model. None for a file that the user names.
+
+    """
+
+    path: Path = Path('scene')
+    places: Places | None = None
+    replaced: frozenset[str] = frozenset()
+    code_folder: str | None = None
+    digests: frozenset[str] | None = None
+
+    def place(self, *key: str | int) -> str:
+        """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
+        if self.places is not None and key[0] not in self.replaced:
+            return self.places.place(*key)
+        return f'{self.path}: {".".join(map(str, key))}'
+
+    def find_code(self, arguments: Mapping[str, Any]) -> None:
+        """Let the Python code that arguments of the scene name be found beside it too."""
+        if arguments.get('factory') or arguments.get('discrete_lagrangian'):
+            find_beside(self.code_folder)
+
+    def model_file(self, model: str, *key: str | int) -> Path:
+        """
+        Return the file of a model.
+
+        Parameters
+        ----------
+        model : str
+            Its name or its path.
+        *key : str or int
+            Of what names it.
+
+        Raises
+        ------
+        ModelError
+            No such model, or another file than that of the recorded scene.
+
+        """
+        if is_path('model', model):
+            beside = self.path.parent / model
+            file = beside if os.path.exists(beside) else Path(model)
+            self._check_digest(file, *key)
+            return file
+        # One that the user trained comes before the shipped one of the same name.
+        for candidate in (Path('models') / f'{model}.safetensors', shipped_file('model', model)):
+            if os.path.isfile(candidate):
+                return candidate
+        train = (f'; train it with: ros2 run hnn_vi_ros train --config {model}'
+                 if model in shipped_names('training') else '')
+        raise ModelError(
+            f'{self.place(*key, "model")}: no model {model!r}: not shipped '
+            f'({", ".join(shipped_names("model"))}) nor at models/{model}.safetensors{train}')
+
+    def _check_digest(self, file: Path, *key: str | int) -> None:
+        if self.digests is None:
+            return
+        place = self.place(*key, 'model')
+        if file.suffix != '.safetensors':
+            raise ModelError(f'{place}: {str(file)!r} is no .safetensors file')
+        try:
+            digest = file_digest(file)
+        except ModelError as problem:
+            raise ModelError(f'{place}: {problem}') from problem
+        if digest not in self.digests:
+            raise ModelError(f'{place}: {str(file)!r} is not the file that was recorded: its '
+                             f'SHA-256 begins with {digest[:16]}; put the recorded one there')

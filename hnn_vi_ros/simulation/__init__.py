@@ -1,0 +1,367 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A scene compiled into one kernel that advances the state by whole steps."""
+
+from collections.abc import Callable, Sequence
+import time
+import warnings
+
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.arithmetic import is_finite
+from hnn_vi_ros.integrators.base import (
+    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
+from hnn_vi_ros.kernels.compilation import entry_point
+from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.simulation.dense_step import DenseStep
+from hnn_vi_ros.simulation.loops import advance, assemble
+from hnn_vi_ros.simulation.rescue import Rescue
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+
+# Relative to a state: solutions that are further apart are not the same one, to round-off.
+_SAME = 1e-8
+
+
+class Simulation:
+    """
+    A Hamiltonian, an integrator and a state that advances by whole steps.
+
+    Time is the count of steps times the step size, never a sum of floats. A failed step leaves
+    the last good state in place.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        Of d degrees of freedom.
+    integrator : Integrator
+        The one-step map.
+    step_size : float
+        h > 0 [s].
+    q, p : sequence of float, shape (d,) or (m, d)
+        Initial state, or those of m trajectories that step together.
+    effects : sequence of Effect
+        What acts on the system beside H.
+    on_failure : str
+        What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``; see
+        Rescue.
+
+    Attributes
+    ----------
+    hamiltonian : Hamiltonian
+        H with the potentials among the effects.
+    conservative, takes_commands : bool
+        Whether no effect does work, and whether one takes commands.
+    steps : int
+        Steps taken since the initial state.
+    q, p : np.ndarray, shape (d,) or (m d,), with forces (d,) or (m, d)
+        The state; copy it before the next ``advance``.
+    dH_dq, dH_dp : np.ndarray, of the shape of q
+        -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
+    rescued, several_solutions : int
+        Steps that were taken in parts, or by the implicit midpoint rule instead; and those where a
+        solver came to another solution than that which is connected to h = 0.
+    residual : float
+        Relative residual of the last implicit step [1].
+    gradients : int
+        Gradients and Hessian-vector products evaluated in steps since the initial state.
+    usual_gradients : int
+        How many a step takes at most as a rule; 0 where there is no rule.
+    costliest : tuple of (int, int)
+        How many the costliest step took, and the number of steps at its end.
+
+    Raises
+    ------
+    UnsupportedSystem
+        The integrator cannot integrate this Hamiltonian with these effects.
+    EffectError, ValueError
+        An effect, the step size or the state is not usable.
+    StepFailure
+        H has no finite gradient at the initial state.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
+                 q: Sequence[float], p: Sequence[float], effects: Sequence[Effect] = (),
+                 on_failure: str = 'substep'):
+        if not (np.isfinite(step_size) and step_size > 0.0):
+            raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
+        self._system = system = System(hamiltonian, effects, integrator)
+        self.hamiltonian, self.integrator = system.hamiltonian, integrator
+        self.conservative, self.takes_commands = system.conservative, system.takes_commands
+        self.usual_gradients = system.integrator.usual_gradients
+        self.step_size = float(step_size)
+        self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
+        if not self._kernel.compiled:
+            warnings.warn(
+                f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
+                'from plain Python or autograd in every step, which is slower', stacklevel=2)
+        self._loops = [assemble(advance, self._kernel, way) for way in self._rescue.ways]
+        self._entries: dict[int, Callable] = {}
+        self.restart(q, p)
+
+    def restart(self, q: Sequence[float], p: Sequence[float], stream: int = 0, step: int = 0
+                ) -> None:
+        """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
+        q, p = check_state(q, p, self.hamiltonian.dimension)
+        self._system.check_state(q, p)
+        self._system.live.reset(stream)
+        self._system.live.clock[0] = step * self.step_size
+        self.steps, self.gradients, self.residual = step, 0, 0.0
+        self.rescued = self.several_solutions = 0
+        self.costliest = 0, step
+        n = q.size // self.hamiltonian.dimension * self._kernel.dimension
+        self._z, self._z1 = Point.empty(n), Point.empty(n)
+        self._way, self._memories = 0, self._rescue.memories(n)
+        self.q, self.p = self._state(self._z.q), self._state(self._z.p)
+        self.q[:], self.p[:] = q.reshape(self.q.shape), p.reshape(self.q.shape)
+        # Not the point's own: what a step finds there must not depend on when it was looked at.
+        self._dH_dq, self._dH_dp = np.empty((2, n))
+        self.dH_dq, self.dH_dp = self._state(self._dH_dq), self._state(self._dH_dp)
+        self._evaluate_gradient()
+        if not is_finite(self._z):
+            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
+        self._update_gradient()
+        self._energy0 = self.energy
+
+    def _state(self, array: np.ndarray) -> np.ndarray:
+        """Return the view of an array of n unknowns that leaves the channels of forces out."""
+        if self._kernel.channels == 0:
+            return array
+        view = array.reshape(-1, self._kernel.dimension)[:, :self.hamiltonian.dimension]
+        return view[0] if len(view) == 1 else view
+
+    def _evaluate_gradient(self) -> None:
+        self._kernel.gradient(
+            self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
+
+    def set_command(self, values: Sequence[float]) -> None:
+        """Set the external force [N] or [N m] from now on, or raise ValueError and leave it."""
+        self._system.command(values)
+        self._evaluate_gradient()
+        self._update_gradient()
+
+    @property
+    def time(self) -> float:
+        """Return the simulated time since the initial state [s]."""
+        return self.steps * self.step_size
+
+    @property
+    def connected(self) -> bool:
+        """Whether there may be several solutions of which the one connected to h = 0 is taken."""
+        return self._system.integrator.no_solution != '' and not self.hamiltonian.separable
+
+    @property
+    def energy(self) -> float:
+        """Return H(q, p) [J], the sum of those of several trajectories."""
+        kernel, z, d = self._kernel, self._z, self._kernel.dimension
+        return sum(float(kernel.energy(kernel.parameters, z.q[a:a + d], z.p[a:a + d]))
+                   for a in range(0, z.q.size, d))
+
+    @property
+    def works(self) -> dict[str, float]:
+        """Return the work that each effect has done on the system since the initial state [J]."""
+        works = self._system.live.work.sum(axis=1).tolist()
+        return dict(zip(self._system.labels, works, strict=True))
+
+    @property
+    def work(self) -> float:
+        """Return the work of all effects [J]."""
+        return float(self._system.live.work.sum()) if self._system.labels else 0.0
+
+    @property
+    def budget(self) -> float:
+        """Return H - H0 - W [J], which closes at the order of the method."""
+        return self.energy - self._energy0 - self.work
+
+    @property
+    def energies(self) -> tuple[float, float | None]:
+        """Return the energy and the modified energy, for little more than one of them costs."""
+        energy = self.energy
+        if self._system.integrator is not self.integrator:
+            return energy, None
+        value = self.integrator.modified_energy(self.hamiltonian, self.step_size, *(
+            x.reshape(-1, self.hamiltonian.dimension) for x in (self.q, self.p)), 0.0, *(
+            x.reshape(-1, self.hamiltonian.dimension) for x in (self.dH_dq, self.dH_dp)))
+        return energy, None if value is None else energy + float(value.sum())
+
+    @property
+    def modified_energy(self) -> float | None:
+        """Return the energy that the integrator nearly conserves [J], None if none is known."""
+        return self.energies[1]
+
+    def compile(self) -> float:  # noqa: A003
+        """Compile the kernel now, not in the first step; return the wall time it took [s]."""
+        start = time.perf_counter()
+        self.record(0, 0)
+        return time.perf_counter() - start
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return, by name, all arrays that the next steps depend on."""
+        stores = {'point': self._z, 'live': self._system.live} | {
+            f'memory{way}.{k}': store for way, memory in enumerate(self._memories)
+            for k, store in enumerate(memory)}
+        return {f'{name}.{field}': array for name, store in stores.items()
+                for field, array in store._asdict().items()}
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """Return copies of all that the next steps depend on; see ``restore``."""
+        counts = {'steps': self.steps, 'energy0': self._energy0, 'way': self._way}
+        return {name: np.array(value) for name, value in counts.items()} | {
+            name: array.copy() for name, array in self._arrays().items()}
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
+        """Go back to a snapshot of such a simulation: the same steps will follow, bit by bit."""
+        self.steps, self._energy0 = int(snapshot['steps']), float(snapshot['energy0'])
+        self._way = int(snapshot['way'])
+        for name, array in self._arrays().items():
+            array[...] = snapshot[name]
+        self._update_gradient()
+
+    def trial(self, snapshot: dict[str, np.ndarray], step_size: float, steps: int = 1
+              ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of another length from a snapshot, and go back to where the simulation stands.
+
+        Parameters
+        ----------
+        snapshot : dict
+            Of this simulation.
+        step_size : float
+            In place of h [s].
+        steps : int, optional
+            How many.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (d,) or (m d,)
+            q and p after them.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite.
+
+        """
+        h, now = self.step_size, self.snapshot()
+        counts = (self.gradients, self.rescued, self.several_solutions, self.residual,
+                  self.costliest)
+        # Steps of another length are no guide to the start of this one's equations.
+        self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
+                      for name, value in snapshot.items()})
+        self.step_size = step_size
+        try:
+            self.advance(steps)
+            return self.q.ravel().copy(), self.p.ravel().copy()
+        finally:
+            self.step_size = h
+            self.restore(now)
+            (self.gradients, self.rescued, self.several_solutions, self.residual,
+             self.costliest) = counts
+
+    def _update_gradient(self) -> None:
+        """Make the public gradient that of the state."""
+        if self._rescue.ways[self._way].keeps_gradient:
+            self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
+        else:
+            self._kernel.gradient(
+                self._kernel.parameters, self._z.q, self._z.p, self._dH_dq, self._dH_dp)
+
+    def advance(self, n: int) -> None:
+        """Take n steps, or raise StepFailure; see ``record``."""
+        self.record(1, n)
+
+    def dense_step(self) -> DenseStep:
+        """Take one step, and return it with the states inside of it, or raise StepFailure."""
+        return DenseStep(self, self._system.integrator is self.integrator
+                         and self._kernel.channels == 0)
+
+    def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take samples times every steps.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (samples, d) or (samples, m d)
+            q and p after each ``every`` steps.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite; the state is that before the step.
+
+        """
+        q_out = np.empty((samples, self._z.q.size))
+        p_out = np.empty_like(q_out)
+        done, changed, failure = 0, -1, None
+        while failure is None:
+            outcome, done, residual, spent = self._run(done, every, q_out, p_out)
+            if outcome == BEYOND and (self._way == 0 or done > changed):
+                self._change_way()
+                changed = done
+                continue
+            if outcome == OK:
+                break
+            failure = self._take_failed_step(outcome, residual, spent)
+            done += failure is None
+            if done % every == 0 and failure is None:
+                q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
+        self._update_gradient()
+        if failure is not None:
+            raise failure
+        keep = self._state(np.arange(self._z.q.size)).ravel()
+        return (q_out[:, keep], p_out[:, keep]) if self._kernel.channels else (q_out, p_out)
+
+    def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
+             ) -> tuple[int, int, float, int]:
+        """Run the loop; return outcome, steps done, residual and gradients of the last step."""
+        loop, step, options = self._loops[self._way]
+        arguments = (step, self._kernel, self.step_size, options, done, every,
+                     self._z, self._z1, self._memories[self._way], q_out, p_out)
+        if self._way not in self._entries:
+            self._entries[self._way] = entry_point(loop, *arguments)
+        outcome, now, gradients, self.residual, spent, most, costliest = (
+            self._entries[self._way](*arguments))
+        self._count(most, self.steps + costliest + 1 - done)
+        self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
+        self.rescued += (now - done) * (self._way != 0)
+        return outcome, now, self.residual, spent
+
+    def _change_way(self) -> None:
+        """Go on by the other way of taking steps, from a state like an initial one."""
+        self._way = 1 - self._way
+        for store in self._memories[self._way]:
+            store.count[0] = 0
+        self._evaluate_gradient()
+        self.gradients += 1
+
+    def _count(self, gradients: int, step: int) -> None:
+        """Note what a step took."""
+        if gradients > self.costliest[0]:
+            self.costliest = gradients, step
+
+    def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
+        """Take one step in another way; return what came of the first one if none will do."""
+        z, z1 = self._z, self._z1
+        doubtful = np.append(z1.q, z1.p)
+        taken = self._rescue.take_step(
+            self._way, self.step_size, z, z1, self._memories[self._way])
+        if outcome == IN_DOUBT:
+            outcome = taken.outcome
+            self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
+                doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
+        self.gradients += taken.gradients
+        self.rescued += taken.rescued or (taken.ok and self._way != 0)
+        if not np.isnan(taken.residual):
+            self.residual = taken.residual
+        spent += taken.gradients
+        if not taken.ok:
+            reason = self._system.reason(
+                taken.outcome if taken.outcome == NO_SOLUTION else outcome)
+            if taken.given_up:
+                reason += f', given up after {taken.given_up} gradients in sub-steps'
+            return StepFailure(reason, self.time, self.step_size, residual, spent)
+        self.steps += 1
+        self._count(spent, self.steps)
+        return None

@@ -1,0 +1,187 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""States between the steps of a simulation."""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.integrators.dense_output import collocation_output, DenseOutput, hermite_output
+from hnn_vi_ros.integrators.gauss import Gauss
+import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.simulation import Simulation
+
+# From this many stages on the collocation polynomial is no worse than quintic Hermite's.
+_STAGES = 5
+# Of a step, and roundings of a count of steps: what is nearer to a step's end is at its end, as
+# 0.3 / 0.1 is.
+_SHARE, _ROUNDINGS = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
+
+
+class DenseStep:
+    """
+    One step of a simulation, which it takes, and the states inside of it.
+
+    Two continuous extensions of the step are at hand. ``polynomial`` costs next to nothing:
+    cubic Hermite for methods of order up to 3 and wherever forces or effects act, quintic Hermite
+    for the others, and the collocation polynomial for Gauss methods of 5 stages and more (with
+    fewer its order, s, is below 5). Its ends are those of the step. ``state`` is as accurate as
+    the method: by the polynomial where that is of the method's order and nothing else acts on the
+    state, else by a step of the method from the same start, of a share of h, with all effects and
+    the same random numbers; so rods keep their lengths and walls are met.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Which takes the step.
+    plain : bool
+        Whether its steps are those of the method and of H alone.
+
+    Attributes
+    ----------
+    step : int
+        Steps that the simulation had taken before.
+
+    Raises
+    ------
+    StepFailure
+        The step did not converge or is not finite.
+
+    """
+
+    def __init__(self, simulation: 'Simulation', plain: bool):
+        self._simulation, self._plain, self.step = simulation, plain, simulation.steps
+        rescued = simulation.rescued
+        self._before, self._start = simulation.snapshot(), _end(simulation)
+        simulation.advance(1)
+        self._end, self._slopes = _end(simulation), None
+        stages = getattr(simulation.integrator, 'stages', 0)
+        if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
+                and simulation.rescued == rescued):
+            # H_q and H_p at the stages, which the step leaves for the start of the next solve.
+            H_q, H_p = np.split(simulation.snapshot()['memory0.0.increments'][0], 2)
+            self._slopes = np.hstack([H_p.reshape(stages, -1), -H_q.reshape(stages, -1)])
+
+    def undo(self) -> None:
+        """Put the simulation back to where it was before the step."""
+        self._simulation.restore(self._before)
+
+    @cached_property
+    def polynomial(self) -> DenseOutput:
+        """Return the polynomial through the step, of q and p of shape (d,) or (m d,)."""
+        h, (z0, v0), (z1, v1) = self._simulation.step_size, self._start, self._end
+        if self._slopes is not None:
+            return collocation_output(h, z0, self._slopes)
+        if self._simulation.integrator.order <= 3 or not self._plain:
+            return hermite_output(h, z0, v0, z1, v1)
+        return hermite_output(h, z0, v0, z1, v1, self._bend(z0, v0), self._bend(z1, v1))
+
+    def _bend(self, z: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return (q'', p'') = J H''(z) z'."""
+        hamiltonian = self._simulation.hamiltonian
+        parts = [part.reshape(-1, hamiltonian.dimension)
+                 for pair in (z, v) for part in np.split(pair, 2)]
+        product_q, product_p = hamiltonian.hessian_vector(*parts)
+        return np.concatenate([product_p.ravel(), -product_q.ravel()])
+
+    def state(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at a time in the step, to the order of the method.
+
+        Parameters
+        ----------
+        theta : float
+            Share of the step, from 0 to 1.
+
+        Raises
+        ------
+        StepFailure
+            A step of this length did not converge.
+
+        """
+        for share, (z, _) in ((0.0, self._start), (1.0, self._end)):
+            if theta == share:
+                return z[:z.size // 2].copy(), z[z.size // 2:].copy()
+        method = self._simulation.integrator
+        if not method.goes_on_from_state or (
+                self._plain and self.polynomial.order >= method.order):
+            return self.polynomial(theta)
+        simulation = self._simulation
+        return simulation.trial(self._before, theta * simulation.step_size)
+
+
+def _end(simulation: 'Simulation') -> tuple[np.ndarray, np.ndarray]:
+    """Return (q, p) and (q', p'), each of shape (2 n,)."""
+    return (np.concatenate([simulation.q.ravel(), simulation.p.ravel()]),
+            np.concatenate([simulation.dH_dp.ravel(), -simulation.dH_dq.ravel()]))
+
+
+def whole_steps(time: float, step_size: float) -> tuple[int, float]:
+    """
+    Return how many whole steps a time is, and what share of a step is left over.
+
+    Parameters
+    ----------
+    time : float
+        t >= 0 [s].
+    step_size : float
+        h [s].
+
+    Returns
+    -------
+    tuple of (int, float)
+        The share is 0 where it differs from a whole step by rounding only.
+
+    """
+    steps = time / step_size
+    nearest = round(steps)
+    if abs(steps - nearest) <= _SHARE + _ROUNDINGS * nearest:
+        return nearest, 0.0
+    return int(steps), steps - int(steps)
+
+
+def record_at(simulation: 'Simulation', times: Sequence[float],
+              on_sample: Callable[[], None] = lambda: None) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Advance a simulation to the last of some times, and return its states at all of them.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At a time that is none of the times in a step that it has taken already.
+    times : sequence of float, shape (k,)
+        Since the initial state, in rising order [s].
+    on_sample : callable, optional
+        Called at the first whole step that is not before each time.
+
+    Returns
+    -------
+    tuple of np.ndarray, shape (k, d) or (k, m d)
+        q and p. The simulation ends at the first whole step that is not before the last time.
+
+    Raises
+    ------
+    StepFailure
+        A step did not converge or is not finite.
+
+    """
+    q, p = np.empty((2, len(times), simulation.q.size))
+    dense = None
+    for k, time in enumerate(times):
+        step, share = whole_steps(time, simulation.step_size)
+        try:
+            if dense is None or dense.step != step:
+                simulation.advance(step - simulation.steps)
+                dense = simulation.dense_step() if share else None
+        except StoppedByEvent as stop:
+            # Samples inside of the step that may lie before the event are not taken.
+            raise stop.after(q[:k], p[:k]) from None
+        if dense is None:
+            q[k], p[k] = simulation.q.ravel(), simulation.p.ravel()
+        else:
+            q[k], p[k] = dense.state(share)
+        on_sample()
+    return q, p

@@ -1,0 +1,64 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The loops over steps that numba compiles, each over one method and one Hamiltonian."""
+
+from collections.abc import Callable
+
+from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
+from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+from hnn_vi_ros.kernels.bare_arrays import bare
+from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options
+from hnn_vi_ros.kernels.kernel import Kernel
+import numpy as np
+
+
+def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,
+            z: Point, z1: Point, memory: tuple[Memory, ...], q_out: np.ndarray,
+            p_out: np.ndarray) -> tuple[int, int, int, float, int, int, int]:
+    """Take the steps from the first on, and sample; stop before one that fails."""
+    kernel, options, z, z1, memory, q_out, p_out = bare(
+        (kernel, options, z, z1, memory, q_out, p_out))
+    gradients, residual, spent, most, costliest = 0, 0.0, 0, 0, first
+    for done in range(first, q_out.shape[0] * every):
+        outcome, residual, spent = step(kernel, h, options, z, z1, memory)
+        gradients += spent
+        if outcome == OK and not is_finite(z1):
+            outcome = NOT_FINITE
+        if outcome != OK:
+            return outcome, done, gradients, residual, spent, most, costliest
+        if spent > most:
+            most, costliest = spent, done
+        copy_point(z1, z)
+        if (done + 1) % every == 0:
+            sample = done // every
+            copy_array(z.q, q_out[sample])
+            copy_array(z.p, p_out[sample])
+    done = max(first, q_out.shape[0] * every)
+    return OK, done, gradients, residual, spent, most, costliest
+
+
+def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,
+                  most: int, z: Point, z1: Point, memory: tuple[Memory, ...]
+                  ) -> tuple[bool, int]:
+    """Go by equal sub-steps, while they take at most so many gradients; end in z and z1."""
+    kernel, options, z, z1, memory = bare((kernel, options, z, z1, memory))
+    gradients = 0
+    for _ in range(parts):
+        outcome, _, spent = substep(kernel, h / parts, options, z, z1, memory)
+        gradients += spent
+        if outcome != OK or gradients > most or not is_finite(z1):
+            return False, gradients
+        copy_point(z1, z)
+    kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+    return True, gradients + 1
+
+
+def assemble(loop: Callable, kernel: Kernel, method: Integrator, link: int = 0
+             ) -> tuple[Callable, Callable, tuple]:
+    """Return a loop, the method's step and its options for a link, compiled where possible."""
+    options = method.options(link, kernel.dimension - kernel.channels)
+    if not (kernel.compiled and method.compiled):
+        return loop, method.step, options
+    name = method.kernel_name
+    return (compiled_loop(loop, kernel, name, method.own), compiled(method.step, name),
+            compiled_options(options))

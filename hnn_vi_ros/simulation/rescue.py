@@ -1,0 +1,309 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is done about steps that fail, or that an explicit method cannot take."""
+
+from collections.abc import Callable
+from functools import cache
+import math
+import sys
+from typing import NamedTuple
+
+from hnn_vi_ros.effects.wrapped import Wrapped
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.integrators.arithmetic import copy_point, largest
+from hnn_vi_ros.integrators.base import (
+    BEYOND, Integrator, Memory, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.kernels.compilation import entry_point, inlined
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.simulation.loops import advance, assemble, take_substeps
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+
+# A step that fails is tried again in at most 2^6 = 64 sub-steps. All tries of them together may
+# take what twice as many take as a rule: those in fewer parts that came before end early.
+_HALVINGS = 6
+_MOST_PARTS = 2 * 2 ** _HALVINGS
+# An explicit method comes back when h omega has been below this share of its limit for long: the
+# changes of method, at each of which the energy may change, become ever fewer.
+_BACK, _CALM = 0.9, 16.0
+# Frequencies times h at which the stability of a method is looked at.
+_FREQUENCIES = np.arange(0.05, 8.0, 0.05)
+
+
+class Rescue:
+    """
+    The ways in which the steps of a simulation are taken: its method, and others where it fails.
+
+    First the later links of the method's own chain of solvers, then what the scene says:
+
+    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method, until all of them have taken twice
+      the gradients that 64 take as a rule;
+    - ``implicit``: a step of the implicit midpoint rule, which has no limit of stability. An
+      explicit method is watched as well: where h omega exceeds its limit, with omega the
+      highest frequency of the motion's linearisation J H''(z), its steps would not fail but
+      grow. That stretch is all taken by the implicit midpoint rule. Not watched is
+      explicit_euler, whose steps grow wherever something oscillates;
+    - ``stop``: nothing.
+
+    A change of method leaves the energy where it is, but is itself not symplectic.
+
+    Parameters
+    ----------
+    system : System
+        Its kernel, method and effects.
+    on_failure : str
+        ``'substep'``, ``'implicit'`` or ``'stop'``.
+
+    Attributes
+    ----------
+    ways : list of Integrator
+        The method; and where it is watched the implicit one, which takes over while a step ends
+        as BEYOND and gives back by ending so itself.
+
+    Raises
+    ------
+    UnsupportedSystem
+        The implicit midpoint rule cannot take an effect, or the coordinates.
+    ValueError
+        An unknown on_failure.
+
+    """
+
+    def __init__(self, system: System, on_failure: str):
+        if on_failure not in ON_FAILURE:
+            raise ValueError(f'on_failure = {on_failure!r}; valid: {", ".join(ON_FAILURE)}')
+        self._system, self._on_failure = system, on_failure
+        self._entries: dict[tuple[int, int], tuple[Callable, Callable, tuple]] = {}
+        self.ways = [system.integrator]
+        if on_failure == 'implicit' and not system.hamiltonian.canonical:
+            raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
+                                    'use on_failure: substep or stop')
+        if on_failure == 'implicit':
+            self._implicit = system.around(ImplicitMidpoint())
+            limit = stability_limit(system.method)
+            if limit < math.inf:
+                self.ways = [Wrapped(system.integrator, StabilityWatch, (-math.inf, limit)),
+                             Wrapped(self._implicit, StabilityWatch, (_BACK * limit, math.inf))]
+
+    def memories(self, n: int) -> list[tuple[Memory, ...]]:
+        """Return the memory of each way, for n coordinates; they share the watch's space."""
+        memories = [way.memory(n) for way in self.ways]
+        return [memories[0], *((*memory[:-1], memories[0][-1]) for memory in memories[1:])]
+
+    def take_step(self, way: int, h: float, z: Point, z1: Point, memory: tuple[Memory, ...]
+                  ) -> 'Taken':
+        """
+        Take the step from z that has failed; z is as it was if none can.
+
+        Parameters
+        ----------
+        way : int
+            Which of the ways has failed.
+        h : float
+            Step size [s].
+        z, z1 : Point
+            The state, which the step changes, and working space.
+        memory : tuple of Memory
+            Of that way.
+
+        """
+        solved = self._by_other_solvers(way, h, z, z1, memory)
+        if solved.ok:
+            return solved
+        spent, most = 0, sys.maxsize
+        for method, link, parts in self._others(way, z.q.size):
+            if parts > 1 and method.usual_gradients:
+                most = _MOST_PARTS * method.usual_gradients
+            ok, gradients = self._in_parts(method, link, parts, most - spent, h, z, z1)
+            spent += gradients
+            if ok:
+                # What came before is no guide to the next start.
+                for store in memory:
+                    store.count[0] = 0
+                return solved._replace(
+                    ok=True, rescued=True, gradients=solved.gradients + spent)
+            if spent > most:
+                return solved._replace(gradients=solved.gradients + spent, given_up=most)
+        return solved._replace(gradients=solved.gradients + spent)
+
+    def _by_other_solvers(self, way: int, h: float, z: Point, z1: Point,
+                          memory: tuple[Memory, ...]) -> 'Taken':
+        """Take the step with the later links of the way's own chain."""
+        kernel, method, spent = self._system.kernel, self.ways[way], 0
+        residual, outcome = math.nan, NO_CONVERGENCE
+        for link in method.links(z.q.size)[1:]:
+            if (way, link) not in self._entries:
+                self._entries[way, link] = assemble(advance, kernel, method, link)
+            loop, step, options = self._entries[way, link]
+            q, p = np.empty((2, 1, z.q.size))
+            arguments = step, kernel, h, options, 0, 1, z, z1, memory, q, p
+            # Once; from then on it is the entry that is returned as it is.
+            entry = entry_point(loop, *arguments)
+            self._entries[way, link] = entry, step, options
+            outcome, _, gradients, residual, *_ = entry(*arguments)
+            spent += gradients
+            if outcome in (OK, NO_SOLUTION):
+                break
+        return Taken(outcome == OK, False, spent, residual, outcome)
+
+    def _others(self, way: int, n: int) -> list[tuple[Integrator, int, int]]:
+        """Return method, link of its chain and number of parts, in the order of trial."""
+        if self._on_failure == 'implicit' and way == 0:
+            return [(self._implicit, link, 1) for link in self._implicit.links(n)]
+        substep = self.ways[way].substep() if self._on_failure == 'substep' else None
+        return [] if substep is None else [
+            (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
+
+    def _in_parts(self, method: Integrator, link: int, parts: int, most: int, h: float, z: Point,
+                  z1: Point) -> tuple[bool, int]:
+        """Take the step in equal parts; leave z and what the effects keep if one fails."""
+        kernel, live = self._system.kernel, self._system.live
+        loop, step, options = assemble(take_substeps, kernel, method, link)
+        before = [array.copy() for array in live]
+        end = Point(*[array.copy() for array in z])
+        ok, gradients = loop(step, kernel, h, options, parts, most, end, z1,
+                             method.memory(z.q.size))
+        if ok:
+            copy_point(end, z)
+            return True, gradients
+        # Parts of the step may have been taken, and their time and work counted.
+        for array, value in zip(live, before, strict=True):
+            array[...] = value
+        return False, gradients
+
+
+class Taken(NamedTuple):
+    """
+    What came of a step that was taken anew.
+
+    Parameters
+    ----------
+    ok, rescued : bool
+        Whether it was taken, and not by the way's own equations.
+    gradients : int
+        Evaluated for it.
+    residual : float
+        Of the last solver of the chain.
+    outcome : int
+        Of the same.
+    given_up : int
+        How many gradients sub-steps may take, if they have taken more; else 0.
+
+    """
+
+    ok: bool
+    rescued: bool
+    gradients: int
+    residual: float
+    outcome: int
+    given_up: int = 0
+
+
+class StabilityWatch:
+    """
+    A step that is taken only while h omega stays between two bounds, and else ends as BEYOND.
+
+    At once where h omega reaches the highest value; or after many calm steps, with h omega below
+    the lowest one. As many as _CALM at first; each time that the highest value is reached, twice
+    as many.
+
+    omega^2 = abs((J H'')^2 v) / abs(v) for a v that each step maps and keeps: by the power method
+    it turns into the fastest oscillation of the motion linearised at z.
+    """
+
+    @staticmethod
+    def inner_step(integrator: Integrator) -> Callable:
+        """Return the step of the method."""
+        return integrator.step
+
+    @staticmethod
+    @cache
+    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+        """Return the step with its watch; its options are those of the step and the interval."""
+        @inlined
+        def watched(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+            """Take one step; see Integrator."""
+            inner, low, high = options
+            space = memory[len(memory) - 1]
+            calm, wanted = space.count, space.triangle[0]
+            # NaN is neither low nor high: it will be found not finite.
+            extent = abs(h) * _frequency(kernel, z, space)
+            if extent >= high:
+                wanted[0] = max(_CALM, 2.0 * wanted[0])
+                return BEYOND, 0.0, 2
+            calm[0] = calm[0] + 1 if extent < low else 0
+            if calm[0] > wanted[0]:
+                return BEYOND, 0.0, 2
+            outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])
+            return outcome, residual, gradients + 2
+        return watched
+
+
+@inlined
+def _frequency(kernel: Kernel, z: Point, space: Memory) -> float:
+    """Return omega at z, and keep v."""
+    v_q, v_p, w_q, w_p = space.values[0], space.values[1], space.values[2], space.values[3]
+    if max(largest(v_q), largest(v_p)) == 0.0:
+        # A direction without a symmetry that a mode could have as well.
+        for i in range(v_q.size):
+            v_q[i], v_p[i] = math.cos(1.0 + i * i), math.sin(2.0 + i * i)
+    growth = 1.0
+    for _ in range(2):
+        kernel.hessian_vector(kernel.parameters, z.q, z.p, v_q, v_p, w_q, w_p)
+        size = max(largest(w_q), largest(w_p))
+        growth *= size
+        for i in range(v_q.size):
+            v_q[i] = w_p[i] / size if size > 0.0 else 0.0
+            v_p[i] = -w_q[i] / size if size > 0.0 else 0.0
+    return math.sqrt(growth)
+
+
+def stability_limit(integrator: Integrator) -> float:
+    """
+    Return the h omega from which on a method lets an oscillation of frequency omega grow.
+
+    Parameters
+    ----------
+    integrator : Integrator
+        Any; infinity for one that is not explicit or not of this package's numba subset, and for
+        one that is stable nowhere.
+
+    """
+    if not (integrator.explicit and integrator.compiled):
+        return math.inf
+    stable = 0.0
+    for frequency in _FREQUENCIES:
+        if _spectral_radius(integrator, frequency) > 1.0 + 1e-9:
+            break
+        stable = frequency
+    else:
+        return math.inf
+    if stable == 0.0:
+        return math.inf
+    unstable = frequency
+    while unstable - stable > 1e-9:
+        middle = 0.5 * (stable + unstable)
+        if _spectral_radius(integrator, middle) > 1.0 + 1e-9:
+            unstable = middle
+        else:
+            stable = middle
+    return float(stable)
+
+
+def _spectral_radius(integrator: Integrator, frequency: float) -> float:
+    """Return the largest size of an eigenvalue of the step h = 1 of H = (p^2 + omega^2 q^2)/2."""
+    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        dH_dq[:], dH_dp[:] = frequency * frequency * q, p
+
+    kernel = Kernel(gradient, gradient, gradient, (), 1, (0.0, 0.0), compiled=False)
+    columns = []
+    for q, p in ((1.0, 0.0), (0.0, 1.0)):
+        z, z1 = Point.empty(1), Point.empty(1)
+        z.q[0], z.p[0] = q, p
+        gradient((), z.q, z.p, z.dH_dq, z.dH_dp)
+        integrator.step(kernel, 1.0, integrator.options(), z, z1, integrator.memory(1))
+        columns.append([z1.q[0], z1.p[0]])
+    return float(np.abs(np.linalg.eigvals(np.array(columns))).max())

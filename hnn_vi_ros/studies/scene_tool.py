@@ -1,0 +1,161 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Check, list and explain scenes, and print their JSON schema."""
+
+from collections.abc import Iterator, Sequence
+import json
+import math
+import sys
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
+from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.run.effect_cost import EffectCosts, measure_effects
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.studies import arguments
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema
+
+# Steps during which neighbouring motions are followed; of an H that is plain Python.
+_STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
+
+
+def main(argv: list[str]) -> int:
+    """Do what the one option asks for; return 1 if a scene that is checked is not valid."""
+    options = arguments.scene().parse_args(argv)
+    if options.check:
+        return check(options.check)
+    if options.list:
+        lines = list_scenes()
+    elif options.schema:
+        lines = [json_schema()]
+    else:
+        lines = explain(load_scene(options.explain))
+    for line in lines:
+        print(line, flush=True)
+    return 0
+
+
+def check(names: Sequence[str]) -> int:
+    """Print one line a scene: what it is, or to the standard error stream what is wrong."""
+    status = 0
+    for name in names:
+        try:
+            scene, _ = resolve(load_scene(name))
+            print(_in_a_line(scene, watched(build(scene), scene)))
+        except HnnViRosError as problem:
+            print(f'scene: {problem}', file=sys.stderr)
+            status = 1
+    return status
+
+
+def list_scenes() -> list[str]:
+    """Return a line for each shipped scene: its name, its description, whether it can run."""
+    names = shipped_names('scene')
+    width = max(map(len, names))
+    lines = []
+    for name in names:
+        scene = load_scene(name)
+        mark = ' (model absent)' if _lacks_a_model(scene) else ''
+        lines.append(f'{name:{width}}  {scene.description}{mark}')
+    return lines
+
+
+def json_schema() -> str:
+    """Return the schema of a scene's YAML, JSON Schema draft 2020-12."""
+    schema = Scene.model_json_schema(schema_generator=_Plain)
+    schema = {'$schema': _Plain.schema_dialect, **schema, 'title': 'A scene of hnn_vi_ros'}
+    return json.dumps(schema, indent=2, ensure_ascii=False)
+
+
+class _Plain(GenerateJsonSchema):
+    """A JSON schema without a title for each key, which would only repeat its name."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:
+        return False
+
+
+def explain(scene: Scene) -> Iterator[str]:
+    """
+    Yield the lines that tell what a scene simulates, how chaotic it is, what a step takes.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene cannot be built or fails.
+
+    """
+    if isinstance(scene.integrator, AutoChoice):
+        print('choosing a method ...', file=sys.stderr)
+    scene, chosen = resolve(scene)
+    simulation = watched(build(scene), scene)
+    hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
+    yield f'{scene.name}: {scene.description}'
+    yield f'file: {scene.source}'
+    yield from _choice('hamiltonian', scene.hamiltonian)
+    yield from (f'  {name}: {value}' for name, value in hamiltonian.provenance.items())
+    for i, c in enumerate(hamiltonian.coordinates):
+        yield (f'  coordinate {c.name} [{c.q_unit}] from {scene.initial_state.q[i]:g}, its '
+               f'momentum [{c.p_unit}] from {scene.initial_state.p[i]:g}')
+    for choice, effect in zip(scene.effects, scene.create_effects(), strict=True):
+        yield from _choice('effect', choice)
+        yield f'  {"conservative" if effect.conservative else "does work"}'
+    yield from _choice('integrator', scene.integrator)
+    yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
+    if chosen is not None:
+        yield f'  {chosen.choice.explain(chosen.budget)}'
+    for event in scene.events:
+        yield f'event {event.when} ({event.direction}): {event.then}'
+    yield f'conservative: {"yes" if simulation.conservative else "no"}'
+    print('measuring ...', file=sys.stderr)
+    yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)
+    yield from _times(measure_effects(scene))
+
+
+def _choice(role: str, choice: BaseModel) -> Iterator[str]:
+    yield f'{role} {choice.kind}: {type(choice).__doc__}'
+    for name, field in type(choice).model_fields.items():
+        if name != 'kind':
+            yield f'  {name} = {getattr(choice, name)}: {field.description}'
+
+
+def lyapunov_line(scene: Scene, steps: int) -> str:
+    """Return the line that tells the Lyapunov time, looked for during so many steps."""
+    duration = steps * scene.step_size
+    try:
+        time = lyapunov_time(scene, duration)
+    except (HnnViRosError, ValueError) as problem:
+        return f'Lyapunov time: not measured: {problem}'
+    if math.isinf(time):
+        return f'Lyapunov time: none found within {duration:.4g} s: the motion is regular so far'
+    return f'Lyapunov time: {time:.3g} s: the motion is chaotic'
+
+
+def _times(costs: EffectCosts) -> Iterator[str]:
+    yield f'time per step: {1e6 * costs.total:.3f} us'
+    if not math.isnan(costs.bare):
+        yield f'  of the bare integrator: {1e6 * costs.bare:.3f} us'
+    for label, added in costs.added.items():
+        text = 'cannot be left out' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
+        yield f'  {label} {text}'
+
+
+def _in_a_line(scene: Scene, simulation: Simulation) -> str:
+    what = getattr(scene.hamiltonian, 'model', None) or getattr(scene.hamiltonian, 'factory', '')
+    parts = [f'{scene.hamiltonian.kind} {what}'.strip(), *(e.kind for e in scene.effects)]
+    kept = 'conservative' if simulation.conservative else 'not conservative'
+    return (f'{scene.name}: valid: {" + ".join(parts)}, {scene.integrator.kind}, '
+            f'h = {scene.step_size:g} s, {kept}')
+
+
+def _lacks_a_model(scene: Scene) -> bool:
+    try:
+        scene.model_files()
+    except ModelError:
+        return True
+    return False

@@ -1,0 +1,153 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a rerun recording holds before its first sample: names, colours, frames, still parts."""
+
+from collections.abc import Mapping, Sequence
+
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.mechanisms.parts import Line, Part
+from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.viewer.phase_portrait import contours, Frame, ticks
+import numpy as np
+import rerun as rr
+
+PALETTE = ((88, 166, 255), (242, 165, 65), (86, 211, 100), (219, 109, 190), (121, 216, 217),
+           (255, 123, 114), (210, 168, 255), (225, 210, 90))
+BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245, 247, 250)
+# What samples cost, with the unit, by entity.
+TIMING = {'/timing/microseconds_per_step': ['step time, median [us]', 'step time, p99 [us]'],
+          '/timing/real_time_factor': ['real-time factor']}
+LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
+
+
+def momentum_name(coordinate: Coordinate) -> str:
+    """Return the name of the momentum that belongs to a coordinate: q2 has p2, x has p_x."""
+    name = coordinate.name
+    return f'p{name[1:]}' if name[:1] == 'q' else f'p_{name}'
+
+
+def phase_path(coordinate: Coordinate) -> str:
+    """Return the entity that holds a coordinate's phase portrait."""
+    return f'/phase/{rr.escape_entity_path_part(coordinate.name)}'
+
+
+def part_path(name: str) -> str:
+    """Return the entity that holds a part of the mechanism."""
+    return f'/world/{rr.escape_entity_path_part(name)}'
+
+
+def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservative: bool,
+                  modified: bool, invariants: Sequence[str] = ()) -> dict[str, list[str]]:
+    """
+    Return what each series is called, with its unit, by entity.
+
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        One series each under ``/state/q`` and ``/state/p``.
+    relative : bool
+        Whether the energy error is relative to H0.
+    conservative : bool
+        Whether no effect does work; else the work W is shown.
+    modified : bool
+        Whether a modified energy is known, to be shown where no work is done.
+    invariants : sequence of str, optional
+        Names of what else is conserved; one series each.
+
+    """
+    error = 'H - H0' if conservative else 'H - H0 - W'
+    second = {} if conservative else {'/energy/work': ['work W [J]']}
+    if conservative and modified:
+        second = {'/energy/modified': ['modified H [J]']}
+    return {
+        '/state/q': [f'{c.name} [{c.q_unit}]' for c in coordinates],
+        '/state/p': [f'{momentum_name(c)} [{c.p_unit}]' for c in coordinates],
+        '/energy/H': ['H [J]'],
+        **second,
+        '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
+        **({'/invariants': list(invariants)} if invariants else {}),
+    }
+
+
+def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[str]]) -> None:
+    """Name and colour every series."""
+    first = {'/energy/modified': 2, '/energy/work': 1, '/energy/error': 5, '/invariants': 4,
+             '/timing/microseconds_per_step': 3, '/timing/real_time_factor': 6}
+    for path, names in labels.items():
+        start = first.get(path, 0)
+        colors = [PALETTE[(start + i) % len(PALETTE)] for i in range(len(names))]
+        style = rr.SeriesLines(colors=colors, names=names, widths=[2.0] * len(names))
+        stream.log(path, style, static=True, strict=True)
+
+
+def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, frame: Frame,
+                       q0: np.ndarray, p0: np.ndarray, side: float) -> None:
+    """
+    Draw the energy contours, the frame and its ticks, and set how trail and state look.
+
+    ``side`` is the width of the frame in points, for the places of the labels.
+
+    Every point is logged as (q, p). The entity's transform turns the frame into the square from
+    -1 to 1 with p upwards, since a 2D view has its y axis down and equal scales.
+    """
+    coordinate = hamiltonian.coordinates[frame.axis]
+    path = phase_path(coordinate)
+    levels = contours(hamiltonian, frame, q0, p0)
+    strips = [line for _, lines in levels for line in lines]
+    shares = np.repeat(np.linspace(0.0, 1.0, len(levels)), [len(lines) for _, lines in levels])
+    colors = (LOW + shares[:, None] * (HIGH - LOW)).astype(np.uint8)
+    (q_low, q_high), (p_low, p_high) = frame.q, frame.p
+    half_q, half_p = 0.5 * (q_high - q_low), 0.5 * (p_high - p_low)
+    still = {
+        '': rr.Transform3D(scale=[1.0 / half_q, -1.0 / half_p, 1.0],
+                           translation=[-0.5 * (q_low + q_high) / half_q,
+                                        0.5 * (p_low + p_high) / half_p, 0.0]),
+        '/contours': rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(0.6)),
+        '/frame': _frame_lines(frame),
+        '/labels': _frame_labels(frame, coordinate, side),
+        '/trail': rr.LineStrips2D.from_fields(colors=[PALETTE[1]], draw_order=30.0,
+                                              radii=rr.Radius.ui_points(1.25)),
+        '/state': rr.Points2D.from_fields(colors=[WHITE], radii=rr.Radius.ui_points(5.0),
+                                          draw_order=40.0),
+    }
+    for child, archetype in still.items():
+        stream.log(path + child, archetype, static=True, strict=True)
+
+
+def _frame_lines(frame: Frame) -> rr.LineStrips2D:
+    (left, right), (low, high) = frame.q, frame.p
+    strips = [[(left, low), (right, low), (right, high), (left, high), (left, low)]]
+    dash_q, dash_p = 0.015 * (right - left), 0.015 * (high - low)
+    strips += [[(q, low), (q, low + dash_p)] for q in ticks(frame.q)]
+    strips += [[(left, p), (left + dash_q, p)] for p in ticks(frame.p)]
+    return rr.LineStrips2D(strips, colors=[GREY], radii=rr.Radius.ui_points(0.6))
+
+
+def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Points2D:
+    """Place the labels; the viewer writes each just below its point, so those of p are raised."""
+    (left, right), (low, high) = frame.q, frame.p
+    # One point, in the units of each axis.
+    dq, dp = (right - left) / side, (high - low) / side
+    texts = {(q, low - 2.0 * dp): f'{q:g}' for q in ticks(frame.q)}
+    texts |= {(left - 24.0 * dq, p + 15.0 * dp): f'{p:g}' for p in ticks(frame.p)}
+    texts[0.5 * (left + right), low - 32.0 * dp] = f'{coordinate.name} [{coordinate.q_unit}]'
+    texts[left + 15.0 * dq, high + 42.0 * dp] = (
+        f'{momentum_name(coordinate)} [{coordinate.p_unit}]')
+    return rr.Points2D(list(texts), labels=list(texts.values()), show_labels=True, colors=[INK],
+                       radii=rr.Radius.ui_points(0.01))
+
+
+def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) -> None:
+    """Draw the parts that stand still, and set how those that move look."""
+    stream.log('/world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
+    for name, part in parts.items():
+        still: rr.AsComponents
+        if isinstance(part, Line):
+            still = rr.LineStrips3D.from_fields(
+                strips=None if part.moves else [part.points], radii=[part.radius],
+                colors=[part.color])
+        else:
+            still = rr.Boxes3D.from_fields(
+                centers=None if part.moves else [part.center], half_sizes=[part.half_size],
+                colors=[part.color], fill_mode=rr.components.FillMode.Solid)
+        stream.log(part_path(name), still, static=True, strict=True)

@@ -1,0 +1,261 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Show samples in the rerun viewer: to a file, to a running viewer, or as a server."""
+
+import time
+from typing import final
+
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer import rerun_layout as layout
+from hnn_vi_ros.viewer.phase_portrait import frames_of, reach_of
+from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, make_blueprint
+from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
+import numpy as np
+import rerun as rr
+
+# More phase portraits would not fit into a window.
+MOST_PORTRAITS = 8
+# Wall time between sends [s]. A viewer should not lag. A file loses so much when the process is
+# killed, a tenth of the run at most; but of each send the SDK keeps some 20 kB until the file is
+# closed, for its index, and a send takes 0.2 MB for each second: 2.4 MB an hour and 6 MB once.
+GATHER_LIVE, GATHER_FILE = 0.15, 0.5
+GATHER_SHARE, GATHER_MOST = 0.1, 30.0
+# More samples than this are sent at once: a run that no clock holds back hands out many.
+MOST_PENDING = 1024
+
+
+@final
+class RerunSink:
+    """
+    A recording of one run: state and energy series, phase portraits, the mechanism, events.
+
+    Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three timelines:
+    ``sim_time`` (simulated time), ``step`` and ``ros_time``. Samples are thinned out in
+    simulated time and gathered for a moment of wall time between sends.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scene; recordings of one name share a layout in the viewer.
+    target : Path, str or int
+        A file to write (must not exist), the URL of a viewer to connect to
+        (``rerun+http://127.0.0.1:9876/proxy``), or the port to serve viewers on.
+    hamiltonian : Hamiltonian
+        H, for the contours of the phase portraits and the names and units of the series.
+    q0, p0 : np.ndarray, shape (d,)
+        Initial state.
+    box : tuple of np.ndarray, shape (d, 2) each, optional
+        Lowest and highest q and p of the training data.
+    mechanism : callable, optional
+        What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
+    conservative : bool
+        Whether no effect does work; else the work is shown.
+    modified : bool
+        Whether a modified energy is known, to be shown where no work is done.
+    interval : int
+        Simulated time between two samples that are shown [ns]; 0 shows every sample.
+    pace : float, optional
+        The real-time factor that is asked for.
+    begin : tuple of int
+        Stamp [ns] and step of the initial state.
+    epoch : int
+        ROS time at stamp 0 [ns].
+
+    Raises
+    ------
+    RecordingError
+        The file exists or cannot be written, no viewer listens, or the port is taken.
+
+    """
+
+    def __init__(self, name: str, target: Target, hamiltonian: Hamiltonian, q0: np.ndarray,
+                 p0: np.ndarray, *, box: tuple[np.ndarray, np.ndarray] | None = None,
+                 mechanism: Mechanism | None = None, conservative: bool = True,
+                 modified: bool = True, interval: int = 33_333_333,
+                 pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
+        self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
+        self._invariants = hamiltonian.invariants
+        self._interval, self._epoch, self._due = max(1, interval), epoch, 0
+        self._begin = begin
+        self._pending: list[Sample] = []
+        # Stamp, step, microseconds per step (median and p99), real-time factor.
+        self._timings: list[tuple[int, int, tuple[float, float], float]] = []
+        # The newest sample, the newest that is to be shown, the newest that was sent.
+        self._newest: Sample | None = None
+        self._kept: Sample | None = None
+        self._sent: Sample | None = None
+        self._reach = 0.0
+        # Stamp, step, text and level.
+        self._events: list[tuple[int, int, str, str]] = []
+        self._closed = False
+        self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
+        relative = float(hamiltonian.energy(q0, p0)) != 0.0
+        self._labels = layout.series_labels(
+            self._coordinates, relative, conservative, modified, list(self._invariants))
+        self._draw_still(hamiltonian, q0, p0, box, pace)
+        self._began = self._sent_at = time.monotonic()
+
+    def write(self, sample: Sample) -> None:
+        """Show a sample, unless it falls in the same interval as the one shown before it."""
+        self._newest = sample
+        if sample.stamp < self._due:
+            return
+        # On the grid of the interval, so that the mean rate holds for any rate of samples.
+        self._due = (sample.stamp // self._interval + 1) * self._interval
+        self._kept = sample
+        self._pending.append(sample)
+        if len(self._pending) == MOST_PENDING:
+            self._send()
+        else:
+            self._send_if_due()
+
+    def event(self, text: str, level: str = 'INFO', at: tuple[int, int] | None = None) -> None:
+        """Show a line at a stamp [ns] and step, by default those of the newest sample."""
+        if self._closed:
+            raise RecordingError('the rerun recording is closed; open a new one')
+        newest = (self._newest.stamp, self._newest.step) if self._newest else self._begin
+        self._events.append((*(at or newest), text, level))
+        if self._stream.live:
+            self._send_events()
+        else:
+            self._send_if_due()
+
+    def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float
+               ) -> None:
+        """Show the wall time of a step [us], median and p99, and the pace, if there is one."""
+        if self._newest is not None and np.isfinite(real_time_factor):
+            self._timings.append((self._newest.stamp, self._newest.step,
+                                  microseconds_per_step, real_time_factor))
+        # The last to come where no sample follows: it takes what waits along.
+        self._send_if_due()
+
+    def close(self) -> None:
+        """
+        Send what is left, the newest sample included, and close the target within a second.
+
+        Closing again does nothing.
+
+        Raises
+        ------
+        RecordingError
+            Not everything was taken, because the viewer is gone or the disk is full.
+
+        """
+        if self._closed:
+            return
+        if self._newest is not None and self._newest is not self._kept:
+            self._pending.append(self._newest)
+        self._closed = True
+        try:
+            self._send()
+        finally:
+            self._stream.close()
+
+    def _gather(self) -> float:
+        """Return the wall time from the last send to the next [s]."""
+        if self._stream.live:
+            return GATHER_LIVE
+        share = GATHER_SHARE * (self._sent_at - self._began)
+        return min(max(GATHER_FILE, share), GATHER_MOST)
+
+    def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
+                    box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
+        shown = hamiltonian.coordinates[:MOST_PORTRAITS]
+        framed = hamiltonian.dimension if self._mechanism is not None else len(shown)
+        frames = frames_of(hamiltonian, q0, p0, box, framed)
+        parts, bounds = {}, None
+        if self._mechanism is not None:
+            self._reach = reach_of(frames)
+            ends = np.array([frame.q for frame in frames]).T
+            parts = self._mechanism(ends, self._reach)
+            bounds = bounds_of(parts)
+        arrangement = Arrangement(len(shown), bounds)
+        self._stream.send_blueprint(
+            make_blueprint(shown, self._labels, arrangement, self._interval, pace))
+        recording = self._stream.recording
+        layout.log_series_styles(recording, self._labels | layout.TIMING)
+        for frame in frames[:len(shown)]:
+            layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
+        if parts:
+            layout.log_mechanism_styles(recording, parts)
+
+    def _send_if_due(self) -> None:
+        if self._sent_at + self._gather() <= time.monotonic():
+            self._send()
+
+    def _send(self) -> None:
+        samples, self._pending = self._pending, []
+        self._sent_at = time.monotonic()
+        self._stream.check()
+        self._send_events()
+        self._send_timings()
+        if not samples:
+            return
+        times = self._times([s.stamp for s in samples], [s.step for s in samples])
+        q, p = np.array([s.q for s in samples]), np.array([s.p for s in samples])
+        series = {'/state/q': q, '/state/p': p,
+                  '/energy/H': [s.energy for s in samples],
+                  '/energy/modified': [s.modified_energy for s in samples],
+                  '/energy/work': [s.work for s in samples],
+                  '/energy/error': [s.energy_error for s in samples],
+                  '/invariants': [[function(s.q, s.p) for function in
+                                   self._invariants.values()] for s in samples]}
+        for path in self._labels:
+            self._columns(path, times, _scalars(np.asarray(series[path])))
+        self._send_portraits(times, samples, q, p)
+        if self._mechanism is not None:
+            self._send_mechanism(times, q)
+        self._sent = samples[-1]
+
+    def _send_events(self) -> None:
+        events, self._events = self._events, []
+        if events:
+            stamps, steps, texts, levels = (list(column) for column in zip(*events, strict=True))
+            self._columns('/events', self._times(stamps, steps),
+                          rr.TextLog.columns(text=texts, level=levels))
+
+    def _send_timings(self) -> None:
+        timings, self._timings = self._timings, []
+        if timings:
+            stamps, steps, *series = zip(*timings, strict=True)
+            times = self._times(list(stamps), list(steps))
+            for path, values in zip(layout.TIMING, series, strict=True):
+                self._columns(path, times, _scalars(np.array(values)))
+
+    def _send_portraits(self, times: list[rr.TimeColumn], samples: list[Sample], q: np.ndarray,
+                        p: np.ndarray) -> None:
+        """Add to each trail the segments that lead to the new points."""
+        before = self._sent or samples[0]
+        points = np.stack([np.vstack([before.q, q]), np.vstack([before.p, p])], axis=-1)
+        for axis, coordinate in enumerate(self._coordinates[:MOST_PORTRAITS]):
+            path = layout.phase_path(coordinate)
+            segments = np.stack([points[:-1, axis], points[1:, axis]], axis=1)
+            self._columns(f'{path}/trail', times, rr.LineStrips2D.columns(strips=segments))
+            self._columns(f'{path}/state', times, rr.Points2D.columns(positions=points[1:, axis]))
+
+    def _send_mechanism(self, times: list[rr.TimeColumn], q: np.ndarray) -> None:
+        for name, part in self._mechanism(q, self._reach).items():
+            if part.moves:
+                columns = rr.LineStrips3D.columns(strips=part.points) \
+                    if isinstance(part, Line) else rr.Boxes3D.columns(centers=part.center)
+                self._columns(layout.part_path(name), times, columns)
+
+    def _times(self, stamps: list[int], steps: list[int]) -> list[rr.TimeColumn]:
+        stamp = np.array(stamps, dtype=np.int64)
+        return [rr.TimeColumn('sim_time', duration=stamp.astype('timedelta64[ns]')),
+                rr.TimeColumn('step', sequence=steps),
+                rr.TimeColumn('ros_time',
+                              timestamp=(self._epoch + stamp).astype('datetime64[ns]'))]
+
+    def _columns(self, path: str, times: list[rr.TimeColumn], columns: rr.ComponentColumnList
+                 ) -> None:
+        self._stream.recording.send_columns(path, times, columns, strict=True)
+
+
+def _scalars(values: np.ndarray) -> rr.ComponentColumnList:
+    """Make one row a sample, of shape (n,) or (n, d)."""
+    columns = rr.Scalars.columns(scalars=values.reshape(-1))
+    return columns if values.ndim == 1 else columns.partition([values.shape[1]] * len(values))
