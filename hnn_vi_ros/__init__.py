@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.run.ensemble import simulate
+    from hnn_vi_ros.run.ensemble import simulate, simulate_many
     from hnn_vi_ros.scene import load_scene
 
-__all__ = ['__version__', 'load_scene', 'simulate']
+__all__ = ['__version__', 'load_scene', 'simulate', 'simulate_many']
 
-_HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.run.ensemble'}
+_HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.run.ensemble',
+          'simulate_many': 'hnn_vi_ros.run.ensemble'}
 
 
 def __getattr__(name: str) -> object:
