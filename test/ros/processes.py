@@ -27,7 +27,9 @@ def start(folder: Path, **parameters: object) -> subprocess.Popen:
 
 def start_executable(name: str, *words: object, folder: Path | None = None) -> subprocess.Popen:
     """Start one of the package's executables."""
-    code = f'from hnn_vi_ros.cli import {name}; {name}()'
+    # What started the tests may have made them deaf to a closed terminal, as nohup does.
+    code = ('import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); '
+            f'from hnn_vi_ros.cli import {name}; {name}()')
     # Files, not pipes: a pipe that nobody empties stops who writes to it.
     outputs = tempfile.TemporaryFile('w+'), tempfile.TemporaryFile('w+')
     process = subprocess.Popen([sys.executable, '-c', code, *map(str, words)], cwd=folder,
