@@ -227,12 +227,12 @@ def page(rows: list[Row]) -> Iterator[str]:
     yield from (
         '# The automatic choice on systems that are not shipped', '',
         'What `integrator: auto` chose for systems that it was not made for, and what a sweep of',
-        f'{len(_METHODS)} methods and steps of up to half a period, a factor {_RATIO} apart, finds.',
-        'The error of a choice is measured anew, at every step up to the horizon, against an exact orbit or DOP853 of',
-        'scipy at 3e-14; energies are relative to the mean of abs(p . H_p). Cost is counted in',
-        'gradients a simulated second, by which auto chooses. The ratio of times is that of this',
-        'machine, in one run each, and noisy. A row is missed where the error exceeds the budget',
-        'or the cost is more than 1.5 times the best of the sweep.', '',
+        f'{len(_METHODS)} methods and steps of up to half a period, a factor {_RATIO} apart,',
+        'finds. The error of a choice is measured anew, at every step up to the horizon,',
+        'against an exact orbit or DOP853 of scipy at 3e-14; energies are relative to the mean of',
+        'abs(p . H_p). Cost is counted in gradients a simulated second, by which auto chooses.',
+        'The ratio of times is that of this machine, in one run each, and noisy. A row is missed',
+        'where the error exceeds the budget or the cost is more than 1.5 times the best.', '',
         f'Held at that cost: {good} of {len(rows)} rows, of the {len(systems()) * len(BUDGETS)} '
         'that there are to be measured.',
         'Made in `test/`, where it goes on with the rows that are missing, by',
