@@ -127,3 +127,32 @@ def test_solution_guard_raises_its_alarm_once():
     assert 'in 3 steps so far; use a smaller step_size' in alarm.message
     assert guard.update(look(simulation)) is None
     assert np.isfinite(guard.renew(look(simulation)).value)
+
+
+def test_run_that_is_resumed_takes_the_same_solutions_bit_by_bit():
+    run, resumed = wavy(), wavy()
+    run.advance(3)
+    snapshot, several = run.snapshot(), run.several_solutions
+    expected = run.record(40, 1)
+    assert run.several_solutions > several
+    resumed.restore(snapshot)
+    assert np.array_equal(resumed.record(40, 1), expected)
+
+
+def test_trajectories_together_take_the_solutions_that_each_takes_alone():
+    starts = np.random.default_rng(2).uniform(-1.0, 1.0, (4, 2))
+    alone, compared = wavy(), 0
+    together = Simulation(Wavy(), INTEGRATORS['variational_euler'](), H, starts[:, :1],
+                          starts[:, 1:])
+    for _ in range(8):
+        before = together.q.ravel().copy(), together.p.ravel().copy()
+        together.advance(1)
+        if together.rescued:
+            break
+        for q, p, end in zip(*before, together.p.ravel(), strict=True):
+            alone.restart([q], [p])
+            alone.advance(1)
+            # As above; all of them are iterated until the last one has converged.
+            assert end == pytest.approx(alone.p[0], abs=1e-11)
+            compared += 1
+    assert compared >= 8

@@ -22,8 +22,8 @@ class Thermostat(StepEffect):
     """
     Langevin dynamics, dP = -H_q dt - gamma P dt + sqrt(2 gamma M kT) dW, by BAOAB.
 
-    P = M v is the velocity's; M, the inverse of H_pp, may depend on q. Friction and noise, between
-    the halves of a leapfrog step, keep exp(-H / kT); see ``stir``. Energy account: the heat.
+    P = M v is the velocity's; M, the inverse of H_pp, may depend on q. Friction and noise act amid
+    a leapfrog step and keep the density exp(-H / kT); see ``stir``. Energy account: the heat.
 
     Parameters
     ----------

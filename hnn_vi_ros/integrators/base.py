@@ -60,9 +60,10 @@ class Memory(NamedTuple):
 
     Parameters
     ----------
-    count : np.ndarray, shape (2,)
-        How many earlier solutions ``increments`` holds; and 1 if the first iteration of a solve
-        did not contract.
+    count : np.ndarray, shape (1,)
+        How many earlier solutions ``increments`` holds.
+    slow_start : np.ndarray, shape (1,)
+        1 if the first iteration of the last solve did not halve its residual, else 0.
     increments : np.ndarray, shape (3, N)
         Earlier solutions less their starting points, the newest first.
     scale, own_scale : np.ndarray, shape (N,)
@@ -73,8 +74,6 @@ class Memory(NamedTuple):
         The last iterate that was good enough.
     newton : np.ndarray, shape (N,)
         A Newton step.
-    pivots : np.ndarray, shape (N,)
-        The rows that were exchanged to factorise the matrix.
     values, residuals, basis : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their residuals, by Anderson's method.
     triangle : np.ndarray, shape (4, 4)
@@ -91,6 +90,7 @@ class Memory(NamedTuple):
     """
 
     count: np.ndarray
+    slow_start: np.ndarray
     increments: np.ndarray
     scale: np.ndarray
     own_scale: np.ndarray
@@ -116,8 +116,8 @@ class Memory(NamedTuple):
         m = KRYLOV_DIMENSION if n > min(FAST_MATRIX, largest_matrix) else 0
         shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side),
                   (m + 1, n) if m else (0, 0), (m + 1, m), (3, m + 1)]
-        return cls(np.zeros(2, dtype=np.int64), *[np.zeros(shape, dtype) for shape in shapes],
-                   np.zeros(side, dtype=np.int64))
+        return cls(*np.zeros((2, 1), dtype=np.int64),
+                   *[np.zeros(shape, dtype) for shape in shapes], np.zeros(side, dtype=np.int64))
 
 
 class Integrator(ABC):

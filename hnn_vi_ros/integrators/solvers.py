@@ -98,8 +98,8 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
             return outcome, residual, k
         if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
-        if k == 2 and residual > 0.5 * previous > _NOISE:
-            memory.count[1] = 1
+        if k == 2:
+            memory.slow_start[0] = residual > 0.5 * previous > _NOISE
         previous = residual
         if k == max_iterations:
             break
@@ -135,8 +135,8 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
             return outcome, residual, k
         if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
-        if k == 2 and residual > 0.5 * previous > _NOISE:
-            memory.count[1] = 1
+        if k == 2:
+            memory.slow_start[0] = residual > 0.5 * previous > _NOISE
         previous = residual
         if stage != old_stage:
             # Residuals relative to something else are not to be combined with these.
@@ -160,9 +160,8 @@ def is_in_doubt(options: SolverOptions, memory: Memory, iterations: int, d: int)
     # In this order: what is read from arrays costs more.
     if not options.connected or iterations < 3:
         return False
-    if iterations <= _QUICK + min(d - 1, _DEPTH) and memory.count[1] == 0:
+    if iterations <= _QUICK + min(d - 1, _DEPTH) and memory.slow_start[0] == 0:
         return False
-    memory.count[1] = 0
     return 0 < memory.matrix.shape[0] <= FAST_MATRIX
 
 

@@ -304,9 +304,10 @@ class Simulation:
             if outcome == OK:
                 break
             failure = self._take_failed_step(outcome, residual, spent)
-            done += failure is None
-            if done % every == 0 and failure is None:
-                q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
+            if failure is None:
+                done += 1
+                if done % every == 0:
+                    q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
         self._update_gradient()
         if failure is not None:
             raise failure
