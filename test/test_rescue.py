@@ -6,6 +6,7 @@ from helpers import Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.guards.cost import CostGuard
+from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -222,6 +223,20 @@ def test_slow_steps_of_generalized_leapfrog_beyond_its_limit_are_an_alarm(h: flo
     for alarm in watch.alarms:
         assert alarm.limit == 5 * 20 < alarm.value <= simulation.costliest[0]
         assert 'use a smaller step_size or another integrator' in alarm.message
+
+
+@pytest.mark.filterwarnings('ignore:Plain is not a tanh network')
+def test_rescued_steps_are_an_alarm_that_counts_them():
+    """Far below what a slow step is: with sub-steps the costliest takes 80 gradients of 100."""
+    simulation = tao(0.8)
+    watch = Watch(simulation, None, kinds=(RescueGuard,))
+    for _ in range(20):
+        simulation.advance(1)
+        watch.update(look(simulation))
+    assert simulation.rescued > 1
+    first, = watch.alarms
+    assert (first.kind, first.value) == ('rescued steps', 1)
+    assert RescueGuard(simulation).update(look(simulation)).value == simulation.rescued
 
 
 @pytest.mark.filterwarnings('ignore:Plain is not a tanh network')

@@ -10,6 +10,7 @@ from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.invariant import InvariantGuard
+from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.simulation import Simulation
@@ -50,3 +51,4 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
         yield BarrierGuard(*barrier, method.order)
     if simulation.connected:
         yield SolutionGuard(simulation)
+    yield RescueGuard(simulation)

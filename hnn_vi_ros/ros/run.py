@@ -167,7 +167,6 @@ class Run:
         """
         simulation, every = self.simulation, self.sampler.every
         n = int(min(self._batch, every - simulation.steps % every, most))
-        rescued = simulation.rescued
         try:
             seconds = self._monitor.advance(n)
         except StoppedByEvent as stop:
@@ -186,10 +185,6 @@ class Run:
         self._events.hand_out(self.sampler, self.recording)
         if n == self._batch:
             self._batch = 2 * n if seconds < 0.2 * LONGEST_CALL else max(1, n // 2)
-        if simulation.rescued > rescued:
-            self._node.get_logger().warning(
-                f'steps that converged only in parts: {simulation.rescued}; use a smaller '
-                'step_size', throttle_duration_sec=1.0)
         if self.at_sample:
             self._hand_out()
             if simulation.steps >= self._last_step:

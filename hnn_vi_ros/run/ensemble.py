@@ -13,6 +13,7 @@ from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.watch import energies_of, show_many, tell, tell_many, Watch
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
@@ -233,7 +234,7 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         block = slice(first, first + size)
         # Each trajectory has noise of its own.
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
-        watch = Watch(simulation, None, kinds=(EnergyGuard, CostGuard))
+        watch = Watch(simulation, None, kinds=(EnergyGuard, CostGuard, RescueGuard))
         q_block, p_block = record_samples(simulation, samples, every, watch)
         for own in alarms[block]:
             own += watch.alarms

@@ -10,9 +10,9 @@ from hnn_vi_ros.accuracy.diagnostics import (
     stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.barrier import BarrierGuard
-from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation
@@ -27,9 +27,8 @@ BLOCKS = 100
 _STATES, _WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.
 _JUDGED = 2
-_RESCUED = 'steps in parts'
 # What is judged is the motion: that a step was slow says nothing about it.
-_GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, ResolutionGuard)
+_GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard)
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
 
@@ -82,7 +81,6 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
     energies, modified, seen = [], [], []
     try:
         for q, p in blocks(job, simulation):
-            _hear_of_rescue(simulation, measured)
             energy, others = energies_of(simulation, q, p)
             energies.append(energy - start)
             modified.append(others)
@@ -108,12 +106,6 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
             measured.modified_band = energy_band(np.concatenate(modified) - modified_start)
     _finish(job, simulation, measured, energies if modified_start is None else modified)
     _judge_steps(simulation, job, seen, measured)
-
-
-def _hear_of_rescue(simulation: Simulation, measured: Measured) -> None:
-    """Note the first steps that were taken otherwise than by the method, as the node tells it."""
-    if simulation.rescued and all(alarm.kind != _RESCUED for alarm in measured.alarms):
-        measured.alarms.append(Alarm(_RESCUED, simulation.steps, simulation.rescued, 0.0, ''))
 
 
 def blocks(job: Job, simulation: Simulation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -195,7 +187,7 @@ def _finish(job: Job, simulation: Simulation, measured: Measured, judged: list[n
     elif name == 'Lyapunov time' and measured.failure is None:
         measured.measures[name] = lyapunov_time(job)
     if simulation.rescued:
-        measured.measures[_RESCUED] = simulation.rescued
+        measured.measures[RescueGuard.kind] = simulation.rescued
     most = job.case.at_most
     if most is not None and measured.measures.get(name, 0.0) > most:
         measured.broken.append(f'{name} > {most:g}')

@@ -17,6 +17,7 @@ from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.guards.solutions import SolutionGuard
@@ -208,16 +209,18 @@ def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'varia
 
 
 @pytest.mark.parametrize('simulation, expected', [
-    (simulation_of(), [ResolutionGuard, EnergyGuard, CostGuard]),
-    (simulation_of('pendulum'), [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard]),
+    (simulation_of(), [ResolutionGuard, EnergyGuard, CostGuard, RescueGuard]),
+    (simulation_of('pendulum'),
+     [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, RescueGuard]),
     (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)),
-     [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard]),
-    (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]), [EnergyGuard, CostGuard]),
+     [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, RescueGuard]),
+    (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]),
+     [EnergyGuard, CostGuard, RescueGuard]),
     # Gravity beside a pendulum's own moves its separatrix.
     (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]),
-     [ResolutionGuard, EnergyGuard, CostGuard]),
+     [ResolutionGuard, EnergyGuard, CostGuard, RescueGuard]),
     (build(load_scene('pendulum')),
-     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, SolutionGuard]),
+     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, SolutionGuard, RescueGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
     guards = make_guards(simulation, fixed(1.0), 0.05, 0.02, simulation.hamiltonian.barrier)
