@@ -42,6 +42,25 @@ def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys):
     assert 'left' in capsys.readouterr().out
 
 
+def test_rows_of_groups_that_were_measured_before_an_interruption_are_found_again(tmp_path):
+    def broken(settings: Settings) -> Iterator[Row]:
+        yield from ()
+        raise RuntimeError('interrupted')
+
+    row, again = Row('row', '1', '2', 0.5, (0.4, 0.6), 1.0, 3, note='Kept.'), []
+
+    def once(settings: Settings) -> Iterator[Row]:
+        again.append(1)
+        yield row
+
+    groups = {'once': (once, 1.0), 'broken': (broken, 1.0)}
+    with pytest.raises(RuntimeError, match='interrupted'):
+        run(groups, 1, quick=False, keep=tmp_path)
+    assert run({'once': (once, 1.0)}, 1, quick=False, keep=tmp_path) == [row]
+    assert again == [1]
+    assert [path.name for path in tmp_path.iterdir()] == ['once.json']
+
+
 def test_ratio_is_the_median_of_those_of_each_turn():
     row = compare('name', np.array([1.0, 2.0, 9.0]), np.array([2.0, 2.0, 2.0]), target=1.0)
     assert (row.ratio, row.quartiles, row.repetitions, row.met) == (1.0, (0.75, 2.75), 3, True)

@@ -11,7 +11,8 @@ import sys
 import time
 
 from benchmarks.measurement import Row, Settings
-from benchmarks.report import as_json, as_markdown, as_table
+from benchmarks.report import as_json, as_markdown, as_table, read_rows, write_rows
+from hnn_vi_ros.studies.results import commit
 
 # A group of rows: its module, and about how long it takes [s].
 GROUPS = {
@@ -32,7 +33,8 @@ _SINGLE_THREAD = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS', 
 Measure = Callable[[Settings], Iterator[Row]]
 
 
-def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bool) -> list[Row]:
+def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bool,
+        keep: Path | None = None) -> list[Row]:
     """
     Measure groups of rows one after another, and print each row and the time that is left.
 
@@ -42,6 +44,8 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
         From a name to a function that yields rows, and about how long it takes [s].
     repetitions, quick
         See Settings.
+    keep : Path, optional
+        Folder in which the rows of each group are kept, and found again.
 
     Raises
     ------
@@ -52,16 +56,25 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
     rows: list[Row] = []
     start, expected = time.monotonic(), sum(seconds for _, seconds in groups.values())
     for name, (measure, seconds) in groups.items():
+        kept = None if keep is None else keep / f'{name}.json'
+        if kept is not None and (found := read_rows(kept)) is not None:
+            print(f'{name}: measured before, in {kept}', flush=True)
+            rows += found
+            expected -= seconds
+            continue
         elapsed = time.monotonic() - start
         left = '' if quick else f', about {max(expected, 0.0) / 60.0:.0f} min left'
         print(f'{name}: {elapsed:.0f} s gone{left}', flush=True)
         settings = Settings(
             repetitions, quick, lambda text: print(f'  {text} ...', flush=True))
+        first = len(rows)
         for row in measure(settings):
             if row.name in {other.name for other in rows}:
                 raise ValueError(f'two rows are named {row.name!r}')
             rows.append(row)
             print(f'  = {row.name}: {row.ratio:.2f} {row.unit}'.rstrip(), flush=True)
+        if kept is not None:
+            write_rows(kept, rows[first:])
         expected -= seconds
     return rows
 
@@ -81,13 +94,19 @@ def main(argv: list[str]) -> int:
     parser.add_argument('--quick', action='store_true', help='few and short repetitions')
     parser.add_argument('--out', type=Path, default=Path('docs'),
                         help='folder for benchmarks.md and benchmarks.json')
+    parser.add_argument('--keep', type=Path, default=Path('bench'),
+                        help='where groups of rows are kept, by commit, so that an interruption '
+                        'loses none')
     arguments = parser.parse_args(argv)
     if missing := [name for name in _SINGLE_THREAD if name not in os.environ]:
         parser.error(f'{", ".join(missing)} must be set to keep the peers to one thread; '
                      'use: make bench')
+    # With spaces: changed files, or no checkout. Then nothing tells what rows were measured on.
+    state = commit()
     modules = {name: import_module(GROUPS[name][0]) for name in arguments.rows}
     rows = run({name: (module.rows, GROUPS[name][1]) for name, module in modules.items()},
-               3 if arguments.quick else 21, arguments.quick)
+               3 if arguments.quick else 21, arguments.quick,
+               None if arguments.quick or ' ' in state else arguments.keep / state)
     print(as_table(rows))
     if arguments.quick or list(arguments.rows) != list(GROUPS):
         print('Not written: only a whole run without --quick is.')

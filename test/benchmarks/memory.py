@@ -20,6 +20,7 @@ from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.viewer import rerun_sink
@@ -102,7 +103,7 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
     box = look_ahead(simulation, 1.0).box
     sampler, topics = Sampler(simulation, 1.0 / _STEP), Topics(node, False)
     monitor = Monitor(simulation, 1, _STEP, None, lambda text, first: None)
-    topics.open(simulation, monitor, scene.mechanism, box, 'world')
+    topics.open(simulation, monitor, scene.mechanism, box, 'world', lambda topic, payload: None)
     # To the files, the samples come at the pace of the clock.
     clock = SimpleNamespace(monotonic=lambda: sampler.time, time_ns=time.time_ns)
     with patch.object(mcap_sink, 'time', clock), patch.object(rerun_sink, 'time', clock):
@@ -110,7 +111,7 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
             node.get_logger(), scene, simulation,
             {'record': True, 'record_path': str(folder / 'bag'), 'rerun_sink': 'file',
              'rerun_path': str(folder / 'picture.rrd'), 'real_time_factor': 1.0},
-            topics.descriptions, box)
+            topics.descriptions, box, scene_report(scene, simulation), sampler)
         for tick in range(ticks):
             if tick == round(_WARM_SHARE * ticks):
                 before = _resident('self')

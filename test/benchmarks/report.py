@@ -3,9 +3,11 @@
 """The benchmark's table: for people in Markdown, for programs in JSON."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime, UTC
 from importlib.metadata import PackageNotFoundError, version
 import json
+from pathlib import Path
 import platform
 
 from benchmarks.measurement import Row
@@ -27,6 +29,20 @@ def as_json(rows: Sequence[Row]) -> str:
     return json.dumps(
         [{'name': row.name, 'ratio': row.ratio, 'target': row.target} for row in rows],
         indent=2) + '\n'
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Keep the rows of a group."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps([asdict(row) for row in rows], indent=2) + '\n')
+
+
+def read_rows(path: Path) -> list[Row] | None:
+    """Return the rows of a group that were kept, None where there are none."""
+    if not path.is_file():
+        return None
+    return [Row(**{**row, 'quartiles': tuple(row['quartiles'])})
+            for row in json.loads(path.read_text())]
 
 
 def as_table(rows: Sequence[Row]) -> str:
