@@ -8,7 +8,8 @@ import sys
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.compilation import compiled_loop, is_own
+from hnn_vi_ros.kernels.compilation import compiled_loop
+from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.loops import advance
 import numba

@@ -3,6 +3,8 @@
 """Scenes: what is valid, what each mistake is answered with, and that nothing gets through."""
 
 from pathlib import Path
+import subprocess
+import sys
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
@@ -49,6 +51,22 @@ def test_scene_file_is_read(write):
     assert (scene.name, scene.step_size, scene.initial_state.p) == ('mine', 0.01, [0.0])
     assert scene.create_hamiltonian().mass == 2.0
     assert load_scene(str(scene.source)) == scene
+
+
+@pytest.mark.parametrize('code', [
+    'import hnn_vi_ros; hnn_vi_ros.load_scene({scene!r})',
+    "sys.argv[1:] = ['--list']; from hnn_vi_ros import cli; cli.scene()",
+    "sys.argv[1:] = ['--schema']; from hnn_vi_ros import cli; cli.scene()"])
+def test_scene_is_read_without_a_compiler(write, code):
+    code = f"""import sys
+try:
+    {code.format(scene=str(write(ACTED_ON)))}
+except SystemExit as end:
+    assert not end.code, end
+print(sorted(sys.modules.keys() & {{'numba', 'llvmlite', 'scipy', 'torch'}}), file=sys.stderr)"""
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            timeout=120, check=False)
+    assert (result.returncode, result.stderr) == (0, '[]\n')
 
 
 @pytest.mark.parametrize('name', shipped_names('scene'))

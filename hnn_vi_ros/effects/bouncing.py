@@ -9,8 +9,8 @@ from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of, scratch
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point
-from hnn_vi_ros.kernels.compilation import called, inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

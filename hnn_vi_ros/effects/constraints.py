@@ -7,7 +7,7 @@ from functools import cache
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.points import add_along, distance, separation
-from hnn_vi_ros.kernels.compilation import called, inlined
+from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
 

@@ -5,7 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.dense_output import cubic, quintic
-from hnn_vi_ros.kernels.compilation import called
+from hnn_vi_ros.kernels.marks import called
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -12,7 +12,7 @@ from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np

@@ -7,7 +7,7 @@ import math
 
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

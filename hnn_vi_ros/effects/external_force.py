@@ -5,9 +5,8 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
-from hnn_vi_ros.effects.input_map import add_by_map, add_by_place, load_map, resolve_map
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -58,10 +57,15 @@ class ExternalForce(Force):
                 not coordinates or len(set(coordinates)) < len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.timeout = coordinates, float(timeout)
-        self._model = None if model is None else load_map(model)
+        if model is not None:
+            from hnn_vi_ros.effects.input_map import load_map
+            model = load_map(model)
+        self._model = model
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the command, the clock, the numbers' places, and what adds their forces."""
+        # Imported here: it is compiled, which who only reads a scene has no use for.
+        from hnn_vi_ros.effects.input_map import add_by_map, add_by_place, resolve_map
         if self._model is None:
             places = np.array([coordinate_index(coordinates, name) for name in self.coordinates])
             return live.command, live.clock, places, add_by_place, (places,)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -8,8 +8,9 @@ from functools import cache
 from hnn_vi_ros.effects.base import Force, Live, Potential
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.integrators.arithmetic import largest
-from hnn_vi_ros.kernels.compilation import composed, functions_of, inlined
+from hnn_vi_ros.kernels.compilation import composed, functions_of
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))

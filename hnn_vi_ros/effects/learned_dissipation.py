@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from hnn_vi_ros.effects.base import Force, Live
 from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.compilation import identify, inlined
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -51,6 +50,8 @@ class LearnedDissipation(Force):
         if family not in networks:
             raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
                              f'one of the family {" or ".join(networks)}')
+        # Imported here: it is compiled, which who only reads a scene has no use for.
+        from hnn_vi_ros.models.neural import NeuralHamiltonian
         self.network = NeuralHamiltonian(checkpoint, networks[family])
 
     @property
@@ -63,6 +64,7 @@ class LearnedDissipation(Force):
         if len(coordinates) != self.network.dimension:
             raise ValueError(f'the model has {self.network.dimension} coordinates, H has '
                              f'{len(coordinates)}')
+        from hnn_vi_ros.kernels.compilation import identify
         kernel = self.network.twin().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
             identify(function)

@@ -5,7 +5,7 @@
 import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 # States near the initial one at which different rates of friction are tried.

@@ -9,9 +9,9 @@ from hnn_vi_ros.effects.noise import draw_uniform, fill_normals
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Point
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 # Rounding of the sum of terms that an energy is, in units of its last place.

@@ -9,9 +9,9 @@ from hnn_vi_ros.effects.constraints import Constraints, evaluator
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, OK, Point, REDUNDANT
-from hnn_vi_ros.kernels.compilation import called, inlined, is_own
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
+from hnn_vi_ros.kernels.marks import called, inlined, is_own
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from hnn_vi_ros.effects.wrapped import energy_of, scratch
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Memory, OK, Point
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 
 
 def strang(flow: Callable, step: Callable, keeps_gradient: bool) -> Callable:

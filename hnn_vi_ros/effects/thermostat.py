@@ -7,13 +7,12 @@ from functools import cache
 
 from hnn_vi_ros.effects.base import Live, per_coordinate, StepEffect
 from hnn_vi_ros.effects.masses import check_masses
-from hnn_vi_ros.effects.ornstein_uhlenbeck import Bath, stir
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_MASS, OK, Point
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -59,8 +58,9 @@ class Thermostat(StepEffect):
         """Tell whether the method's step has two halves to stand between."""
         return integrator.halves is not None
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[Bath]:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the bath."""
+        from hnn_vi_ros.effects.ornstein_uhlenbeck import Bath
         return (Bath.of(per_coordinate(coordinates, 'rate', self.rate), self.temperature,
                         self.seed, live.pending.size),)
 
@@ -78,12 +78,12 @@ class Thermostat(StepEffect):
     @cache
     def wrap(halves: tuple[Callable, Callable], keeps_gradient: bool) -> Callable:
         """Return the two halves with the bath between them; see StepEffect."""
+        from hnn_vi_ros.effects.ornstein_uhlenbeck import stir
         first_half, second_half = halves
 
         @inlined
         def bathed(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
-            """Take one step; see Integrator."""
             inner, (bath,), live, effect = options
             middle = scratch(memory)
             outcome, residual, gradients = first_half(

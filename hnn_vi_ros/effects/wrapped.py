@@ -10,8 +10,8 @@ from typing import final
 from hnn_vi_ros.effects.base import StepEffect
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
-from hnn_vi_ros.kernels.compilation import inlined, is_own
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined, is_own
 
 
 @final

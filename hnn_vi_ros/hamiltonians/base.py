@@ -5,13 +5,12 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from copy import copy
-from functools import cached_property
+from functools import cache, cached_property
 from types import MappingProxyType
 from typing import ClassVar
 
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -93,7 +92,7 @@ class Hamiltonian(ABC):
         """
         flat_q, flat_p = self._flat(q, p)
         energies = np.empty(flat_q.size // self.dimension)
-        loop = _energies_compiled if self.kernel.compiled else _energies
+        loop = _energies_compiled() if self.kernel.compiled else _energies
         loop(self.kernel.energy, self.kernel.parameters, flat_q, flat_p, energies)
         return energies.reshape(np.shape(q)[:-1])
 
@@ -143,4 +142,33 @@ def _energies(energy: Callable, parameters: tuple, q: np.ndarray, p: np.ndarray,
         energies[i] = energy(parameters, q[i * d:(i + 1) * d], p[i * d:(i + 1) * d])
 
 
-_energies_compiled = numba.njit(_energies)
+@cache
+def _energies_compiled() -> Callable:
+    # Imported here: who only reads a scene compiles nothing.
+    import numba
+    return numba.njit(_energies)
+
+
+def compiled_kernel(functions: tuple[Callable, Callable, Callable], parameters: tuple,
+                    dimension: int, gradient_scale: tuple[float, float] = (0.0, 0.0)) -> Kernel:
+    """
+    Return the kernel of an exact system.
+
+    Parameters
+    ----------
+    functions : tuple of callable
+        Energy, gradient and Hessian-vector product, plain Python in numba's subset, which are
+        compiled here; see Kernel.
+    parameters : tuple
+        What they take first.
+    dimension : int
+        d.
+    gradient_scale : tuple of float
+        See Kernel.
+
+    """
+    # Imported here: who only reads a scene compiles nothing.
+    from hnn_vi_ros.kernels.compilation import dispatcher
+    energy, gradient, hessian_vector = (dispatcher(function) for function in functions)
+    return Kernel(energy, gradient, hessian_vector, parameters, dimension, gradient_scale,
+                  compiled=True)

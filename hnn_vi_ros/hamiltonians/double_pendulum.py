@@ -4,12 +4,11 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
-import numba
-from numba.extending import register_jitable
 import numpy as np
 
 
@@ -70,11 +69,11 @@ class DoublePendulum(Hamiltonian):
         parameters = (self.mass1, self.mass2, self.length1, self.length2, self.gravity)
         torques = ((self.mass1 + self.mass2) * self.gravity * self.length1,
                    self.mass2 * self.gravity * self.length2)
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension,
-                      gradient_scale=(max(torques), 0.0), compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), parameters,
+                               self.dimension, (max(torques), 0.0))
 
 
-@register_jitable
+@inlined
 def _rates(parameters: tuple, difference: float, p1: float, p2: float) -> tuple[float, float]:
     """Return H_p for the difference q1 - q2 and the momenta."""
     m1, m2, l1, l2, _ = parameters
@@ -84,7 +83,6 @@ def _rates(parameters: tuple, difference: float, p1: float, p2: float) -> tuple[
             ((m1 + m2) * l1 * p2 - m2 * l2 * cosine * p1) / (m2 * l2 * common))
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     m1, m2, l1, l2, gravity = parameters
     v1, v2 = _rates(parameters, q[0] - q[1], p[0], p[1])
@@ -95,7 +93,6 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
             + gravity * ((m1 + m2) * height1 + m2 * height2))
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     m1, m2, l1, l2, gravity = parameters
@@ -108,7 +105,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i + 1] = v2
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     m1, m2, l1, l2, gravity = parameters

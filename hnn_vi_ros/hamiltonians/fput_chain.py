@@ -4,12 +4,11 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
-import numba
-from numba.extending import register_jitable
 import numpy as np
 
 
@@ -69,11 +68,11 @@ class FputChain(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # Stretches of size 1 / omega, whose springs then hold an energy of order one.
-        return Kernel(_energy, _gradient, _hessian_vector, (self.pairs, self.omega),
-                      self.dimension, gradient_scale=(self.omega, 0.0), compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), (self.pairs, self.omega),
+                               self.dimension, (self.omega, 0.0))
 
 
-@register_jitable
+@inlined
 def _extension(m: int, q: np.ndarray, i: int) -> float:
     """Return sqrt(2) times how far soft spring i, 0 to m, is extended; q has shape (2 m,)."""
     if i == 0:
@@ -83,7 +82,6 @@ def _extension(m: int, q: np.ndarray, i: int) -> float:
     return q[i] - q[m + i] - q[i - 1] - q[m + i - 1]
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     m, omega = parameters
     energy = 0.5 * p[0] * p[0]
@@ -97,7 +95,6 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return energy
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     m, omega = parameters
@@ -112,7 +109,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i]
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     m, omega = parameters

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from functools import cached_property
 import re
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -52,11 +52,9 @@ class FreeParticle(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return Kernel(_energy, _gradient, _hessian_vector, (self.mass,), self.dimension,
-                      gradient_scale=(0.0, 0.0), compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), (self.mass,), self.dimension)
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     (mass,) = parameters
     energy = 0.5 * p[0] * p[0] / mass
@@ -65,7 +63,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return energy
 
 
-@numba.njit(cache=True, error_model='numpy')
+@inlined
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     (mass,) = parameters
@@ -74,7 +72,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i] / mass
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     # The gradient is linear.

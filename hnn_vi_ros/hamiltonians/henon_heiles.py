@@ -4,10 +4,9 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -39,18 +38,16 @@ class HenonHeiles(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # In the triangle the terms of H_q are at most about one, also where they cancel.
-        return Kernel(_energy, _gradient, _hessian_vector, (), self.dimension,
-                      gradient_scale=(1.0, 0.0), compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), (),
+                               self.dimension, (1.0, 0.0))
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     x, y = q[0], q[1]
     return (0.5 * (p[0] * p[0] + p[1] * p[1] + x * x + y * y)
             + x * x * y - y * y * y / 3.0)
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     for i in range(0, q.size, 2):
@@ -61,7 +58,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i + 1] = p[i + 1]
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     for i in range(0, q.size, 2):

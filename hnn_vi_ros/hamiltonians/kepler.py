@@ -5,11 +5,10 @@
 from collections.abc import Callable
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -53,20 +52,17 @@ class Kepler(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return Kernel(_energy, _gradient, _hessian_vector, (self.mu,), self.dimension,
-                      gradient_scale=(0.0, 0.0), compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), (self.mu,), self.dimension)
 
 
 # numpy's rules for division: the centre gives infinity or NaN, which the checks for non-finite
 # states find, rather than an exception out of compiled code.
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     (mu,) = parameters
     distance = np.sqrt(q[0] * q[0] + q[1] * q[1])
     return 0.5 * (p[0] * p[0] + p[1] * p[1]) - mu / distance
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     (mu,) = parameters
@@ -79,7 +75,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i + 1] = p[i + 1]
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     (mu,) = parameters

@@ -4,11 +4,10 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -58,11 +57,10 @@ class Pendulum(Hamiltonian):
         """Return the functions that simulations compile."""
         inertia = self.mass * self.length * self.length
         torque = self.mass * self.gravity * self.length
-        return Kernel(_energy, _gradient, _hessian_vector, (inertia, torque), self.dimension,
-                      gradient_scale=(0.0, 0.0), compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), (inertia, torque),
+                               self.dimension)
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     inertia, torque = parameters
     # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
@@ -70,7 +68,6 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return 0.5 * p[0] * p[0] / inertia + 2.0 * torque * half * half
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inertia, torque = parameters
@@ -79,7 +76,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i] / inertia
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     inertia, torque = parameters

@@ -4,10 +4,9 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
 
 
@@ -30,16 +29,13 @@ class Tao(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return Kernel(_energy, _gradient, _hessian_vector, (), self.dimension, (0.0, 0.0),
-                      compiled=True)
+        return compiled_kernel((_energy, _gradient, _hessian_vector), (), self.dimension)
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return 0.5 * (q[0] * q[0] + 1.0) * (p[0] * p[0] + 1.0)
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     for i in range(q.size):
@@ -47,7 +43,6 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = (q[i] * q[i] + 1.0) * p[i]
 
 
-@numba.njit(cache=True, error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     for i in range(q.size):

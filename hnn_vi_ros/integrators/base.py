@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import is_own
+from hnn_vi_ros.kernels.marks import is_own
 import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.

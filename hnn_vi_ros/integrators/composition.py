@@ -11,8 +11,8 @@ from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 
 BASES = {
     'generalized_leapfrog': GeneralizedLeapfrog,

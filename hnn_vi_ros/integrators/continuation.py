@@ -9,8 +9,8 @@ from typing import NamedTuple
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NO_SOLUTION
 from hnn_vi_ros.integrators.newton import fill_matrix, newton
-from hnn_vi_ros.kernels.compilation import called, inlined
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
+from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
 # Of the way from h = 0; points of it that are tried, and Newton steps at each.

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 

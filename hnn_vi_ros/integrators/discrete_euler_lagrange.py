@@ -11,7 +11,6 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.lagrangian import midpoint_action
 import numpy as np
 
 _ITERATIONS = 30
@@ -65,6 +64,8 @@ class DiscreteEulerLagrange(Integrator):
             raise ValueError('discrete_lagrangian is required, or a model in its place')
         self._model = None if model is None else load_checkpoint(model)
         if self._model is not None:
+            # Imported here: it is compiled, which who only reads a scene has no use for.
+            from hnn_vi_ros.models.lagrangian import midpoint_action
             self.discrete_lagrangian, self.order = midpoint_action(self._model), 2
             return
         try:

@@ -9,8 +9,8 @@ from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import IN_DOUBT, Memory, OK
 from hnn_vi_ros.integrators.solvers import extrapolate, is_in_doubt, remember, SolverOptions
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 

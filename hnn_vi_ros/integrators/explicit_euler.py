@@ -4,8 +4,8 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 
 
 class ExplicitEuler(Integrator):

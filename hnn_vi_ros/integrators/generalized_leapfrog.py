@@ -10,8 +10,8 @@ from hnn_vi_ros.integrators.modified import leapfrog_energy
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 
 
 # Compiled code knows functions, not the classes that hold them.

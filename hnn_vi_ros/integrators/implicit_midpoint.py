@@ -10,8 +10,8 @@ from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import midpoint_energy
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 

@@ -10,7 +10,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
 from hnn_vi_ros.integrators.newton import raise_scales
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge, OWN
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 # How far the linear system of an iteration is solved, relative to its right-hand side.

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge
-from hnn_vi_ros.kernels.compilation import called, inlined
 from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised
+from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
 # Of a central difference, relative to what it is about.

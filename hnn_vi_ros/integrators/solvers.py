@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import FAST_MATRIX, Memory, NO_CONVERGENCE, NOT_FINITE, OK
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

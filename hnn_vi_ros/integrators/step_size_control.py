@@ -7,8 +7,8 @@ from functools import cache
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 
 # Steps of its own in one step of the clock, beyond which it is given up.
 _MOST_STEPS = 100_000

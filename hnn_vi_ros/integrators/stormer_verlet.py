@@ -7,8 +7,8 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.modified import leapfrog_energy
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 
 
 @inlined

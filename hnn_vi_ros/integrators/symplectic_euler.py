@@ -8,8 +8,8 @@ from hnn_vi_ros.integrators.base import Memory, Point
 from hnn_vi_ros.integrators.equations import solve_momenta
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 

@@ -13,8 +13,8 @@ from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.step_size_control import controlled
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 BASES = {'implicit_midpoint': ImplicitMidpoint} | {

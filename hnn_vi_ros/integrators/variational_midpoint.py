@@ -4,6 +4,7 @@
 
 from typing import NamedTuple
 
+from hnn_vi_ros import models
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
@@ -11,9 +12,8 @@ from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.symplectic_form import raise_index, slope
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 
@@ -139,7 +139,10 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         b = a + d
         # Each trajectory's covector and rates lie together until they are sorted below.
         covector = value[2 * a:2 * b]
-        slope(kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
+        # By way of its package: it is there, since H is of it. Imported in this file it would
+        # load the compiler for who only reads a scene.
+        models.symplectic_form.slope(
+            kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         square, along = 0.0, 0.0
         for i in range(d):
             dq, dp = x[a + i] - z.q[a + i], x[n + a + i] - z.p[a + i]
@@ -151,7 +154,8 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         for i in range(d):
             covector[i] += factor * (x[a + i] - z.q[a + i])
             covector[d + i] += factor * (x[n + a + i] - z.p[a + i])
-        raise_index(kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
+        models.symplectic_form.raise_index(
+            kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         for i in range(d):
             problem.rates[a + i], problem.rates[n + a + i] = covector[i], covector[d + i]
     for i in range(n):

@@ -9,20 +9,13 @@ from pathlib import Path
 from types import FunctionType
 
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linking import LINK_ONLY, Part, Whole
+from hnn_vi_ros.kernels.linking import Part, Whole
+from hnn_vi_ros.kernels.marks import is_own
 import numba
-from numba.extending import register_jitable
-
-# Plain Python when called from Python; compiled and inlined when called from a compiled function.
-# A call that is not inlined passes every field of every array and counts its references.
-inlined = register_jitable(forceinline=True, **LINK_ONLY)
-# The same, for what is called so seldom that a call costs less than a larger function to compile.
-called = register_jitable(**LINK_ONLY)
 
 # Of loops, which only Python calls.
 _LOOP = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 
-_PACKAGE = __name__.partition('.')[0]
 # The rooms that what is compiled comes from, or by which it is composed.
 _ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'networks', 'simulation')
 
@@ -43,6 +36,12 @@ def compiled(function: Callable, name: str) -> Callable:
     dispatcher = Part(function, targetoptions={'forceinline': True})
     _give_identity(dispatcher, name)
     return dispatcher
+
+
+@cache
+def dispatcher(function: Callable) -> Callable:
+    """Return a function of a Hamiltonian's kernel compiled, for Python and for other code."""
+    return numba.njit(function, cache=True, error_model='numpy')
 
 
 def entry_point(function: Callable, *arguments: object) -> Callable:
@@ -70,11 +69,6 @@ def compiled_options(options: tuple) -> tuple:
             part = compiled_options(part)
         parts.append(part)
     return type(options)(*parts) if hasattr(options, '_fields') else tuple(parts)
-
-
-def is_own(module: str | None) -> bool:
-    """Tell whether a module, None for none, belongs to this package, whose changes are noticed."""
-    return module is not None and module.startswith(f'{_PACKAGE}.')
 
 
 def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True) -> Callable:

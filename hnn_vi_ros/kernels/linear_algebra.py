@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small linear systems, solved in compiled code."""
 
-from hnn_vi_ros.kernels.compilation import inlined
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 # Share of the diagonal below which a pivot is rounding.

@@ -14,6 +14,7 @@ This is the one file that uses numba's compiler passes and code libraries.
 from collections.abc import Callable
 from typing import Any
 
+from hnn_vi_ros.kernels.marks import register_by
 from llvmlite.binding import Linkage
 from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
@@ -23,6 +24,7 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
+from numba.extending import register_jitable
 
 
 class _Library(JITCodeLibrary):
@@ -189,3 +191,11 @@ _OPTIONS = {'nopython': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': Tr
 # The same for what numba makes of a decorator such as register_jitable, once for each set of
 # options that a caller has.
 LINK_ONLY = {'pipeline_class': LinkOnly, **_OPTIONS}
+
+
+def _register(function: Callable, inline: bool) -> None:
+    """Let compiled code call a marked function."""
+    register_jitable(**({'forceinline': True} if inline else {}), **LINK_ONLY)(function)
+
+
+register_by(_register)

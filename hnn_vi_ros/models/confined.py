@@ -8,8 +8,9 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import composed, functions_of, inlined
+from hnn_vi_ros.kernels.compilation import composed, functions_of
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 import numpy as np

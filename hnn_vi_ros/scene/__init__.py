@@ -22,7 +22,6 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
 from hnn_vi_ros.models.checkpoint import file_digest
-from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene.choices import (
     AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
 from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
@@ -154,6 +153,8 @@ class Scene(StrictModel):
         choice = self.hamiltonian
         if isinstance(choice, LearnedChoice):
             file = self._origin.model_file(choice.model, 'hamiltonian')
+            # Imported here: networks are compiled, which who only reads a scene has no use for.
+            from hnn_vi_ros.models.confined import load_learned
             with self.placed('hamiltonian'):
                 hamiltonian = load_learned(file, choice.confine)
         elif isinstance(choice, PythonChoice):

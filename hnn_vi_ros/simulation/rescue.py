@@ -14,8 +14,9 @@ from hnn_vi_ros.integrators.arithmetic import copy_point, largest
 from hnn_vi_ros.integrators.base import (
     BEYOND, Integrator, Memory, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.kernels.compilation import entry_point, inlined
+from hnn_vi_ros.kernels.compilation import entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.simulation.loops import advance, assemble, take_substeps
 from hnn_vi_ros.simulation.system import System
 import numpy as np

@@ -6,20 +6,21 @@ from collections.abc import Iterator, Sequence
 import json
 import math
 import sys
+from typing import TYPE_CHECKING
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.run.effect_cost import EffectCosts, measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.studies import arguments
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.run.effect_cost import EffectCosts
+    from hnn_vi_ros.simulation import Simulation
+
+# What simulates is imported by what needs it: a list and a schema are there without it at once.
 
 # Steps during which neighbouring motions are followed; of an H that is plain Python.
 _STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
@@ -43,6 +44,9 @@ def main(argv: list[str]) -> int:
 
 def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
+    from hnn_vi_ros.accuracy.automatic_choice import resolve
+    from hnn_vi_ros.simulation.build import build
+    from hnn_vi_ros.simulation.events import watched
     status = 0
     for name in names:
         try:
@@ -90,6 +94,10 @@ def explain(scene: Scene) -> Iterator[str]:
         The scene cannot be built or fails.
 
     """
+    from hnn_vi_ros.accuracy.automatic_choice import resolve
+    from hnn_vi_ros.run.effect_cost import measure_effects
+    from hnn_vi_ros.simulation.build import build
+    from hnn_vi_ros.simulation.events import watched
     if isinstance(scene.integrator, AutoChoice):
         print('choosing a method ...', file=sys.stderr)
     scene, chosen = resolve(scene)
@@ -126,6 +134,7 @@ def _choice(role: str, choice: BaseModel) -> Iterator[str]:
 
 def lyapunov_line(scene: Scene, steps: int) -> str:
     """Return the line that tells the Lyapunov time, looked for during so many steps."""
+    from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
     duration = steps * scene.step_size
     try:
         time = lyapunov_time(scene, duration)
@@ -136,7 +145,7 @@ def lyapunov_line(scene: Scene, steps: int) -> str:
     return f'Lyapunov time: {time:.3g} s: the motion is chaotic'
 
 
-def _times(costs: EffectCosts) -> Iterator[str]:
+def _times(costs: 'EffectCosts') -> Iterator[str]:
     yield f'time per step: {1e6 * costs.total:.3f} us'
     if not math.isnan(costs.bare):
         yield f'  of the bare integrator: {1e6 * costs.bare:.3f} us'
@@ -145,7 +154,7 @@ def _times(costs: EffectCosts) -> Iterator[str]:
         yield f'  {label} {text}'
 
 
-def _in_a_line(scene: Scene, simulation: Simulation) -> str:
+def _in_a_line(scene: Scene, simulation: 'Simulation') -> str:
     what = getattr(scene.hamiltonian, 'model', None) or getattr(scene.hamiltonian, 'factory', '')
     parts = [f'{scene.hamiltonian.kind} {what}'.strip(), *(e.kind for e in scene.effects)]
     kept = 'conservative' if simulation.conservative else 'not conservative'

@@ -22,8 +22,8 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.kernels.compilation import inlined
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 import numpy as np
 
