@@ -30,6 +30,8 @@ FLOORS = (
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
         'the method that takes the sub-steps of others is one of those that have such',
+    ('effects.base', 'effects.kernels'):
+        'a potential joins H in functions that are composed of its own',
     ('simulation.dense_step', 'simulation'):
         'a dense step is one of a simulation, and is returned by it',
 }

@@ -1,14 +1,35 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every effect offers, in the three ways in which one can act on a system."""
+"""What every effect offers and declares, in each of the ways in which one can act on a system."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from enum import IntEnum
+from types import MappingProxyType
+from typing import ClassVar, NamedTuple, Protocol
 
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class Place(IntEnum):
+    """
+    Where an effect acts, from the inside of a step to its outside.
+
+    It joins H; is a force at the method's own nodes; acts between the two halves of the step; or
+    before and after the step; keeps the state that then results on a manifold; or acts around
+    all of that. Effects in one place act in the scene's order, the first one innermost.
+    """
+
+    ENERGY = 0
+    NODES = 1
+    MIDDLE = 2
+    AROUND = 3
+    MANIFOLD = 4
+    OUTSIDE = 5
 
 
 class Live(NamedTuple):
@@ -82,12 +103,28 @@ class Effect(ABC):
 
     Attributes
     ----------
+    acts : Place
+        Where it acts, unless ``place`` says otherwise.
     conservative : bool
         Whether it leaves the energy H unchanged, once its potential, if any, has joined H.
+    single : bool
+        Whether a scene takes only one of its kind.
+    lockstep : bool
+        Whether it can act on several trajectories that step together.
+    excludes : mapping of Place to str
+        Places in which nothing else may act, and why: a clause that follows the other's name.
 
     """
 
+    acts: ClassVar[Place]
     conservative: ClassVar[bool] = False
+    single: ClassVar[bool] = False
+    lockstep: ClassVar[bool] = True
+    excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
+
+    def place(self, integrator: Integrator) -> Place:
+        """Return where it acts in the steps of a method."""
+        return self.acts
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether a method can take the effect without losing what it claims."""
@@ -112,8 +149,60 @@ class Effect(ABC):
 
         """
 
+    def check_state(  # noqa: B027
+            self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
+        """
+        Refuse a state to begin from.
 
-class Potential(Effect):
+        Parameters
+        ----------
+        hamiltonian : Hamiltonian
+            H with what joins it.
+        parameters : tuple
+            What ``resolve`` returned.
+        q : np.ndarray, shape (d,) or (m d,)
+            Coordinates of one trajectory, or of several one after another.
+
+        Raises
+        ------
+        ValueError
+            The effect cannot act there; says why.
+
+        """
+
+
+class Joined(Effect):
+    """
+    An effect that joins H.
+
+    Attributes
+    ----------
+    keeps_separable : bool
+        Whether an H(q, p) = T(p) + V(q) stays one.
+
+    """
+
+    acts = Place.ENERGY
+    conservative = True
+    keeps_separable: ClassVar[bool] = False
+
+    @abstractmethod
+    def join(self, kernel: Kernel, parameters: tuple) -> Kernel:
+        """Return a kernel of H together with the effect, of what ``resolve`` returned."""
+
+    def add_gauge(self, parameters: tuple, gauge: np.ndarray) -> None:  # noqa: B027
+        """Add its share to the linear vector potential, shape (d, d); see Live."""
+
+
+class Commanded(ABC):
+    """An effect that takes commands while the simulation runs."""
+
+    @abstractmethod
+    def take(self, values: Sequence[float], parameters: tuple) -> None:
+        """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
+
+
+class Potential(Joined):
     """
     A potential energy V(q), which joins H.
 
@@ -130,10 +219,15 @@ class Potential(Effect):
 
     """
 
-    conservative = True
+    keeps_separable = True
     energy: Callable
     add_gradient: Callable
     add_hessian_vector: Callable
+
+    def join(self, kernel: Kernel, parameters: tuple) -> Kernel:
+        """Return the kernel of H + V."""
+        from hnn_vi_ros.effects.kernels import join_potential
+        return join_potential(kernel, type(self), parameters)
 
 
 class Force(Effect):
@@ -158,6 +252,7 @@ class Force(Effect):
 
     """
 
+    acts = Place.NODES
     depends_on_momentum: ClassVar[bool]
     add_force: Callable
 
@@ -165,10 +260,6 @@ class Force(Effect):
     def rounding(self) -> tuple[float, float]:
         """Return the rounding errors of f_q and f_p, as Kernel.gradient_scale does."""
         return 0.0, 0.0
-
-    def splits(self, integrator: Integrator) -> bool:
-        """Tell whether the method takes the force's exact flow around its steps instead."""
-        return False
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method takes forces at its nodes, and such that depend on p."""
@@ -190,13 +281,78 @@ class StepEffect(Effect):
 
     """
 
+    acts = Place.AROUND
     wrap: Callable
     repeats: ClassVar[bool] = False
 
+    @classmethod
+    def inner_step(cls, integrator: Integrator) -> Callable | tuple[Callable, Callable] | None:
+        """Return what ``wrap`` takes of a method: its step, or the halves of it."""
+        return integrator.halves if cls.acts is Place.MIDDLE else integrator.step
+
+    def accepts(self, integrator: Integrator) -> bool:
+        """Tell whether the method has what the effect takes of it."""
+        return super().accepts(integrator) and self.inner_step(integrator) is not None
+
+
+class Together(Protocol):
+    """
+    The constraints of a scene, which act as one around the step.
+
+    Attributes
+    ----------
+    kind : type
+        What Wrapped puts around a step.
+    settings : tuple
+        What the wrapped step finds in its options.
+    dependent : str
+        The name of the constraint that made a step fail as REDUNDANT.
+
+    """
+
+    kind: type
+
+    @property
+    def settings(self) -> tuple:
+        """Return what the wrapped step finds in its options."""
+
+    @property
+    def dependent(self) -> str:
+        """Return the name of the constraint that made a step fail as REDUNDANT."""
+
+    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
+        """Raise ValueError if a state, of shape (d,), is not one that the constraints allow."""
+
+
+class Constraint(Effect):
+    """What keeps the state on a manifold; all constraints of a kind are solved together."""
+
+    acts = Place.MANIFOLD
+    conservative = True
+    lockstep = False
+
     @staticmethod
-    def inner_step(integrator: Integrator) -> Callable | tuple[Callable, Callable]:
-        """Return what ``wrap`` takes of a method: its step."""
-        return integrator.step
+    @abstractmethod
+    def together(listed: Sequence[tuple[int, str, tuple]], kernel: Kernel, effects: int
+                 ) -> Together:
+        """
+        Return the constraints as one.
+
+        Parameters
+        ----------
+        listed : sequence of (int, str, tuple)
+            Place in the scene, name, and what ``resolve`` returned, of each.
+        kernel : Kernel
+            Of H with the forces, d coordinates and their channels.
+        effects : int
+            How many effects there are.
+
+        Raises
+        ------
+        EffectError
+            They do not fit the system or one another.
+
+        """
 
 
 def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 import math
 
-from hnn_vi_ros.effects.base import Force, Live, per_coordinate, StepEffect
+from hnn_vi_ros.effects.base import Force, Live, per_coordinate, Place, StepEffect
 from hnn_vi_ros.effects.masses import check_rates, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
@@ -57,20 +57,21 @@ class Damping(Force, StepEffect):
             raise ValueError(f'rate = {rate} must be at least 0 and finite')
         self.rate = rate
 
-    def splits(self, integrator: Integrator) -> bool:
-        """Tell whether the method takes the flow rather than the force."""
-        return integrator.order <= 2 and integrator.goes_on_from_state
+    def place(self, integrator: Integrator) -> Place:
+        """Return whether the method takes the flow, or the force."""
+        splits = integrator.order <= 2 and integrator.goes_on_from_state
+        return Place.AROUND if splits else Place.NODES
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method takes the flow, or the force."""
         return integrator.uses_hamiltonian and (
-            self.splits(integrator) or Force.accepts(self, integrator))
+            self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the rates, shape (d,) [1/s], and the gauge of the magnetic fields; see Live."""
         return per_coordinate(coordinates, 'rate', self.rate), live.gauge
 
-    def check_state(self, hamiltonian: Hamiltonian, q: np.ndarray) -> None:
+    def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
         """Raise ValueError if the rates would feed energy in near q, shape (m d,)."""
         check_rates(hamiltonian, q, per_coordinate(hamiltonian.coordinates, 'rate', self.rate))
 

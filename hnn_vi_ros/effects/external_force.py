@@ -4,14 +4,14 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.effects.base import Commanded, coordinate_index, Force, Live
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-class ExternalForce(Force):
+class ExternalForce(Force, Commanded):
     """
     The last command, a force on some coordinates, held until the next command or its time-out.
 
@@ -46,7 +46,7 @@ class ExternalForce(Force):
 
     """
 
-    depends_on_momentum = False
+    depends_on_momentum, single = False, True
 
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
                  model: str | None = None):

@@ -5,15 +5,16 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from hnn_vi_ros.effects.base import Effect, Live
+from hnn_vi_ros.effects.base import Constraint, Live, Together
 from hnn_vi_ros.effects.constraints import Row
 from hnn_vi_ros.effects.shapes import check_keys, function_row, rows_of
 from hnn_vi_ros.files.named_code import NAMES_CODE
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 
 
-class HolonomicConstraint(Effect):
+class HolonomicConstraint(Constraint):
     """
     A holonomic constraint g(q) = 0, without friction, by RATTLE: a rod, unless form says else.
 
@@ -54,8 +55,6 @@ class HolonomicConstraint(Effect):
 
     """
 
-    conservative = True
-
     def __init__(self, point: list[str] | None = None, other: list[str] | None = None,
                  anchor: list[float] | None = None, length: float | None = None,
                  form: Literal['rod', 'plane', 'circle', 'sphere', 'python'] = 'rod',
@@ -77,3 +76,10 @@ class HolonomicConstraint(Effect):
         if self._function is not None:
             return (self._function,)
         return rows_of(self.form, self._given, coordinates)
+
+    @staticmethod
+    def together(listed: Sequence[tuple[int, str, tuple[Row, ...]]], kernel: Kernel, effects: int
+                 ) -> Together:
+        """Return the manifold that all constraints leave."""
+        from hnn_vi_ros.effects.manifold import Manifold
+        return Manifold(listed, kernel, effects)

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Literal
 
-from hnn_vi_ros.effects.base import coordinate_index, Live, StepEffect
+from hnn_vi_ros.effects.base import coordinate_index, Live, Place, StepEffect
 from hnn_vi_ros.effects.bouncing import bounce
 from hnn_vi_ros.effects.crossings import Search
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.phase_space import Coordinate
@@ -49,7 +50,8 @@ class Impact(StepEffect):
 
     """
 
-    repeats = True
+    acts, repeats, lockstep = Place.OUTSIDE, True, False
+    excludes = {Place.MANIFOLD: 'off which its impulses would lead'}
 
     def __init__(self, coordinate: str, position: float = 0.0,
                  side: Literal['above', 'below'] = 'above', restitution: float = 1.0):
@@ -70,7 +72,7 @@ class Impact(StepEffect):
         return (coordinate_index(coordinates, self.coordinate), self.position, self.sign,
                 self.restitution, Search.empty(), np.zeros((4, live.pending.size)))
 
-    def check_state(self, parameters: tuple, q: np.ndarray) -> None:
+    def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
         """Raise ValueError if q, shape (d,), is behind the wall."""
         c, position, sign = parameters[:3]
         if sign * (q[c] - position) < 0.0:

@@ -5,8 +5,7 @@
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from hnn_vi_ros.effects.base import Force, Live, Potential
-from hnn_vi_ros.effects.magnetic_field import MagneticField
+from hnn_vi_ros.effects.base import Effect, Force, Live, Potential
 from hnn_vi_ros.integrators.arithmetic import largest
 from hnn_vi_ros.kernels.compilation import composed, functions_of
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -23,10 +22,11 @@ def join_potential(kernel: Kernel, potential: type[Potential], parameters: tuple
                     (kernel.parameters, parameters, kernel.dimension))
 
 
-def join_magnetic_field(kernel: Kernel, parameters: tuple[int, int, float]) -> Kernel:
+def join_magnetic_field(kernel: Kernel, kind: type[Effect], parameters: tuple[int, int, float]
+                        ) -> Kernel:
     """Return the kernel of H(q, p - c A(q)); see MagneticField."""
     functions = _with_magnetic_field(*functions_of(kernel))
-    return composed(kernel, functions, (MagneticField,),
+    return composed(kernel, functions, (kind,),
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
 
 

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.effects.base import Force, Live
+from hnn_vi_ros.effects.base import Force, Live, Place
 from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.marks import inlined
@@ -42,6 +42,7 @@ class LearnedDissipation(Force):
     """
 
     depends_on_momentum = True
+    excludes = {Place.MANIFOLD: 'whose force would do work where the velocity is not H_p'}
 
     def __init__(self, model: str):
         checkpoint = load_checkpoint(model)

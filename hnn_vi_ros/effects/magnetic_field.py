@@ -4,13 +4,15 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.effects.base import coordinate_index, Effect, Live
+from hnn_vi_ros.effects.base import coordinate_index, Joined, Live
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
 
 
-class MagneticField(Effect):
+class MagneticField(Joined):
     """
     Minimal coupling, H(q, p - c A(q)), to the field B of A = B (-y, x) / 2 in the plane (x, y).
 
@@ -37,8 +39,6 @@ class MagneticField(Effect):
 
     """
 
-    conservative = True
-
     def __init__(self, plane: list[str], charge: float = 1.0, field: float = 1.0):
         if len(plane) != 2 or plane[0] == plane[1]:
             raise ValueError(f'plane = {plane} must name two different coordinates')
@@ -52,7 +52,17 @@ class MagneticField(Effect):
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, int, float]:
         """Return the places of x and y, and c B / 2 [kg/s]."""
         x, y = (coordinate_index(coordinates, name) for name in self.plane)
-        b = 0.5 * self.strength
-        live.gauge[x, y] -= b
-        live.gauge[y, x] += b
-        return x, y, b
+        parameters = x, y, 0.5 * self.strength
+        self.add_gauge(parameters, live.gauge)
+        return parameters
+
+    def add_gauge(self, parameters: tuple[int, int, float], gauge: np.ndarray) -> None:
+        """Add c A(q), which is linear in q."""
+        x, y, b = parameters
+        gauge[x, y] -= b
+        gauge[y, x] += b
+
+    def join(self, kernel: Kernel, parameters: tuple[int, int, float]) -> Kernel:
+        """Return the kernel of H(q, p - c A(q))."""
+        from hnn_vi_ros.effects.kernels import join_magnetic_field
+        return join_magnetic_field(kernel, type(self), parameters)

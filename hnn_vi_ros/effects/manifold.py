@@ -67,6 +67,11 @@ class Manifold:
         self.kind, self._evaluate = rattle_kind(functions), evaluator(functions)
 
     @property
+    def settings(self) -> Constraints:
+        """Return what steps work on; see Together."""
+        return self.constraints
+
+    @property
     def dependent(self) -> str:
         """Return the name of the constraint that made a step fail as REDUNDANT."""
         return self._names[self.constraints.dependent[0]]

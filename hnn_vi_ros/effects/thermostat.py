@@ -5,12 +5,12 @@
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from hnn_vi_ros.effects.base import Live, per_coordinate, StepEffect
+from hnn_vi_ros.effects.base import Live, per_coordinate, Place, StepEffect
 from hnn_vi_ros.effects.masses import check_masses
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_MASS, OK, Point
+from hnn_vi_ros.integrators.base import Memory, NO_MASS, OK, Point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -46,6 +46,9 @@ class Thermostat(StepEffect):
 
     """
 
+    acts, single, lockstep = Place.MIDDLE, True, False
+    excludes = {Place.MANIFOLD: 'off which its impulses would lead'}
+
     def __init__(self, temperature: float, rate: float | list[float],
                  mass: float | list[float] | None = None, seed: int = 0):
         check_positive(temperature=temperature, rate=np.min(rate),
@@ -54,25 +57,16 @@ class Thermostat(StepEffect):
             raise ValueError(f'seed = {seed} must be from 0 to 2^63 - 1')
         self.temperature, self.rate, self.mass, self.seed = float(temperature), rate, mass, seed
 
-    def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method's step has two halves to stand between."""
-        return integrator.halves is not None
-
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the bath."""
         from hnn_vi_ros.effects.ornstein_uhlenbeck import Bath
         return (Bath.of(per_coordinate(coordinates, 'rate', self.rate), self.temperature,
                         self.seed, live.pending.size),)
 
-    def check_state(self, hamiltonian: Hamiltonian, q: np.ndarray) -> None:
+    def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
         """Raise ValueError if H has no masses at q, shape (d,), or others than those given."""
         check_masses(hamiltonian, q, None if self.mass is None else per_coordinate(
             hamiltonian.coordinates, 'mass', self.mass))
-
-    @staticmethod
-    def inner_step(integrator: Integrator) -> tuple[Callable, Callable]:
-        """Return the halves of the method's step."""
-        return integrator.halves
 
     @staticmethod
     @cache
@@ -84,6 +78,7 @@ class Thermostat(StepEffect):
         @inlined
         def bathed(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+            """Take one step; see Integrator."""
             inner, (bath,), live, effect = options
             middle = scratch(memory)
             outcome, residual, gradients = first_half(

@@ -7,16 +7,9 @@ from functools import cached_property
 import warnings
 
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, EffectError, Force, Live, Potential, StepEffect
-from hnn_vi_ros.effects.damping import Damping
-from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
-from hnn_vi_ros.effects.impact import Impact
-from hnn_vi_ros.effects.kernels import add_forces, join_magnetic_field, join_potential
-from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
-from hnn_vi_ros.effects.magnetic_field import MagneticField
-from hnn_vi_ros.effects.manifold import Manifold
-from hnn_vi_ros.effects.thermostat import Thermostat
+from hnn_vi_ros.effects.base import (
+    Commanded, Effect, EffectError, Joined, Live, Place, Together)
+from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -31,22 +24,22 @@ _KINDS = {effect: kind for kind, effect in EFFECTS.items()}
 
 class JoinedHamiltonian(Hamiltonian):
     """
-    A Hamiltonian with potentials and magnetic fields joined to it.
+    A Hamiltonian with effects joined to it, such as potentials and magnetic fields.
 
     Parameters
     ----------
     base : Hamiltonian
         H without them.
-    joined : sequence of (Effect, tuple)
-        Potential or MagneticField, each with its resolved parameters.
+    joined : sequence of (Joined, tuple)
+        The effects, each with its resolved parameters.
 
     """
 
-    def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Effect, tuple]]):
+    def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Joined, tuple]]):
         self.base, self._joined = base, joined
         self.coordinates = base.coordinates
         self.separable = base.separable and all(
-            isinstance(effect, Potential) for effect, _ in joined)
+            effect.keeps_separable for effect, _ in joined)
 
     @property
     def invariants(self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
@@ -63,10 +56,7 @@ class JoinedHamiltonian(Hamiltonian):
         """Return that of the magnetic fields that are joined; see Live."""
         gauge = np.zeros((self.dimension, self.dimension))
         for effect, parameters in self._joined:
-            if isinstance(effect, MagneticField):
-                x, y, b = parameters
-                gauge[x, y] -= b
-                gauge[y, x] += b
+            effect.add_gauge(parameters, gauge)
         return gauge if gauge.any() else None
 
     @property
@@ -93,10 +83,7 @@ class JoinedHamiltonian(Hamiltonian):
         """Return the functions that simulations compile."""
         kernel = self.base.kernel
         for effect, parameters in self._joined:
-            if isinstance(effect, MagneticField):
-                kernel = join_magnetic_field(kernel, parameters)
-            else:
-                kernel = join_potential(kernel, type(effect), parameters)
+            kernel = effect.join(kernel, parameters)
         return kernel
 
 
@@ -127,8 +114,6 @@ class System:
         A name for each effect: its kind, with its place where that stands more than once.
     conservative : bool
         Whether no effect does work.
-    lockstep : bool
-        Whether several trajectories can step together.
 
     Raises
     ------
@@ -143,18 +128,21 @@ class System:
                  integrator: Integrator):
         self._effects, self.method = list(effects), integrator
         self.live = Live.empty(len(effects), hamiltonian.dimension)
-        # An effect of the user's own goes by the name of its class.
-        kinds = [_KINDS.get(type(effect), type(effect).__name__) for effect in effects]
+        kinds = [_kind(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
         self.conservative = all(effect.conservative for effect in effects)
-        self.lockstep = integrator.goes_on_from_state and not self._all(
-            Thermostat, HolonomicConstraint, Impact)
+        self._single_file = [label for effect, label in zip(effects, self.labels, strict=True)
+                             if not effect.lockstep]
+        if not integrator.goes_on_from_state:
+            self._single_file.append(_name(integrator))
         if not hamiltonian.canonical:
             self._check_coordinates(hamiltonian, integrator)
+        self._places = [effect.place(integrator) for effect in effects]
+        self._check_together()
         self._check(integrator)
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
-        joined = [(effects[i], self._parameters[i]) for i in self._all(Potential, MagneticField)]
+        joined = [(effects[i], self._parameters[i]) for i in self._in(Place.ENERGY)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
         integrator.check(self.hamiltonian)
         if not hamiltonian.smooth:
@@ -162,21 +150,27 @@ class System:
                 'the gradient of H jumps, as that of every relu network does: no method keeps its '
                 'order there, and implicit steps may find no solution; train with another '
                 'activation', stacklevel=3)
-        forces = self._forces(integrator)
-        self._assemble(integrator, forces, [
-            i for i in self._all(StepEffect, HolonomicConstraint) if i not in forces])
+        self._assemble(integrator)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether several trajectories can step together."""
+        return not self._single_file
 
     @property
     def takes_commands(self) -> bool:
-        """Whether there is an external force."""
-        return bool(self._all(ExternalForce))
+        """Whether an effect takes commands."""
+        return any(isinstance(effect, Commanded) for effect in self._effects)
 
     def command(self, values: Sequence[float]) -> None:
-        """Set the external force, or raise ValueError and leave it as it is."""
+        """Pass a command to the effects that take it, or raise ValueError and change nothing."""
         if not self.takes_commands:
-            raise ValueError('no effect of the scene is an external_force: it takes no commands')
-        for index in self._all(ExternalForce):
-            self._effects[index].take(values, self._parameters[index])
+            able = [kind for kind, effect in EFFECTS.items() if issubclass(effect, Commanded)]
+            raise ValueError(f'no effect of the scene is an {" or ".join(able)}: it takes no '
+                             'commands')
+        for effect, parameters in zip(self._effects, self._parameters, strict=True):
+            if isinstance(effect, Commanded):
+                effect.take(values, parameters)
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
         """
@@ -185,44 +179,37 @@ class System:
         Also for m > 1 trajectories together, where an effect takes only one.
         """
         if not self.lockstep and q.size > self.hamiltonian.dimension:
-            raise ValueError('q and p are several states, but thermostat, impact, '
-                             'holonomic_constraint and time_transformed take one at a time; use '
-                             'simulate_many')
-        for index in self._all(Damping, Thermostat):
-            self._effects[index].check_state(self.hamiltonian, q)
-        for index in self._all(Impact):
-            self._effects[index].check_state(self._parameters[index], q)
-        if self._manifold is not None:
-            self._manifold.check_state(q, p)
+            raise ValueError('q and p are several states, of which one at a time is taken by '
+                             f'{", ".join(self._single_file)}; use simulate_many')
+        for effect, parameters in zip(self._effects, self._parameters, strict=True):
+            effect.check_state(self.hamiltonian, parameters, q)
+        if self._constraints is not None:
+            self._constraints.check_state(q, p)
 
     def reason(self, outcome: int) -> str:
         """Return why a step failed."""
         if outcome == NO_SOLUTION:
             return self.method.no_solution
-        return f'{self._manifold.dependent}: {REASONS[outcome]}' if outcome == REDUNDANT else \
+        return f'{self._constraints.dependent}: {REASONS[outcome]}' if outcome == REDUNDANT else \
             REASONS[outcome]
 
-    def _all(self, *kinds: type[Effect]) -> list[int]:
-        return [i for i, effect in enumerate(self._effects) if isinstance(effect, kinds)]
+    def _in(self, place: Place) -> list[int]:
+        """Return the effects that act there, in the scene's order."""
+        return [i for i, own in enumerate(self._places) if own is place]
 
-    def _forces(self, integrator: Integrator) -> list[int]:
-        """Return the effects that the method takes at its nodes."""
-        return [i for i in self._all(Force) if not self._effects[i].splits(integrator)]
+    def _check_together(self) -> None:
+        """Refuse effects that do not combine."""
+        kinds = [type(effect) for effect in self._effects]
+        for index, effect in enumerate(self._effects):
+            if effect.single and kinds[index] in kinds[:index]:
+                raise EffectError(index, f'a scene takes one {_kind(effect)} only; join the two')
+            for place, reason in effect.excludes.items():
+                for other in self._in(place):
+                    raise EffectError(
+                        index, f'{_kind(effect)} does not combine with '
+                               f'{_kind(self._effects[other])}, {reason}; leave one of them out')
 
     def _check(self, integrator: Integrator) -> None:
-        for single in (ExternalForce, Thermostat):
-            if len(self._all(single)) > 1:
-                raise EffectError(self._all(single)[1],
-                                  f'a scene takes one {_KINDS[single]} only; join the two')
-        if self._all(HolonomicConstraint):
-            for index in self._all(Thermostat, Impact):
-                raise EffectError(index, f'{_KINDS[type(self._effects[index])]} does not combine '
-                                         'with holonomic_constraint, off which its impulses would '
-                                         'lead; leave one of them out')
-            for index in self._all(LearnedDissipation):
-                raise EffectError(index, 'learned_dissipation does not combine with '
-                                         'holonomic_constraint, whose force would do work where '
-                                         'the velocity is not H_p; leave one of them out')
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
                 name = _name(integrator)
@@ -269,38 +256,46 @@ class System:
                                         f'effect {label}; use on_failure: substep or stop')
         return self._wrapped(integrator)
 
-    def _assemble(self, integrator: Integrator, forces: list[int], around: list[int]) -> None:
+    def _assemble(self, integrator: Integrator) -> None:
         """Make the kernel and the method."""
-        self.kernel, self._taken, self._around = self.hamiltonian.kernel, forces, around
-        if forces:
-            self.kernel = add_forces(self.kernel, [self._effects[i] for i in forces],
-                                     [self._parameters[i] for i in forces], self.live)
-        rods = self._all(HolonomicConstraint)
-        self._manifold = Manifold(
-            [(i, self.labels[i], self._parameters[i]) for i in rods], self.kernel,
-            len(self._effects)) if rods else None
+        self.kernel, self._taken = self.hamiltonian.kernel, self._in(Place.NODES)
+        if self._taken:
+            self.kernel = add_forces(self.kernel, [self._effects[i] for i in self._taken],
+                                     [self._parameters[i] for i in self._taken], self.live)
+        self._constraints = self._constrained(self._in(Place.MANIFOLD))
         self.integrator = self._wrapped(integrator)
 
+    def _constrained(self, listed: list[int]) -> Together | None:
+        """Return the constraints of the scene as one, None for none."""
+        if not listed:
+            return None
+        kinds = {type(self._effects[i]): i for i in reversed(listed)}
+        if len(kinds) > 1:
+            raise EffectError(max(kinds.values()), 'does not combine with constraints of another '
+                                                   'kind; leave one of them out')
+        (kind,) = kinds
+        return kind.together([(i, self.labels[i], self._parameters[i]) for i in listed],
+                             self.kernel, len(self._effects))
+
     def _wrapped(self, integrator: Integrator) -> Integrator:
-        """Wrap a method: bath inside, then flows, rods, walls, and the account."""
-        rods, walls = self._all(HolonomicConstraint), self._all(Impact)
-        flows = [i for i in self._around if i not in rods + walls + self._all(Thermostat)]
-
-        def wrap(i: int, settings: tuple) -> None:
-            nonlocal integrator
-            integrator = Wrapped(integrator, type(self._effects[i]), (settings, self.live, i))
-
-        for i in self._all(Thermostat) + flows:
-            wrap(i, self._parameters[i])
-        if self._manifold is not None:
-            integrator = Wrapped(integrator, self._manifold.kind,
-                                 (self._manifold.constraints, self.live, rods[0]))
-        for i in walls:
-            wrap(i, self._parameters[i])
-        if self._taken or self._around:
+        """Wrap a method with what acts around its nodes, place by place, and the account."""
+        around = sorted((place, i) for i, place in enumerate(self._places) if place > Place.NODES)
+        for place, i in around:
+            kind, settings = type(self._effects[i]), self._parameters[i]
+            if place is Place.MANIFOLD:
+                if i != self._in(place)[0]:
+                    continue  # the first one stands for all
+                kind, settings = self._constraints.kind, self._constraints.settings
+            integrator = Wrapped(integrator, kind, (settings, self.live, i))
+        if self._taken or around:
             integrator = Wrapped(
                 integrator, Account, (self.live, np.array(self._taken, dtype=np.int64)))
         return integrator
+
+
+def _kind(effect: Effect) -> str:
+    """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
+    return _KINDS.get(type(effect), type(effect).__name__)
 
 
 def _name(integrator: Integrator) -> str:
