@@ -57,24 +57,26 @@ class StepFailure(HnnViRosError):
         Simulated time at the start of the failed step [s].
     h : float
         Step size [s].
-    residual : float
-        Largest absolute residual of the implicit equation [unit of p].
+    relative_residual : float
+        Largest residual of the implicit equation, relative to the scale of its unknowns [1], at
+        the end of the first try; 0 for an explicit method, NaN before the first step.
     evaluations : int
         Gradients and Hessian-vector products that were evaluated for the step, all tries together.
 
     """
 
-    def __init__(self, reason: str, t: float, h: float, residual: float, evaluations: int):
+    def __init__(self, reason: str, t: float, h: float, relative_residual: float,
+                 evaluations: int):
         self.reason, self.t, self.h = reason, t, h
-        self.residual, self.evaluations = residual, evaluations
+        self.relative_residual, self.evaluations = relative_residual, evaluations
         super().__init__(
-            f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s, residual {residual:.3g} '
-            f'after {evaluations} evaluations of the gradient; use a smaller step_size or another '
-            'integrator')
+            f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s, relative residual '
+            f'{relative_residual:.3g} after {evaluations} evaluations of gradients and products '
+            'with second derivatives; use a smaller step_size or another integrator')
 
     def dated(self, t: float) -> 'StepFailure':
         """Return the failure at another time [s], such as that of a stamp."""
-        return StepFailure(self.reason, t, self.h, self.residual, self.evaluations)
+        return StepFailure(self.reason, t, self.h, self.relative_residual, self.evaluations)
 
 
 class StoppedByEvent(HnnViRosError):

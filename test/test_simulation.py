@@ -179,7 +179,9 @@ def test_step_failure_names_time_and_residual_and_keeps_the_last_good_state():
     assert (failure.t, failure.h) == (0.0, 1.0)
     assert failure.reason in ('no convergence', 'not finite')
     assert failure.evaluations >= 1
-    assert not failure.residual < 1e-3
+    assert not failure.relative_residual < 1e-3
+    assert f'relative residual {failure.relative_residual:.3g} after' in str(failure)
+    assert f'{failure.evaluations} evaluations' in str(failure)
     assert 'step_size' in str(failure)
     assert '\n' not in str(failure)
 

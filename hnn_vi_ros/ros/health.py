@@ -72,7 +72,8 @@ class Health:
 
     def add_failure(self, failure: StepFailure, step: int, stamp: int) -> None:
         """Tell that the step after this one failed, after the sample of that stamp [ns]."""
-        self.add(Alarm(STEP_FAILED, step, failure.residual, math.nan, str(failure), '1'), stamp)
+        self.add(Alarm(STEP_FAILED, step, failure.relative_residual, math.nan, str(failure), '1'),
+                 stamp)
 
     def find(self, kind: str) -> Alarm | None:
         """Return the newest alarm of a kind, None if there was none."""
