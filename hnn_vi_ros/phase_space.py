@@ -92,7 +92,7 @@ class Trajectory:
 def check_state(q: Sequence[float], p: Sequence[float], dimension: int
                 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return fresh float64 arrays of a state, or of several one after another, or raise.
+    Return fresh float64 arrays of a state, or of several, in the shape given, or raise.
 
     Parameters
     ----------
@@ -118,5 +118,4 @@ def check_state(q: Sequence[float], p: Sequence[float], dimension: int
         arrays.append(array)
     if arrays[0].shape != arrays[1].shape:
         raise ValueError(f'q and p have different shapes, {arrays[0].shape}, {arrays[1].shape}')
-    arrays = [array.ravel() for array in arrays]
     return arrays[0], arrays[1]

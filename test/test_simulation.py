@@ -4,7 +4,7 @@
 
 from functools import cached_property
 
-from helpers import EPS, random_checkpoint
+from helpers import EPS, random_checkpoint, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -16,6 +16,7 @@ from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.dense_step import record_at
 import numba
 import numpy as np
 import pytest
@@ -166,6 +167,25 @@ def test_hamiltonian_of_functions_without_a_module_is_simulated():
 def test_simulation_state_of_wrong_shape_or_not_finite_is_refused(q, p):
     with pytest.raises(ValueError, match='shape|finite'):
         Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), 0.1, q, p)
+
+
+@pytest.mark.parametrize('effects', [[], [EFFECTS['damping'](0.2)]], ids=['plain', 'forces'])
+@pytest.mark.parametrize('shape', [(2,), (1, 2), (3, 2)])
+def test_state_and_all_that_is_made_of_it_have_the_shape_of_the_initial_state(shape, effects):
+    q, p = np.random.default_rng(0).uniform(-0.3, 0.3, (2, *shape))
+    simulation = Simulation(Uncompiled(HAMILTONIANS['henon_heiles']()), INTEGRATORS['gauss4'](),
+                            0.1, q, p, effects)
+    dense = simulation.dense_step()
+    states = [(simulation.q, simulation.p), (simulation.dH_dq, simulation.dH_dp),
+              simulation.trial(simulation.snapshot(), 0.05), record_at(simulation, [0.15])]
+    states += [dense.state(theta) for theta in (0.0, 0.3, 1.0)]
+    assert [x.shape for pair in states[:3] + states[4:] for x in pair] == [shape] * 12
+    assert [x.shape for x in (*states[3], *simulation.record(4, 2))] == (
+        [(1, *shape)] * 2 + [(4, *shape)] * 2)
+    # Views of what the loop changes, not copies of it.
+    before = simulation.q.copy()
+    simulation.advance(1)
+    assert (simulation.q != before).any()
 
 
 def test_step_failure_names_time_and_residual_and_keeps_the_last_good_state():

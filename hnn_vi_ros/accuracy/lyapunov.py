@@ -120,7 +120,7 @@ class _Pair:
         """Take the next steps, and bring the neighbour back to its distance."""
         simulation = self._simulation
         simulation.advance(_EVERY)
-        q, p = (np.reshape(part, (2, -1)) for part in (simulation.q, simulation.p))
+        q, p = simulation.q, simulation.p
         offset = np.concatenate([q[1] - q[0], p[1] - p[0]]) / self._scale
         size = float(np.linalg.norm(offset))
         self.growth += math.log(size / _DISTANCE)

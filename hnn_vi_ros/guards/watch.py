@@ -107,9 +107,7 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
 def look(simulation: Simulation) -> Look:
     """Return the present state as guards look at it; of m trajectories, in shape (m, d)."""
     energy, modified = simulation.energies
-    d = simulation.hamiltonian.dimension
-    shape = (d,) if simulation.q.size == d else (-1, d)
-    states = (x.copy().reshape(shape) for x in (
+    states = (x.copy() for x in (
         simulation.q, simulation.p, simulation.dH_dq, simulation.dH_dp))
     return Look(simulation.steps, *states, energy, math.nan if modified is None else modified,
                 simulation.work)

@@ -228,7 +228,7 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
           every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray,
           alarms: list[list[Alarm]]) -> None:
     """Simulate the blocks that begin at these trajectories; every: steps, or samples' times."""
-    samples, d = len(q_all) - 1, q_all.shape[2]
+    samples = len(q_all) - 1
     simulation = start(slice(firsts[0], firsts[0] + size))
     for first in firsts:
         block = slice(first, first + size)
@@ -238,5 +238,4 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         q_block, p_block = record_samples(simulation, samples, every, watch)
         for own in alarms[block]:
             own += watch.alarms
-        q_all[1:, block] = q_block.reshape(samples, -1, d)
-        p_all[1:, block] = p_block.reshape(samples, -1, d)
+        q_all[1:, block], p_all[1:, block] = q_block, p_block

@@ -55,8 +55,8 @@ class Simulation:
         Whether no effect does work, and whether one takes commands.
     steps : int
         Steps taken since the initial state.
-    q, p : np.ndarray, shape (d,) or (m d,), with forces (d,) or (m, d)
-        The state; copy it before the next ``advance``.
+    q, p : np.ndarray, shape (d,) or (m, d)
+        The state, in the shape of the initial one; copy it before the next ``advance``.
     dH_dq, dH_dp : np.ndarray, of the shape of q
         -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
     rescued, several_solutions : int
@@ -105,7 +105,7 @@ class Simulation:
                 ) -> None:
         """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
         q, p = check_state(q, p, self.hamiltonian.dimension)
-        self._system.check_state(q, p)
+        self._system.check_state(q.ravel(), p.ravel())
         self._system.live.reset(stream)
         self._system.live.clock[0] = step * self.step_size
         self.steps, self.gradients, self.residual = step, 0, 0.0
@@ -114,8 +114,9 @@ class Simulation:
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._way, self._memories = 0, self._rescue.memories(n)
+        self._shape = q.shape
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)
-        self.q[:], self.p[:] = q.reshape(self.q.shape), p.reshape(self.q.shape)
+        self.q[:], self.p[:] = q, p
         # Not the point's own: what a step finds there must not depend on when it was looked at.
         self._dH_dq, self._dH_dp = np.empty((2, n))
         self.dH_dq, self.dH_dp = self._state(self._dH_dq), self._state(self._dH_dp)
@@ -126,11 +127,10 @@ class Simulation:
         self._energy0 = self.energy
 
     def _state(self, array: np.ndarray) -> np.ndarray:
-        """Return the view of an array of n unknowns that leaves the channels of forces out."""
-        if self._kernel.channels == 0:
-            return array
-        view = array.reshape(-1, self._kernel.dimension)[:, :self.hamiltonian.dimension]
-        return view[0] if len(view) == 1 else view
+        """Return the view of arrays of n unknowns, (..., n), without the channels of forces."""
+        before = array.shape[:-1]
+        view = array.reshape(*before, *self._shape[:-1], self._kernel.dimension)
+        return view[..., :self.hamiltonian.dimension]
 
     def _evaluate_gradient(self) -> None:
         self._kernel.gradient(
@@ -181,9 +181,8 @@ class Simulation:
         energy = self.energy
         if self._system.integrator is not self.integrator:
             return energy, None
-        value = self.integrator.modified_energy(self.hamiltonian, self.step_size, *(
-            x.reshape(-1, self.hamiltonian.dimension) for x in (self.q, self.p)), 0.0, *(
-            x.reshape(-1, self.hamiltonian.dimension) for x in (self.dH_dq, self.dH_dp)))
+        value = self.integrator.modified_energy(
+            self.hamiltonian, self.step_size, self.q, self.p, 0.0, self.dH_dq, self.dH_dp)
         return energy, None if value is None else energy + float(value.sum())
 
     @property
@@ -235,7 +234,7 @@ class Simulation:
 
         Returns
         -------
-        tuple of np.ndarray, shape (d,) or (m d,)
+        tuple of np.ndarray, shape (d,) or (m, d)
             q and p after them.
 
         Raises
@@ -253,7 +252,7 @@ class Simulation:
         self.step_size = step_size
         try:
             self.advance(steps)
-            return self.q.ravel().copy(), self.p.ravel().copy()
+            return self.q.copy(), self.p.copy()
         finally:
             self.step_size = h
             self.restore(now)
@@ -283,7 +282,7 @@ class Simulation:
 
         Returns
         -------
-        tuple of np.ndarray, shape (samples, d) or (samples, m d)
+        tuple of np.ndarray, shape (samples, d) or (samples, m, d)
             q and p after each ``every`` steps.
 
         Raises
@@ -311,8 +310,8 @@ class Simulation:
         self._update_gradient()
         if failure is not None:
             raise failure
-        keep = self._state(np.arange(self._z.q.size)).ravel()
-        return (q_out[:, keep], p_out[:, keep]) if self._kernel.channels else (q_out, p_out)
+        return (np.ascontiguousarray(self._state(q_out)),
+                np.ascontiguousarray(self._state(p_out)))
 
     def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:

@@ -89,7 +89,7 @@ class DenseStep:
 
     def state(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return q and p at a time in the step, to the order of the method.
+        Return q and p, of shape (d,) or (m, d), at a time in the step, to the method's order.
 
         Parameters
         ----------
@@ -104,13 +104,18 @@ class DenseStep:
         """
         for share, (z, _) in ((0.0, self._start), (1.0, self._end)):
             if theta == share:
-                return z[:z.size // 2].copy(), z[z.size // 2:].copy()
+                return self._halves(z)
         method = self._simulation.integrator
         if not method.goes_on_from_state or (
                 self._plain and self.polynomial.order >= method.order):
-            return self.polynomial(theta)
+            return self._halves(np.concatenate(self.polynomial(theta)))
         simulation = self._simulation
         return simulation.trial(self._before, theta * simulation.step_size)
+
+    def _halves(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return copies of q and p out of (q, p), in the simulation's shape."""
+        q, p = z.copy().reshape(2, *self._simulation.q.shape)
+        return q, p
 
 
 def _end(simulation: 'Simulation') -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +164,7 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
 
     Returns
     -------
-    tuple of np.ndarray, shape (k, d) or (k, m d)
+    tuple of np.ndarray, shape (k, d) or (k, m, d)
         q and p. The simulation ends at the first whole step that is not before the last time.
 
     Raises
@@ -168,7 +173,7 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
         A step did not converge or is not finite.
 
     """
-    q, p = np.empty((2, len(times), simulation.q.size))
+    q, p = np.empty((2, len(times), *simulation.q.shape))
     dense = None
     for k, time in enumerate(times):
         step, share = whole_steps(time, simulation.step_size)
@@ -180,7 +185,7 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
             # Samples inside of the step that may lie before the event are not taken.
             raise stop.after(q[:k], p[:k]) from None
         if dense is None:
-            q[k], p[k] = simulation.q.ravel(), simulation.p.ravel()
+            q[k], p[k] = simulation.q, simulation.p
         else:
             q[k], p[k] = dense.state(share)
         on_sample()
