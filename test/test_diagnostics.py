@@ -12,6 +12,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, OK
 from hnn_vi_ros.integrators.composition import Composition, Yoshida4
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.studies.variants import Undersolved
 import numpy as np
@@ -27,9 +28,9 @@ def test_defects_tell_what_each_method_claims(method: Method):
     reversal = reversal_defect(hamiltonian, integrator, H, Q, P)
     symplectic = symplectic_defect(hamiltonian, integrator, H, Q, P)
     # Round-off on one side; on the other, the smallest defect here is that of RK4, O(h^5).
-    assert (reversal <= 1e-14) == integrator.symmetric or reversal > 1e-9
-    assert (reversal <= 1e-14) == integrator.symmetric
-    assert (symplectic <= 1e-11) == integrator.symplectic
+    assert (reversal <= 1e-14) == integrator.requirements.symmetric or reversal > 1e-9
+    assert (reversal <= 1e-14) == integrator.requirements.symmetric
+    assert (symplectic <= 1e-11) == integrator.requirements.symplectic
 
 
 def test_symplectic_defect_of_variational_euler_is_large_in_the_naive_two_form():
@@ -52,7 +53,7 @@ def test_two_form_of_variational_euler_is_that_of_its_staggered_momentum():
 def test_under_solved_steps_are_found_by_the_defects():
     """Three iterations of a map that contracts by h H_qp leave a residual of its cube."""
     worse = Undersolved(ImplicitMidpoint(), 0.0, 3)
-    worse.symmetric = worse.symplectic = True
+    worse.requirements = Requirements(symmetric=True, symplectic=True)
     assert symplectic_defect(TAO, worse, H, Q, P) > 1e-9
     assert reversal_defect(TAO, worse, H, Q, P) > 1e-9
 
@@ -68,7 +69,8 @@ def test_swapped_composition_is_found_by_the_defect_of_reversal():
 class _Planted(Integrator):
     """A one-step map written as plain formulas of the gradient."""
 
-    order, explicit, symmetric, symplectic = 2, True, True, True
+    order, explicit = 2, True
+    requirements = Requirements(symmetric=True, symplectic=True)
 
     def __init__(self, formula):
         self._formula = formula

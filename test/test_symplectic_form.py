@@ -28,7 +28,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-CANONICAL = sorted(name for name, method in INTEGRATORS.items() if method.canonical_only)
+CANONICAL = sorted(name for name, method in INTEGRATORS.items()
+                   if method.requirements.coordinates == 'canonical')
 # A random form of two coordinates: its W varies by a factor of two over the box, in directions
 # that no time reversal respects.
 STRENGTH = 0.06

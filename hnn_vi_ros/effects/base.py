@@ -128,7 +128,7 @@ class Effect(ABC):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether a method can take the effect without losing what it claims."""
-        return integrator.uses_hamiltonian
+        return integrator.requirements.hamiltonian
 
     @abstractmethod
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
@@ -263,8 +263,7 @@ class Force(Effect):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method takes forces at its nodes, and such that depend on p."""
-        return integrator.takes_forces and not (
-            self.depends_on_momentum and integrator.separable_only)
+        return integrator.requirements.take_force(self.depends_on_momentum)
 
 
 class StepEffect(Effect):

@@ -59,12 +59,12 @@ class Damping(Force, StepEffect):
 
     def place(self, integrator: Integrator) -> Place:
         """Return whether the method takes the flow, or the force."""
-        splits = integrator.order <= 2 and integrator.goes_on_from_state
+        splits = integrator.order <= 2 and integrator.requirements.from_state
         return Place.AROUND if splits else Place.NODES
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method takes the flow, or the force."""
-        return integrator.uses_hamiltonian and (
+        return integrator.requirements.hamiltonian and (
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:

@@ -68,8 +68,8 @@ class HolonomicConstraint(Constraint):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method is symmetric and of order 2, which RATTLE keeps."""
-        return integrator.symmetric and integrator.symplectic and integrator.order == 2 and \
-            integrator.uses_hamiltonian
+        keeps = integrator.requirements
+        return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[Row, ...]:
         """Return the equations, of which a circle in space has two."""

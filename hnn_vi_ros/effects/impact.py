@@ -64,8 +64,8 @@ class Impact(StepEffect):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method's energy does not drift from impact to impact: order >= 2."""
-        return integrator.uses_hamiltonian and integrator.order >= 2 and \
-            integrator.goes_on_from_state
+        needs = integrator.requirements
+        return needs.hamiltonian and integrator.order >= 2 and needs.from_state
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""

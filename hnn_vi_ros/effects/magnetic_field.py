@@ -47,7 +47,8 @@ class MagneticField(Joined):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method takes an H that does not separate."""
-        return integrator.uses_hamiltonian and not integrator.separable_only
+        needs = integrator.requirements
+        return needs.hamiltonian and not needs.separable
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, int, float]:
         """Return the places of x and y, and c B / 2 [kg/s]."""

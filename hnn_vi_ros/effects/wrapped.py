@@ -10,6 +10,7 @@ from typing import final
 from hnn_vi_ros.effects.base import StepEffect
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined, is_own
 
@@ -30,7 +31,7 @@ class Wrapped(Integrator):
 
     """
 
-    explicit = symmetric = symplectic = False
+    explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
     def __init__(self, inner: Integrator, kind: type[StepEffect], settings: tuple):
         # An effect may take several solutions in a step, not all of them for good: any will do.

@@ -1,8 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Integrators, by the name that a scene's YAML gives them."""
+"""Integrators, by the name that a scene's YAML gives them, and which of them can do what."""
 
-from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
+from collections.abc import Callable
+
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.composition import Composition, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.discrete_euler_lagrange import DiscreteEulerLagrange
 from hnn_vi_ros.integrators.discrete_gradient import DiscreteGradient
 from hnn_vi_ros.integrators.dop853 import DOP853
@@ -18,7 +23,7 @@ from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
 
-INTEGRATORS = {
+INTEGRATORS: dict[str, type[Integrator]] = {
     'variational_euler': VariationalEuler,
     'symplectic_euler': SymplecticEuler,
     'symplectic_euler_adjoint': SymplecticEulerAdjoint,
@@ -36,3 +41,34 @@ INTEGRATORS = {
     'rk4': RK4,
     'dop853': DOP853,
 }
+
+
+def method_name(integrator: Integrator) -> str:
+    """Return the name of a method in a scene, with its base if there is a choice of it."""
+    name = next((key for key, method in INTEGRATORS.items() if type(integrator) is method),
+                type(integrator).__name__)
+    composed = isinstance(integrator, Composition)
+    return f'{name} over {integrator.base.kernel_name}' if composed else name
+
+
+def methods_that(can: Callable[[Integrator], bool]) -> str:
+    """Return the names of methods of the kernel's H that can do something, with commas."""
+    return ', '.join(name for name, method in INTEGRATORS.items()
+                     if method.requirements.hamiltonian and can(method()))
+
+
+def check_method(integrator: Integrator, hamiltonian: Hamiltonian) -> None:
+    """
+    Refuse a Hamiltonian that a method cannot integrate.
+
+    Raises
+    ------
+    UnsupportedSystem
+        The method does not apply; the message names those that do.
+
+    """
+    problem = integrator.requirements.refusal(hamiltonian)
+    if problem:
+        able = methods_that(lambda method: not method.requirements.refusal(hamiltonian))
+        raise UnsupportedSystem(f'{method_name(integrator)} {problem}; methods that can: {able}')
+    integrator.check(hamiltonian)

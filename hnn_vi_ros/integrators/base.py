@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.marks import is_own
 import numpy as np
 
@@ -128,25 +129,14 @@ class Integrator(ABC):
     ----------
     order : int
         Order of convergence on smooth problems.
-    explicit, symmetric, symplectic : bool
-        What the map is; symplectic in the 2-form that the method's docstring names.
+    requirements : Requirements
+        What the method needs of a system, and what it keeps.
+    explicit : bool
+        Whether a step solves no equation.
     keeps_gradient : bool
         True if a step leaves the gradient at the new state, for nothing more.
-    uses_hamiltonian : bool
-        False if the map is made of something else than the kernel's H.
-    takes_forces : bool
-        True if the map stays right where the kernel's gradient holds forces as well.
-    goes_on_from_state : bool
-        False if the next step goes on from elsewhere than the state that the last one ended in:
-        nothing may change that state between them.
-    separable_only : bool
-        True if it needs H = T(p) + V(q), and forces that do not depend on p.
     halves : tuple of callable or None
         Two steps of h / 2 that make up the step, if it has a middle to put something in.
-    canonical_only : bool
-        False if the map is as good for a field u' = f(u) in any coordinates.
-    takes_canonical : bool
-        False if it is made for coordinates that are not canonical, on which no effect acts.
     no_solution : str
         What it means that no solution of the step's equation is connected to h = 0; '' where the
         one that solvers find is taken.
@@ -162,28 +152,21 @@ class Integrator(ABC):
 
     order: int
     explicit: bool
-    symmetric: ClassVar[bool]
-    symplectic: ClassVar[bool]
+    requirements: Requirements
     keeps_gradient: ClassVar[bool] = False
     compiled: ClassVar[bool] = True
-    uses_hamiltonian: ClassVar[bool] = True
-    takes_forces: ClassVar[bool] = True
-    goes_on_from_state: ClassVar[bool] = True
-    separable_only: bool = False
     no_solution: str = ''
-    canonical_only: ClassVar[bool] = True
-    takes_canonical: ClassVar[bool] = True
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable
 
     def check(self, hamiltonian: Hamiltonian) -> None:  # noqa: B027
         """
-        Refuse a Hamiltonian that the method cannot integrate.
+        Refuse a Hamiltonian for another reason than those of the requirements; see check_method.
 
         Raises
         ------
         UnsupportedSystem
-            The method does not apply; the message names those that do.
+            The method does not apply; the message says what would.
 
         """
 

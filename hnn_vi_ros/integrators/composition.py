@@ -6,10 +6,10 @@ from collections.abc import Callable
 from functools import cache
 from typing import ClassVar
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -43,7 +43,8 @@ class Composition(Integrator):
 
     """
 
-    order, explicit, symmetric, symplectic = 4, False, True, True
+    order, explicit = 4, False
+    requirements = Requirements(symmetric=True, symplectic=True)
     fractions: ClassVar[tuple[float, ...]]
 
     def __init__(self, base: str = 'generalized_leapfrog'):
@@ -51,16 +52,12 @@ class Composition(Integrator):
             raise ValueError(f'base = {base!r}; valid: {", ".join(BASES)}')
         self.base = BASES[base]()
         self.step = _compose(self.base.step, self.fractions)
-        self.separable_only, self.explicit = self.base.separable_only, self.base.explicit
+        self.requirements, self.explicit = self.base.requirements, self.base.explicit
 
     @property
     def kernel_name(self) -> str:
         """Return the name of the method and of its base."""
         return f'{type(self).__name__}({self.base.kernel_name})'
-
-    def check(self, hamiltonian: Hamiltonian) -> None:
-        """Refuse what the base refuses; see Integrator."""
-        self.base.check(hamiltonian)
 
     def links(self, n: int) -> tuple[int, ...]:
         """Return the solvers of the base's chain."""

@@ -9,6 +9,7 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 import numpy as np
@@ -55,8 +56,8 @@ class DiscreteEulerLagrange(Integrator):
 
     """
 
-    explicit, symmetric, symplectic = False, False, True
-    compiled, uses_hamiltonian, takes_forces = False, False, False
+    explicit, compiled = False, False
+    requirements = Requirements(symmetric=False, symplectic=True, hamiltonian=False, forces=False)
 
     def __init__(self, discrete_lagrangian: Annotated[str | None, NAMES_CODE] = None,
                  order: int = 1, model: str | None = None):

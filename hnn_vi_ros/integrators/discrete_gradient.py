@@ -8,6 +8,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -45,8 +46,8 @@ class DiscreteGradient(ImplicitIntegrator):
 
     """
 
-    order, symmetric, symplectic = 2, True, False
-    takes_forces = False
+    order = 2
+    requirements = Requirements(symmetric=True, symplectic=False, forces=False)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: the new q and p."""

@@ -5,6 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, OK, Point
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
@@ -38,8 +39,8 @@ class DOP853(Integrator):
 
     """
 
-    order, explicit, symmetric, symplectic = 8, True, False, False
-    canonical_only = False
+    order, explicit = 8, True
+    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
     compiled = False
 
     def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):

@@ -9,6 +9,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -93,7 +94,7 @@ class Gauss(ImplicitIntegrator):
 
     """
 
-    symmetric, symplectic = True, True
+    requirements = Requirements(symmetric=True, symplectic=True)
     stages: ClassVar[int]
 
     @property

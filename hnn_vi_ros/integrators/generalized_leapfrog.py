@@ -7,6 +7,7 @@ from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import solve_coordinates, solve_momenta
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import leapfrog_energy
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
@@ -42,7 +43,8 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
 
     """
 
-    order, symmetric, symplectic, scalar = 2, True, True, True
+    order, scalar = 2, True
+    requirements = Requirements(symmetric=True, symplectic=True)
     halves = (SymplecticEuler.step, _second_half)
     modified_energy = staticmethod(leapfrog_energy)
 

@@ -87,7 +87,7 @@ class ImplicitIntegrator(Integrator):
         """Return this method where it is symmetric, else the generalised leapfrog."""
         if self.solver == 'fixed_point':
             return None
-        if self.symmetric:
+        if self.requirements.symmetric:
             return self
         # Sub-steps of a method that is not symmetric would each conserve a 2-form of their own.
         from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog

@@ -9,6 +9,7 @@ from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import midpoint_energy
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -40,7 +41,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
 
     """
 
-    order, symmetric, symplectic = 2, True, True
+    order, requirements = 2, Requirements(symmetric=True, symplectic=True)
     modified_energy = staticmethod(midpoint_energy)
 
     def unknowns(self, n: int) -> tuple[int, ...]:

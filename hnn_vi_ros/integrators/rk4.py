@@ -4,6 +4,7 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 
@@ -20,8 +21,8 @@ class RK4(Integrator):
 
     """
 
-    order, explicit, symmetric, symplectic = 4, True, False, False
-    canonical_only = False
+    order, explicit = 4, True
+    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
     keeps_gradient = True
 
     def options(self, link: int = 0, dimension: int = 1) -> tuple:

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Störmer-Verlet method, explicit, for separable Hamiltonians."""
 
-from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
 from hnn_vi_ros.integrators.modified import leapfrog_energy
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 
@@ -54,25 +53,9 @@ class StormerVerlet(Integrator):
 
     """
 
-    order, explicit, symmetric, symplectic = 2, True, True, True
-    separable_only, halves = True, (_first_half, _second_half)
+    order, explicit, halves = 2, True, (_first_half, _second_half)
+    requirements = Requirements(symmetric=True, symplectic=True, separable=True)
     modified_energy = staticmethod(leapfrog_energy)
-
-    def check(self, hamiltonian: Hamiltonian) -> None:
-        """
-        Refuse a Hamiltonian that is not known to separate.
-
-        Raises
-        ------
-        UnsupportedSystem
-            Always for such a Hamiltonian; names the alternatives.
-
-        """
-        if not hamiltonian.separable:
-            raise UnsupportedSystem(
-                f'stormer_verlet is explicit and needs H = T(p) + V(q), but '
-                f'{type(hamiltonian).__name__} does not separate; use generalized_leapfrog, '
-                'implicit_midpoint or gauss4')
 
     def options(self, link: int = 0, dimension: int = 1) -> tuple:
         """Return no options: nothing is solved."""

@@ -7,6 +7,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
 from hnn_vi_ros.integrators.equations import solve_momenta
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -30,7 +31,8 @@ class SymplecticEuler(ImplicitIntegrator):
 
     """
 
-    order, symmetric, symplectic, scalar = 1, False, True, True
+    order, scalar = 1, True
+    requirements = Requirements(symmetric=False, symplectic=True)
     no_solution = NO_SOLUTION_OF_EQ_6
 
     @staticmethod

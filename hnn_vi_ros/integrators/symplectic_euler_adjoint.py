@@ -7,6 +7,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
 from hnn_vi_ros.integrators.equations import solve_coordinates
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -28,7 +29,8 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
 
     """
 
-    order, symmetric, symplectic, scalar = 1, False, True, True
+    order, scalar = 1, True
+    requirements = Requirements(symmetric=False, symplectic=True)
     no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
                    'the way det(I - h H_qp) changes sign')
 

@@ -3,14 +3,15 @@
 """Short steps where forces are strong, by a transformation of time that keeps the structure."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 import math
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.step_size_control import controlled
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -74,8 +75,8 @@ class TimeTransformed(Integrator):
 
     """
 
-    explicit, symmetric, symplectic = False, False, False
-    takes_forces, goes_on_from_state = False, False
+    explicit = False
+    requirements = Requirements(symmetric=False, symplectic=False, forces=False, from_state=False)
 
     def __init__(self, base: str = 'gauss4', force: float = 1.0, exponent: float = 0.75,
                  control: str = 'hamiltonian'):
@@ -90,7 +91,8 @@ class TimeTransformed(Integrator):
             raise ValueError(f'exponent = {exponent} must be from 0 to 4')
         self.base, self._force, self._exponent = bases[base](), float(force), float(exponent)
         self._control, self.order = control, self.base.order
-        self.separable_only = self.base.separable_only
+        self.requirements = replace(
+            self.requirements, separable=self.base.requirements.separable)
         around = _transform if control == 'hamiltonian' else controlled
         self.step = around(self.base.step)
 
@@ -98,10 +100,6 @@ class TimeTransformed(Integrator):
     def kernel_name(self) -> str:
         """Return the name of the method and of its base."""
         return f'{type(self).__name__}({self._control}, {self.base.kernel_name})'
-
-    def check(self, hamiltonian: Hamiltonian) -> None:
-        """Refuse what the base refuses; see Integrator."""
-        self.base.check(hamiltonian)
 
     def links(self, n: int) -> tuple[int, ...]:
         """Return the solvers of the base's chain, for n coordinates and the time."""

@@ -5,12 +5,11 @@
 from typing import NamedTuple
 
 from hnn_vi_ros import models
-from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -66,16 +65,9 @@ class VariationalMidpoint(ImplicitIntegrator):
 
     """
 
-    order, symmetric, symplectic = 2, True, False
-    takes_forces = False
-    canonical_only, takes_canonical = False, False
-
-    def check(self, hamiltonian: Hamiltonian) -> None:
-        """Refuse a Hamiltonian in canonical coordinates; see Integrator."""
-        if hamiltonian.canonical:
-            raise UnsupportedSystem('variational_midpoint takes a model of the family '
-                                    'symplectic_form; in canonical coordinates it is '
-                                    'discrete_gradient, or implicit_midpoint to keep the 2-form')
+    order = 2
+    requirements = Requirements(symmetric=True, symplectic=False, coordinates='other',
+                                forces=False)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: the new q and p."""

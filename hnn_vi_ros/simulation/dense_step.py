@@ -106,7 +106,7 @@ class DenseStep:
             if theta == share:
                 return self._halves(z)
         method = self._simulation.integrator
-        if not method.goes_on_from_state or (
+        if not method.requirements.from_state or (
                 self._plain and self.polynomial.order >= method.order):
             return self._halves(np.concatenate(self.polynomial(theta)))
         simulation = self._simulation

@@ -13,9 +13,8 @@ from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, REASONS, REDUNDANT
-from hnn_vi_ros.integrators.composition import Composition
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
@@ -134,8 +133,8 @@ class System:
         self.conservative = all(effect.conservative for effect in effects)
         self._single_file = [label for effect, label in zip(effects, self.labels, strict=True)
                              if not effect.lockstep]
-        if not integrator.goes_on_from_state:
-            self._single_file.append(_name(integrator))
+        if not integrator.requirements.from_state:
+            self._single_file.append(method_name(integrator))
         if not hamiltonian.canonical:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
@@ -144,7 +143,7 @@ class System:
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
         joined = [(effects[i], self._parameters[i]) for i in self._in(Place.ENERGY)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
-        integrator.check(self.hamiltonian)
+        check_method(integrator, self.hamiltonian)
         if not hamiltonian.smooth:
             warnings.warn(
                 'the gradient of H jumps, as that of every relu network does: no method keeps its '
@@ -212,24 +211,15 @@ class System:
     def _check(self, integrator: Integrator) -> None:
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
-                name = _name(integrator)
-                able = [key for key, method in INTEGRATORS.items()
-                        if method.uses_hamiltonian and method.takes_canonical
-                        and effect.accepts(method())]
-                if isinstance(integrator, Composition):
-                    name += f' over {integrator.base.kernel_name}'
-                raise UnsupportedSystem(f'{name} cannot take the effect {label}; methods that '
-                                        f'can: {", ".join(able)}')
+                able = methods_that(lambda method: (  # noqa: B023  called at once
+                    method.requirements.coordinates != 'other' and effect.accepts(method)))
+                raise UnsupportedSystem(f'{method_name(integrator)} cannot take the effect '
+                                        f'{label}; methods that can: {able}')
 
     def _check_coordinates(self, hamiltonian: Hamiltonian, integrator: Integrator) -> None:
-        names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
-        if integrator.canonical_only:
-            raise UnsupportedSystem(
-                f'{_name(integrator)} needs canonical coordinates, which those of this model '
-                f'({names}) are not: its steps, those of eq. (6) too, would keep another 2-form '
-                'than the one it learned; use variational_midpoint, or to compare with: '
-                'explicit_euler, rk4, dop853')
+        check_method(integrator, hamiltonian)
         if self._effects:
+            names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
             raise EffectError(0, f'{self.labels[0]} acts on canonical momenta, which those of '
                                  f'this model ({names}) have not; leave all effects out, or '
                                  'simulate a model of another family')
@@ -296,9 +286,3 @@ class System:
 def _kind(effect: Effect) -> str:
     """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
     return _KINDS.get(type(effect), type(effect).__name__)
-
-
-def _name(integrator: Integrator) -> str:
-    """Return the name of a method in a scene."""
-    return next((key for key, method in INTEGRATORS.items() if type(integrator) is method),
-                type(integrator).__name__)

@@ -45,7 +45,7 @@ def run_motion(job: Job) -> Measured:
             simulation.restart(job.set_up.q, job.set_up.p)
             _run_all(job, simulation, measured)
     within = job.set_up.within
-    if within is not None and simulation.integrator.symplectic \
+    if within is not None and simulation.integrator.requirements.symplectic \
             and within < measured.first_word < math.inf:
         measured.broken.append(f'said only at step {measured.first_word:.0f}')
     return measured
@@ -222,9 +222,9 @@ def _judge_steps(simulation: Simulation, job: Job, seen: list, measured: Measure
     for q, p in seen[::max(1, len(seen) // _JUDGED)][:_JUDGED]:
         arguments = simulation.hamiltonian, method, h, q, p
         try:
-            if 'G4' in job.case.gates and method.symmetric:
+            if 'G4' in job.case.gates and method.requirements.symmetric:
                 measured.reversal = _worse(measured.reversal, reversal_defect(*arguments))
-            if 'G5' in job.case.gates and method.symplectic:
+            if 'G5' in job.case.gates and method.requirements.symplectic:
                 measured.symplectic = _worse(measured.symplectic, symplectic_defect(*arguments))
         except StepFailure:
             # Beyond the method's limit single steps may fail where the run found a way.

@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -79,7 +80,7 @@ def create(method: Method, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, Integ
     except (TypeError, ValueError) as problem:
         raise UnsupportedSystem(f'{method.label}: needs parameters of its own, which the study '
                                 'does not give it; leave it out') from problem
-    integrator.check(hamiltonian)
+    check_method(integrator, hamiltonian)
     if method.variant == FLOAT32:
         if not isinstance(hamiltonian, NeuralHamiltonian):
             raise UnsupportedSystem(f'{method.label}: {type(hamiltonian).__name__} is a formula; '
@@ -128,7 +129,7 @@ class Undersolved(Integrator):
 
     """
 
-    explicit, symmetric, symplectic = False, False, False
+    explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
     def __init__(self, base: ImplicitIntegrator, tolerance: float, iterations: int):
         self.base, self.order, self.step = base, base.order, base.step

@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import ParameterError, StepFailure
 from hnn_vi_ros.guards import BoxGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies import hard_cases, hard_cases_run
@@ -199,7 +200,7 @@ def test_steps_that_are_not_solved_fail_the_gates(monkeypatch):
     def parts(self):
         hamiltonian, _, effects = original(self)
         worse = Undersolved(VariationalEuler(), 0.0, 3)
-        worse.symplectic = True
+        worse.requirements = Requirements(symmetric=False, symplectic=True)
         return hamiltonian, worse, effects
 
     original = Job.parts

@@ -1,0 +1,60 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What methods declare that they need: refusals, and the lists of methods that can."""
+
+from helpers import Uncompiled
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import check_method, INTEGRATORS
+from hnn_vi_ros.integrators.requirements import Requirements
+import pytest
+
+
+class Elsewhere(Uncompiled):
+    """A system in coordinates that are not canonical."""
+
+    canonical = False
+
+
+SYSTEMS = {'separable': Uncompiled(HAMILTONIANS['pendulum']()),
+           'not separable': Uncompiled(HAMILTONIANS['tao']()),
+           'not canonical': Elsewhere(HAMILTONIANS['pendulum']())}
+# DiscreteEulerLagrange is no method for H, but for a discrete Lagrangian that it is given.
+METHODS = {name: method() for name, method in INTEGRATORS.items()
+           if method.requirements.hamiltonian}
+
+
+def refusal(name: str, hamiltonian: Hamiltonian) -> str:
+    """Return what a method says of a system, nothing where it takes it."""
+    try:
+        check_method(METHODS[name], hamiltonian)
+    except UnsupportedSystem as problem:
+        return str(problem)
+    return ''
+
+
+@pytest.mark.parametrize('system', SYSTEMS)
+def test_refusal_names_the_methods_that_refuse_nothing(system):
+    refusals = {name: refusal(name, SYSTEMS[system]) for name in METHODS}
+    able = [name for name, message in refusals.items() if not message]
+    refused = {name: message for name, message in refusals.items() if message}
+    assert able and refused
+    for name, message in refused.items():
+        assert message.startswith(f'{name} ')
+        assert message.partition('; methods that can: ')[2].split(', ') == able
+
+
+def test_composition_needs_what_its_base_needs():
+    method = INTEGRATORS['yoshida4']('stormer_verlet')
+    with pytest.raises(UnsupportedSystem, match='yoshida4 over StormerVerlet needs H = T'):
+        check_method(method, SYSTEMS['not separable'])
+    check_method(method, SYSTEMS['separable'])
+
+
+@pytest.mark.parametrize('needs, takes', [
+    ({}, (True, True)), ({'separable': True}, (True, False)), ({'forces': False}, (False, False)),
+    ({'hamiltonian': False}, (False, False))])
+def test_forces_that_a_method_takes_follow_from_what_it_needs(needs, takes):
+    declared = Requirements(symmetric=True, symplectic=True, **needs)
+    assert tuple(declared.take_force(depends) for depends in (False, True)) == takes
