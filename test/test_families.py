@@ -10,7 +10,9 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.models import families, model_card
+from hnn_vi_ros.learning.choices import FamilyChoice
+from hnn_vi_ros.learning.families.base import Family
+from hnn_vi_ros.models import families
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.learned import LearnedHamiltonian
@@ -18,6 +20,7 @@ from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
+from pydantic import TypeAdapter
 import pytest
 import torch
 
@@ -31,9 +34,8 @@ def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoin
     """Return a model of random networks of the usual size."""
     rng = np.random.default_rng(d)
     networks = {}
-    for name, inputs in model_card.FAMILIES[family].items():
-        outputs = {'mass_inverse': d * (d + 1) // 2, 'input_map': d * commands}.get(name, 1)
-        widths = [inputs * d, 9, 6, outputs]
+    for name, ends in families.FAMILIES[family].networks.items():
+        widths = [ends.inputs * d, 9, 6, ends.outputs(d, d * commands)]
         networks[name] = Layers(
             tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(widths, widths[1:])),
             tuple(0.3 * rng.normal(size=b) for b in widths[1:]))
@@ -54,8 +56,23 @@ def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoin
     return Checkpoint(card, networks)
 
 
+@pytest.mark.parametrize('family', families.FAMILIES)
+def test_row_of_a_family_names_what_is_compiled_and_what_is_trained(family: str):
+    row = families.FAMILIES[family]
+    assert issubclass(row.hamiltonian, LearnedHamiltonian)
+    assert issubclass(row.trainer, Family)
+    assert row.hamiltonian.canonical == row.canonical
+    assert row.dissipation in {'', *row.networks}
+    assert set(row.constants) <= ModelCard.model_fields.keys()
+
+
+def test_every_family_that_a_configuration_can_name_has_a_row():
+    kinds = TypeAdapter(FamilyChoice).json_schema()['discriminator']['mapping']
+    assert kinds.keys() == families.FAMILIES.keys()
+
+
 def learned(family: str, d: int, **changes) -> LearnedHamiltonian:
-    return families.FAMILIES[family](random_model(family, d, **changes))
+    return families.FAMILIES[family].hamiltonian(random_model(family, d, **changes))
 
 
 def saved(folder: Path, family: str, d: int, **changes) -> str:
@@ -181,7 +198,7 @@ def test_model_file_of_each_family_is_read_back_exactly(tmp_path, family: str):
     save_checkpoint(path, written)
     hamiltonian = load_learned(path)
     assert hamiltonian.checkpoint.card == written.card
-    assert type(hamiltonian) is families.FAMILIES[family]
+    assert type(hamiltonian) is families.FAMILIES[family].hamiltonian
     for name, layers in written.networks.items():
         for ours, theirs in zip(layers, hamiltonian.checkpoint.networks[name], strict=True):
             assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))

@@ -9,6 +9,7 @@ from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -47,7 +48,7 @@ class LearnedDissipation(Force):
     def __init__(self, model: str):
         checkpoint = load_checkpoint(model)
         family = checkpoint.card.family
-        networks = {'hnn': 'energy', 'dissipative_hnn': 'dissipation'}
+        networks = {name: row.dissipation for name, row in FAMILIES.items() if row.dissipation}
         if family not in networks:
             raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
                              f'one of the family {" or ".join(networks)}')

@@ -11,6 +11,7 @@ from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
 from hnn_vi_ros.learning.sources import dimension, Source
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import CoordinateCard
 from pydantic import Field, model_validator
 
@@ -72,9 +73,9 @@ class TrainingConfig(StrictModel):
         if self.linearity and self.loss.kind in ('discrete_lagrangian', 'euler_lagrange'):
             raise ValueError(f'linearity: needs a field of (q, p), which the loss '
                              f'{self.loss.kind} does not train; leave it out')
-        if self.confine and self.family.kind == 'symplectic_form':
-            raise ValueError('confine: needs canonical momenta, which the family symplectic_form '
-                             'has not')
+        if self.confine and not FAMILIES[self.family.kind].canonical:
+            raise ValueError(f'confine: needs canonical momenta, which the family '
+                             f'{self.family.kind} has not')
 
 
 def find_config(config: str) -> Path:

@@ -8,9 +8,9 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import ExactData
-from hnn_vi_ros.learning.families import FAMILIES
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.losses import Batch, LOSSES, mean_square, nonlinearity
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import Units
 import numpy as np
 import torch
@@ -77,7 +77,7 @@ class Problem:
         train, validation = rest.split(config.validation_fraction, config.seed)
         scales = self._scales = Scales.of(dataset)
         self._exact = isinstance(config.data, ExactData) and config.data.noise == 0.0
-        self.family = FAMILIES[config.family.kind](
+        self.family = FAMILIES[config.family.kind].trainer(
             config.family, config.hidden, scales, config.seed)
         self._train, self._validation = (
             self._loss.batch(self._choice, part) for part in (train, validation))

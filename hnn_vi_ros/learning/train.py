@@ -38,8 +38,6 @@ from tqdm import tqdm
 
 # States of the box at which the learned energy is compared with the true one.
 _STATES = 2000
-# Families whose H is constant along the motions that they learn.
-_CONSERVATIVE = {'hnn', 'separable_hnn', 'vin', 'lagrangian', 'symplectic_form'}
 
 
 def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
@@ -136,13 +134,13 @@ def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig,
         What it was trained on.
 
     """
-    exact, kind = isinstance(config.data, ExactData), checkpoint.card.family
-    hamiltonian = FAMILIES[kind](checkpoint)  # refuses a Lagrangian that is singular
+    exact, row = isinstance(config.data, ExactData), FAMILIES[checkpoint.card.family]
+    hamiltonian = row.hamiltonian(checkpoint)  # refuses a Lagrangian that is singular
     if exact:
         data = config.data.model_copy(update={
             'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
         dataset = sample_exact(data, config.seed + 1)
-    elif kind not in _CONSERVATIVE:
+    elif not row.conservative:
         return None
     learned = hamiltonian.energy(dataset.q, family.momenta(dataset))
     if exact:

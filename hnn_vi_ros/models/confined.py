@@ -126,7 +126,7 @@ def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
     """
     checkpoint = load_checkpoint(model)
     try:
-        learned = FAMILIES[checkpoint.card.family](checkpoint)
+        learned = FAMILIES[checkpoint.card.family].hamiltonian(checkpoint)
         if checkpoint.card.confine if confine is None else confine:
             return ConfinedHamiltonian(learned)
     except ModelError as problem:

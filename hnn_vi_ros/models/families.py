@@ -1,22 +1,108 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Hamiltonian of each model family."""
+"""The model families: one row says what a card holds, what is compiled, and what is trained."""
 
-from hnn_vi_ros.models.control_affine import ControlAffineHamiltonian
-from hnn_vi_ros.models.lagrangian import LagrangianHamiltonian
-from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.models.separable import SeparableHamiltonian
-from hnn_vi_ros.models.symplectic_form import SymplecticFormHamiltonian
-from hnn_vi_ros.models.variational import VariationalHamiltonian
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, NamedTuple
 
-FAMILIES: dict[str, type[LearnedHamiltonian]] = {
-    'hnn': NeuralHamiltonian,
-    'separable_hnn': SeparableHamiltonian,
-    'dissipative_hnn': NeuralHamiltonian,
-    'dgnet': NeuralHamiltonian,
-    'vin': VariationalHamiltonian,
-    'lagrangian': LagrangianHamiltonian,
-    'control_affine': ControlAffineHamiltonian,
-    'symplectic_form': SymplecticFormHamiltonian,
+
+class Network(NamedTuple):
+    """
+    The ends of a network of a model of d coordinates.
+
+    Parameters
+    ----------
+    inputs : int
+        For each coordinate: 2 for a network of (q, p) or (q, v), 1 for one of q.
+    outputs : callable
+        ``outputs(d, found)`` returns how many it has to have, where it has ``found``.
+
+    """
+
+    inputs: int
+    outputs: Callable[[int, int], int] = lambda d, found: 1
+
+
+@dataclass(frozen=True)
+class Family:
+    """
+    What a family is, wherever that is asked for.
+
+    Its classes are named, and imported when they are first needed: who reads a card needs no
+    compiler, who simulates no torch.
+
+    Parameters
+    ----------
+    networks : mapping of str to Network
+        Those in a model file; a model of one network names it nowhere.
+    compiled : str
+        ``room.module:Class`` of the LearnedHamiltonian.
+    trained : str
+        ``room.module:Class`` of the learning.families.base.Family.
+    constants : tuple of str
+        Entries of the card that are learned, or needed, as well.
+    conservative : bool
+        Whether H is constant along the motions that are learned.
+    canonical : bool
+        Whether the coordinates are.
+    dissipation : str
+        The network that may be the D of the effect learned_dissipation; '' if none.
+
+    """
+
+    networks: Mapping[str, Network]
+    compiled: str
+    trained: str
+    constants: tuple[str, ...] = ()
+    conservative: bool = True
+    canonical: bool = True
+    dissipation: str = ''
+
+    @property
+    def hamiltonian(self) -> type:
+        """Return the class of the compiled Hamiltonian, which takes a checkpoint."""
+        return _class(self.compiled)
+
+    @property
+    def trainer(self) -> type:
+        """Return the torch module, which takes choice, hidden widths, scales and seed."""
+        return _class(self.trained)
+
+
+def _class(name: str) -> Any:
+    module, _, own = name.partition(':')
+    return getattr(import_module(f'hnn_vi_ros.{module}'), own)
+
+
+FAMILIES = {
+    'hnn': Family(
+        {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.hnn:HNN',
+        dissipation='energy'),
+    'separable_hnn': Family(
+        {'kinetic': Network(1), 'potential': Network(1)}, 'models.separable:SeparableHamiltonian',
+        'learning.families.separable_hnn:SeparableHNN'),
+    'dissipative_hnn': Family(
+        {'energy': Network(2), 'dissipation': Network(2)}, 'models.neural:NeuralHamiltonian',
+        'learning.families.dissipative_hnn:DissipativeHNN', conservative=False,
+        dissipation='dissipation'),
+    'dgnet': Family(
+        {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.dgnet:DGNet',
+        constants=('friction',), conservative=False),
+    'vin': Family(
+        {'potential': Network(1)}, 'models.variational:VariationalHamiltonian',
+        'learning.families.vin:VIN', constants=('mass',)),
+    'lagrangian': Family(
+        {'lagrangian': Network(2)}, 'models.lagrangian:LagrangianHamiltonian',
+        'learning.families.lagrangian:LagrangianNetwork', constants=('mass', 'velocities')),
+    'symplectic_form': Family(
+        {'one_form': Network(2, lambda d, found: 2 * d), 'energy': Network(2)},
+        'models.symplectic_form:SymplecticFormHamiltonian',
+        'learning.families.symplectic_form:SymplecticForm', constants=('mass',), canonical=False),
+    'control_affine': Family(
+        {'mass_inverse': Network(1, lambda d, found: d * (d + 1) // 2), 'potential': Network(1),
+         'input_map': Network(1, lambda d, found: -(-found // d) * d)},
+        'models.control_affine:ControlAffineHamiltonian',
+        'learning.families.control_affine:ControlAffine', conservative=False),
 }

@@ -6,23 +6,9 @@ from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.models.energy_error import EnergyError
+from hnn_vi_ros.models.families import FAMILIES
 import numpy as np
 from pydantic import Field, model_validator
-
-# The networks of each family, with their inputs for each coordinate: 2 for (q, p) or (q, v).
-FAMILIES = {
-    'hnn': {'energy': 2},
-    'separable_hnn': {'kinetic': 1, 'potential': 1},
-    'dissipative_hnn': {'energy': 2, 'dissipation': 2},
-    'dgnet': {'energy': 2},
-    'vin': {'potential': 1},
-    'lagrangian': {'lagrangian': 2},
-    'symplectic_form': {'one_form': 2, 'energy': 2},
-    'control_affine': {'mass_inverse': 1, 'potential': 1, 'input_map': 1},
-}
-# What else is learned, or needed, in some of them.
-_CONSTANTS = {'dgnet': ('friction',), 'vin': ('mass',), 'lagrangian': ('mass', 'velocities'),
-              'symplectic_form': ('mass',)}
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
@@ -104,7 +90,7 @@ class ModelCard(StrictModel):
     @property
     def layout(self) -> dict[str, list[int]]:
         """Return the widths of each network."""
-        (first, *_) = FAMILIES[self.family]
+        (first, *_) = FAMILIES[self.family].networks
         return {first: self.widths} if self.networks is None else self.networks
 
     @model_validator(mode='after')
@@ -119,7 +105,7 @@ class ModelCard(StrictModel):
         return self
 
     def _check_networks(self, d: int) -> None:
-        expected = FAMILIES[self.family]
+        expected = FAMILIES[self.family].networks
         if len(expected) == 1:
             if self.widths is None or self.networks is not None:
                 raise ValueError(f'widths, and no networks, must describe a model of the family '
@@ -128,15 +114,15 @@ class ModelCard(StrictModel):
             raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
                              f'the family {self.family}')
         for name, widths in self.layout.items():
-            outputs = {'one_form': 2 * d, 'mass_inverse': d * (d + 1) // 2,
-                       'input_map': -(-widths[-1] // d) * d}.get(name, 1)
-            if (widths[0], widths[-1]) != (expected[name] * d, outputs):
-                raise ValueError(f'widths {widths} of {name} must begin with {expected[name] * d} '
-                                 f'and end with {outputs}, for {d} coordinates')
+            network = expected[name]
+            ends = network.inputs * d, network.outputs(d, widths[-1])
+            if (widths[0], widths[-1]) != ends:
+                raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} '
+                                 f'and end with {ends[1]}, for {d} coordinates')
 
     def _check_constants(self, d: int) -> None:
         for name in ('friction', 'mass', 'velocities'):
-            value, needed = getattr(self, name), name in _CONSTANTS.get(self.family, ())
+            value, needed = getattr(self, name), name in FAMILIES[self.family].constants
             if (value is not None) != needed:
                 raise ValueError(f'{name} must {"" if needed else "not "}be given for the family '
                                  f'{self.family}')

@@ -76,7 +76,7 @@ class Family(torch.nn.Module, ABC):
     @abstractmethod
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
         """
-        Return the networks for the model file, by the names of model_card.FAMILIES.
+        Return the networks for the model file, by the names of models.families.FAMILIES.
 
         Parameters
         ----------
