@@ -10,6 +10,8 @@ import sys
 from xml.etree import ElementTree
 
 from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.version import __version__
 import pytest
 
@@ -113,6 +115,19 @@ def test_no_module_imports_itself_around_a_circle():
     while free := {name for name, needed in graph.items() if needed <= done} - done:
         done |= free
     assert not graph.keys() - done, 'circles among these, or above them'
+
+
+def test_what_a_registry_lists_is_imported_by_it_alone():
+    # A new one is its file and its row; only a study, which is about them, knows some by name.
+    listed = {cls.__module__.partition('.')[2] for registry in (EFFECTS, HAMILTONIANS)
+              for cls in registry.values()}
+    listed |= {name for family in FAMILIES.values() for name in (
+        family.compiled.partition(':')[0], family.trained.partition(':')[0])
+        if name.startswith('learning.')}
+    for path in MODULES:
+        own = name_of(path)
+        if own not in ('effects', 'hamiltonians') and not own.startswith('studies.'):
+            assert not own_imports(path) & listed, f'{own} imports one of them by name'
 
 
 def test_imports_that_are_there_on_purpose_are_there():
