@@ -189,7 +189,7 @@ def test_many_trajectories_each_have_a_time_of_their_own():
     assert np.array_equal(many.q[-1, 0], alone.q)
     # The other orbit is a circle.
     assert np.hypot(*many.q[-1, 1]) == pytest.approx(1.0, abs=1e-5)
-    with pytest.raises(ValueError, match='time_transformed take one at a time'):
+    with pytest.raises(ValueError, match='one at a time is taken by time_transformed'):
         Simulation(HAMILTONIANS['kepler'](), TimeTransformed(), 0.1, [Q0, Q0], [P0, P0])
 
 
