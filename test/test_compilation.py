@@ -3,6 +3,8 @@
 """Compiled kernels: found again by a later process, and never for functions from elsewhere."""
 
 import os
+from pathlib import Path
+import shutil
 import subprocess
 import sys
 
@@ -10,6 +12,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.compilation import compiled_loop
 from hnn_vi_ros.kernels.marks import is_own
+from hnn_vi_ros.kernels.sources import reached
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.loops import advance
 import numba
@@ -71,3 +74,70 @@ def test_second_simulation_of_the_same_kind_compiles_nothing():
 @pytest.mark.parametrize('method', INTEGRATORS.values(), ids=INTEGRATORS)
 def test_kernels_of_every_method_are_kept(method):
     assert is_own(method.__module__)
+
+
+INNER = """
+from hnn_vi_ros.kernels.linking import part
+_part = part()
+
+@_part
+def inner(x: float) -> float:
+    return x + FACTOR * x
+"""
+OUTER = """
+from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.networks import inner
+
+@kept()
+def outer(x: float) -> float:
+    return inner.inner(x)
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """Return a copy of the package, as a folder to import it from."""
+    shutil.copytree(Path(__file__).parents[1] / 'hnn_vi_ros', tmp_path / 'hnn_vi_ros',
+                    ignore=shutil.ignore_patterns('__pycache__', 'resource*'))
+    return tmp_path
+
+
+def answer(package: Path, code: str) -> str:
+    """Run code with a package of one's own in a new process; return what it prints."""
+    return subprocess.run(
+        [sys.executable, '-c', code], cwd=package, capture_output=True, text=True, timeout=120,
+        env=os.environ | {'PYTHONPATH': str(package), 'NUMBA_CACHE_DIR': str(package / 'cache')},
+        check=True).stdout.strip()
+
+
+def test_function_is_compiled_anew_when_one_that_it_calls_changes(package):
+    rooms = package / 'hnn_vi_ros'
+    (rooms / 'models/outer.py').write_text(OUTER)
+    code = ('from hnn_vi_ros.models.outer import outer; '
+            'print(outer(1.0), sum(outer.stats.cache_hits.values()))')
+    answers = []
+    for factor in ('1.0', '1.0', '2.0'):
+        (rooms / 'networks/inner.py').write_text(INNER.replace('FACTOR', factor))
+        answers.append(answer(package, code))
+    assert answers == ['2.0 0', '2.0 1', '3.0 0']
+
+
+def test_key_of_a_function_changes_with_what_it_comes_from_and_nothing_else(package):
+    code = ('from hnn_vi_ros.kernels.sources import digest_of; '
+            'print(*(digest_of(frozenset([f"hnn_vi_ros.{name}"])) for name in ('
+            '"models.lagrangian", "hamiltonians.tao", "integrators.rk4")))')
+    before = answer(package, code).split()
+    for changed, file in (((True, False, False), 'networks/perceptron_memory.py'),
+                          ((False, False, False), 'effects/gravity.py'),
+                          ((True, True, True), 'kernels/kernel.py')):
+        with (package / 'hnn_vi_ros' / file).open('a') as stream:
+            stream.write('# changed\n')
+        after = answer(package, code).split()
+        assert tuple(a != b for a, b in zip(before, after, strict=True)) == changed
+        before = after
+
+
+def test_functions_are_found_behind_closures_tuples_and_names():
+    method = INTEGRATORS['variational_euler']()
+    names = {function.__name__ for function in reached(method.step, method.options(0, 2))}
+    assert {'extrapolate', '_residual', 'is_in_doubt'} <= names

@@ -3,10 +3,9 @@
 """Forces of a command: on named coordinates, or on all of them by a learned input map g(q)."""
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.compilation import identify
+from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs
-import numba
 import numpy as np
 
 
@@ -36,7 +35,7 @@ def resolve_map(model: Checkpoint, d: int) -> tuple[tuple, np.ndarray]:
     return pack_outputs(model, 'input_map'), np.zeros(entries)
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def add_by_place(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
                  ) -> None:
     """Add one number of the command to each of some coordinates."""
@@ -45,7 +44,7 @@ def add_by_place(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, 
         f_p[places[k]] += command[places[k]]
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def add_by_map(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
                ) -> None:
     """Add g(q) u, with the entries of g row by row, and u the first numbers of the command."""

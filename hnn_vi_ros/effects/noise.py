@@ -4,8 +4,8 @@
 
 import math
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import part
-import numba
 import numpy as np
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -32,14 +32,14 @@ def _key(seed: int, draws: np.ndarray) -> np.uint64:
     return _mix(_mix(np.uint64(seed) + _GOLDEN) ^ _mix(np.uint64(draws[2])))
 
 
-@numba.njit(cache=True)
+@kept()
 def draw_uniform(seed: int, draws: np.ndarray) -> float:
     """Return one number that is uniform in (0, 1]; see ``fill_normals``."""
     draws[1] += 1
     return _uniform(_key(seed, draws), np.uint64(draws[0] + draws[1] - 1))
 
 
-@numba.njit(cache=True)
+@kept()
 def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
     """
     Fill an array with standard normal numbers, by the method of Box and Muller.

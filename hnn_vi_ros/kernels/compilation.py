@@ -5,19 +5,32 @@
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
-from pathlib import Path
 from types import FunctionType
 
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linking import Part, Whole
+from hnn_vi_ros.kernels.linking import keep, Part, Whole
 from hnn_vi_ros.kernels.marks import is_own
+from hnn_vi_ros.kernels.sources import digest_of, reached
 import numba
 
 # Of loops, which only Python calls.
 _LOOP = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 
-# The rooms that what is compiled comes from, or by which it is composed.
-_ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'networks', 'simulation')
+
+def kept(**options: object) -> Callable[[Callable], Callable]:
+    """
+    Return a decorator that compiles a function of this package, for callers in Python as well.
+
+    It is found again on disk for as long as no source changes that it is compiled from: numba by
+    itself looks at the function's own file only.
+
+    Parameters
+    ----------
+    options
+        Of numba.njit.
+
+    """
+    return lambda function: keep(numba.njit(**options)(function))
 
 
 @cache
@@ -41,7 +54,7 @@ def compiled(function: Callable, name: str) -> Callable:
 @cache
 def dispatcher(function: Callable) -> Callable:
     """Return a function of a Hamiltonian's kernel compiled, for Python and for other code."""
-    return numba.njit(function, cache=True, error_model='numpy')
+    return kept(error_model='numpy')(function)
 
 
 def entry_point(function: Callable, *arguments: object) -> Callable:
@@ -71,7 +84,8 @@ def compiled_options(options: tuple) -> tuple:
     return type(options)(*parts) if hasattr(options, '_fields') else tuple(parts)
 
 
-def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True) -> Callable:
+def compiled_loop(loop: Callable, kernel: Kernel, method: str, parts: tuple = (),
+                  own: bool = True) -> Callable:
     """
     Return a loop over steps, to be compiled over one Hamiltonian and one method.
 
@@ -84,6 +98,8 @@ def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True)
         again by later processes; changes of functions from elsewhere could not be noticed.
     method : str
         Name of the method's step.
+    parts : tuple, optional
+        The step and its options: with the sources of their functions, what is compiled changes.
     own : bool, optional
         Whether the step is all of this package.
 
@@ -91,7 +107,8 @@ def compiled_loop(loop: Callable, kernel: Kernel, method: str, own: bool = True)
     functions = functions_of(kernel)
     if not (own and all(is_own(function.py_func.__module__) for function in functions)):
         return _uncached(loop)
-    return _cached(loop, *(identify(function) for function in functions), method)
+    return _cached(loop, *(identify(function) for function in functions), method,
+                   _digest(loop, parts))
 
 
 @cache
@@ -104,7 +121,7 @@ def _cached(loop: Callable, *names: str) -> Callable:
     # Under a name of its own it has an index of its own on disk. In one index for all, reading
     # any kernel would build the functions of every other one anew, those of older sources too.
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
-    digest = sha256('/'.join([*names, sources()]).encode()).hexdigest()
+    digest = sha256('/'.join(names).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
     return numba.njit(copy, cache=True, **_LOOP)
 
@@ -113,9 +130,7 @@ def _cached(loop: Callable, *names: str) -> Callable:
 def identify(dispatcher: Callable) -> str:
     """Give a compiled function the name that it has in every process, and return it."""
     function = dispatcher.py_func
-    name = f'{function.__module__}.{function.__qualname__}'
-    _give_identity(dispatcher, name)
-    return name
+    return _give_identity(dispatcher, f'{function.__module__}.{function.__qualname__}')
 
 
 def functions_of(kernel: Kernel) -> tuple[Callable, Callable, Callable]:
@@ -165,18 +180,15 @@ def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Cal
     return numba.njit(function, error_model='numpy', forceinline=inline, no_cfunc_wrapper=True)
 
 
-def _give_identity(dispatcher: Callable, name: str) -> None:
+def _give_identity(dispatcher: Callable, name: str) -> str:
     # A function that is passed to a compiled one is part of its signature, by which numba looks
     # up its cache on disk. Numba knows such a function by a random number, new in each process;
     # a name that changes with our sources makes the look-up succeed.
-    dispatcher._set_uuid(f'{name}-{sources()}')
+    identity = f'{name}-{_digest(dispatcher)}'
+    dispatcher._set_uuid(identity)
+    return identity
 
 
-@cache
-def sources() -> str:
-    """Return a digest of the sources of this package that a compiled kernel comes from."""
-    root = Path(__file__).parents[1]
-    digest = sha256()
-    for path in sorted(path for room in _ROOMS for path in (root / room).glob('*.py')):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+def _digest(*values: object) -> str:
+    """Return a digest of the sources of functions, in tuples too, and of all that they call."""
+    return digest_of(frozenset(function.__module__ for function in reached(*values)))

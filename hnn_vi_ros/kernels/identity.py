@@ -8,7 +8,7 @@ from importlib.metadata import version
 import platform
 import sys
 
-from hnn_vi_ros.kernels.compilation import sources
+from hnn_vi_ros.kernels.sources import sources
 from hnn_vi_ros.version import __version__
 from llvmlite import binding
 

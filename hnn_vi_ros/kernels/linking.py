@@ -8,15 +8,17 @@ and does all that again wherever it is inlined: of a step with its solver and it
 the outermost result is ever called. Functions that are compiled by LinkOnly are translated and
 inlined into their callers, whose own compilation optimises them, once.
 
-This is the one file that uses numba's compiler passes and code libraries.
+This is the one file that uses numba's compiler passes, code libraries and cache.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 from hnn_vi_ros.kernels.marks import register_by
+from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite.binding import Linkage
 from numba import _dynfunc
+from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_lock import require_global_compiler_lock
@@ -199,3 +201,17 @@ def _register(function: Callable, inline: bool) -> None:
 
 
 register_by(_register)
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk, that looks at all sources which a function comes from."""
+
+    def _index_key(self, signature: Any, codegen: Any) -> tuple:
+        digest = digest_of(frozenset([self._py_func.__module__]))
+        return (*super()._index_key(signature, codegen), digest)
+
+
+def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
+    """Have a function of this package found again on disk while its sources stay as they are."""
+    dispatcher._cache = _Cache(dispatcher.py_func)
+    return dispatcher

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import (
     evaluate_outputs, output_tangents, pack_outputs, part_gradient, weigh)
 from hnn_vi_ros.networks import perceptron
-import numba
 import numpy as np
 
 
@@ -56,7 +56,7 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
         return np.hstack([H_q + V_q, (A * u[:, None, :]).sum(axis=2)])
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     root, potential, entries, space = parameters
     evaluate_outputs(root, q, p, entries[0])
@@ -68,7 +68,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return energy
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     root, potential, entries, space = parameters
@@ -84,7 +84,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
             dH_dq[a + i] += space[2, i]
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""

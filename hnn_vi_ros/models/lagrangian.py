@@ -6,13 +6,13 @@ from collections.abc import Callable
 from functools import cached_property
 
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
-import numba
 import numpy as np
 
 # States of the box at which the Lagrangian must be regular, and how much L_vv may vary there.
@@ -156,7 +156,7 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable:
     return action
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     network, mass, _, space, _ = parameters
     _solve(parameters, q, p)
@@ -169,7 +169,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return energy
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     space = parameters[3]
@@ -180,7 +180,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
             dH_dq[a + i], dH_dp[a + i] = -space[1, i], space[0, i]
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     network, _, _, space, matrices = parameters

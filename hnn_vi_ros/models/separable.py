@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian whose kinetic and potential energies are networks of their own."""
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import MAX_STATES
-import numba
 import numpy as np
 
 
@@ -40,13 +40,13 @@ class SeparableHamiltonian(LearnedHamiltonian):
                           self._evaluated('kinetic', p)[1][:, 0]])
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     kinetic, potential, _ = parameters
     return perceptron.energy(kinetic, q, p) + perceptron.energy(potential, q, p)
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     kinetic, potential, space = parameters
@@ -57,7 +57,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         part_gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     kinetic, potential, space = parameters

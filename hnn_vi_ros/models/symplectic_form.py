@@ -3,6 +3,7 @@
 """A learned one-form and energy, whose motions follow in coordinates that are not canonical."""
 
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.linking import part
@@ -10,7 +11,6 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import pack_outputs, weigh
 from hnn_vi_ros.networks import perceptron
-import numba
 import numpy as np
 
 # States of the box at which W is looked at.
@@ -20,7 +20,7 @@ _LARGEST_CONDITION = 1e6
 _EPS = float(np.finfo(np.float64).eps)
 _SPACING = _EPS ** (1.0 / 3.0)
 
-_compiled = numba.njit(cache=True, error_model='numpy')
+_compiled = kept(error_model='numpy')
 
 
 class SymplecticFormHamiltonian(LearnedHamiltonian):

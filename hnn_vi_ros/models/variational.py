@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a constant mass matrix and a potential network."""
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
-import numba
 import numpy as np
 
 
@@ -48,7 +48,7 @@ class VariationalHamiltonian(LearnedHamiltonian):
                           p.astype(np.longdouble) @ self.mass_inverse])
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     inverse, potential = parameters
     energy = perceptron.energy(potential, q, p)
@@ -58,7 +58,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return energy
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inverse, potential = parameters
@@ -67,7 +67,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
     _add_velocity(inverse, p, dH_dp)
 
 
-@numba.njit(cache=True, error_model='numpy')
+@kept(error_model='numpy')
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     inverse, potential = parameters

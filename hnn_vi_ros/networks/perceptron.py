@@ -12,16 +12,16 @@ rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Lay
 tiles of eight rows of weights.
 """
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.networks.activations import activate, FASTMATH, scale, scale_forth, scale_tangent
 from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, ROW, TILE
-import numba
 import numpy as np
 
-_compiled = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy')
+_compiled = kept(fastmath=FASTMATH, error_model='numpy')
 # The gradient is inlined even into the caller's loop: behind a call nothing is known of the arrays
 # that it is given, and each is counted, which is as slow as twenty additions.
-_inlined = numba.njit(cache=True, fastmath=FASTMATH, error_model='numpy', forceinline=True)
+_inlined = kept(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 _part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 
 # Weights that are used forward and back while they stay in the nearest cache, 32 KiB.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A sine and its cosine that compilers vectorise, which libm's scalar ones prevent."""
 
-import numba
+from hnn_vi_ros.kernels.compilation import kept
 import numpy as np
 
 _TWO_OVER_PI = 0.6366197723675814
@@ -26,7 +26,7 @@ _C = (
 
 
 # Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-@numba.njit(cache=True, fastmath={'contract'}, error_model='numpy', forceinline=True)
+@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
 def sine_and_cosine(x: float) -> tuple[float, float]:
     """
     Return the sine and the cosine of x; NaN stays NaN, and infinity becomes NaN.

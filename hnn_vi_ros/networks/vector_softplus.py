@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """log(1 + exp(x)) and its slope, so that compilers vectorise them; see vector_tanh."""
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.networks.vector_tanh import _C, _LN2_HIGH, _LN2_LOW, _LOG2_E, _ROUNDING
-import numba
 import numpy as np
 
 # Where exp is still far from the smallest numbers, and softplus from what can be told from 0.
@@ -18,7 +18,7 @@ _L = (
 
 
 # Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-@numba.njit(cache=True, fastmath={'contract'}, error_model='numpy', forceinline=True)
+@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
 def softplus_and_slope(x: float) -> tuple[float, float]:
     """
     Return log(1 + exp(x)) and its derivative, 1 / (1 + exp(-x)); NaN stays NaN.

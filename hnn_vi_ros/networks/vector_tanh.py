@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A hyperbolic tangent that compilers vectorise, which libm's scalar one prevents."""
 
-import numba
+from hnn_vi_ros.kernels.compilation import kept
 import numpy as np
 
 # tanh is 1 to double precision beyond 2 |x| = 40, and exp stays far from overflow.
@@ -22,7 +22,7 @@ _C = (
 
 
 # Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-@numba.njit(cache=True, fastmath={'contract'}, error_model='numpy', forceinline=True)
+@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
 def tanh(x: float) -> float:
     """
     Return the tanh of x, to about two units in the last place; NaN stays NaN.

@@ -60,5 +60,5 @@ def assemble(loop: Callable, kernel: Kernel, method: Integrator, link: int = 0
     if not (kernel.compiled and method.compiled):
         return loop, method.step, options
     name = method.kernel_name
-    return (compiled_loop(loop, kernel, name, method.own), compiled(method.step, name),
-            compiled_options(options))
+    parts = compiled(method.step, name), compiled_options(options)
+    return compiled_loop(loop, kernel, name, parts, method.own), *parts

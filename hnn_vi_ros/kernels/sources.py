@@ -1,0 +1,109 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The sources of this package that a function is compiled from, as a digest."""
+
+from collections.abc import Iterator
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+import re
+from types import CodeType, FunctionType, ModuleType
+
+from hnn_vi_ros.kernels.marks import is_own
+
+_PACKAGE = __name__.partition('.')[0]
+_ROOT = Path(__file__).parents[1]
+# The rooms that what is compiled comes from, or by which it is composed.
+_ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'networks', 'simulation')
+_IMPORT = re.compile(rf'^[ \t]*from ({_PACKAGE}[\w.]*) import (\([^)]*\)|[^\n]*)', re.M)
+
+
+@cache
+def sources() -> str:
+    """Return a digest of all sources that a step of any simulation may come from."""
+    return _digest(path for room in _ROOMS for path in (_ROOT / room).glob('*.py'))
+
+
+def digest_of(modules: frozenset[str]) -> str:
+    """
+    Return a digest of modules of this package, and of all that they import of it.
+
+    Those of others are left out: what is compiled from them is not kept.
+    """
+    return _digest_of(frozenset(module for module in modules if is_own(module)))
+
+
+@cache
+def _digest_of(modules: frozenset[str]) -> str:
+    # How functions are compiled counts for each of them.
+    rest = [*modules, *(f'{_PACKAGE}.kernels.{path.stem}'
+                        for path in (_ROOT / 'kernels').glob('*.py'))]
+    found: set[Path] = set()
+    while rest:
+        path = _path(rest.pop())
+        if path is not None and path not in found:
+            found.add(path)
+            rest.extend(_imports(path))
+    return _digest(found)
+
+
+@cache
+def _imports(path: Path) -> tuple[str, ...]:
+    """Return what a file imports of this package, names of modules and of what is in them."""
+    def names() -> Iterator[str]:
+        for match in _IMPORT.finditer(path.read_text(encoding='utf-8')):
+            for name in re.findall(r'\w+(?= as |\s*[,)\n]|$)', match[2]):
+                yield f'{match[1]}.{name}' if _path(f'{match[1]}.{name}') else match[1]
+    return tuple(names())
+
+
+@cache
+def _path(module: str) -> Path | None:
+    """Return the file of a module, None if there is none."""
+    path = _ROOT.joinpath(*module.split('.')[1:])
+    return next((file for file in (path.with_suffix('.py'), path / '__init__.py')
+                 if file.is_file()), None)
+
+
+def _digest(paths: Iterator[Path] | set[Path]) -> str:
+    digest = sha256()
+    for path in sorted(paths):
+        digest.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def reached(*values: object) -> set[FunctionType]:
+    """Return the functions of Python among values, however deep in tuples, and all they call."""
+    rest, found = list(values), set()
+    while rest:
+        value = rest.pop()
+        value = getattr(value, 'py_func', value)
+        if isinstance(value, tuple):
+            rest.extend(value)
+        elif isinstance(value, FunctionType) and value not in found:
+            found.add(value)
+            rest.extend(cell.cell_contents for cell in value.__closure__ or ())
+            rest.extend(_named(value))
+    return found
+
+
+def names_in(code: CodeType) -> set[str]:
+    """Return the globals and attributes that code names, that of functions inside it too."""
+    inner = [names_in(part) for part in code.co_consts if isinstance(part, CodeType)]
+    return set(code.co_names).union(*inner)
+
+
+def _named(function: FunctionType) -> Iterator[object]:
+    """Yield what of this package or of its user a function finds under global names."""
+    names = names_in(function.__code__)
+    for name in names & function.__globals__.keys():
+        value = function.__globals__[name]
+        if isinstance(value, ModuleType):
+            values = [getattr(value, part, None) for part in names]
+        else:
+            values = [value]
+        yield from (part for part in values if not _is_of_numba(part))
+
+
+def _is_of_numba(value: object) -> bool:
+    return str(getattr(value, '__module__', '')).partition('.')[0] in ('numba', 'numpy', 'math')
