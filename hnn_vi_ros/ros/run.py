@@ -196,9 +196,11 @@ class Run:
         begin = time.perf_counter()
         sample = self.sampler.sample()
         self._stamp = sample.stamp
-        evaluated = self._monitor.add(sample)
-        self.recording.write(sample, self._topics.publish(sample))
-        if evaluated:
+        self._monitor.add(sample)
+        payloads = self._topics.publish(sample)
+        # What takes long comes behind the messages, which it would delay.
+        self.recording.write(sample, payloads)
+        if self._monitor.evaluate():
             self.recording.timing(self._monitor.timing.figures)
         self.watch(sample)
         self._status.show(sample, self.pacer.overruns)

@@ -96,6 +96,7 @@ def _make_tick(node: Node, folder: Path
         sample = sampler.sample()
         monitor.add(sample)
         recording.write(sample, topics.publish(sample))
+        monitor.evaluate()
         before = time.perf_counter()
         begin = time.perf_counter()
         alarms = monitor.watch(sample)

@@ -117,9 +117,10 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
                 before = _resident('self')
             monitor.advance(1)
             sample = sampler.sample()
-            if monitor.add(sample):
-                recording.timing(monitor.timing.figures)
+            monitor.add(sample)
             recording.write(sample, topics.publish(sample))
+            if monitor.evaluate():
+                recording.timing(monitor.timing.figures)
         growth = _resident('self') - before
         recording.close()
     return growth

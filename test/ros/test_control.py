@@ -3,12 +3,15 @@
 """Requests for steps and resets, as Control answers them; the run and the timers are stand-ins."""
 
 from collections.abc import Callable
+import gc
 import json
 import math
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 from hnn_vi_ros.ros.control import Control
-from hnn_vi_ros.ros.graph import Discovery
+from hnn_vi_ros.ros.graph import collect_early, Discovery
+from hnn_vi_ros.ros.run import Run
 import numpy as np
 import pytest
 
@@ -169,3 +172,31 @@ def test_stopped_run_is_no_more_stopped_once_it_steps_or_is_paused_or_played(con
     assert control.stopped
     move(control)
     assert not control.stopped
+
+
+def test_messages_of_a_sample_leave_before_the_figures_are_evaluated():
+    run = Mock()
+    Run._hand_out(run)
+    calls = [name for name, _, _ in run.mock_calls]
+    order = [calls.index(name) for name in (
+        '_monitor.add', '_topics.publish', 'recording.write', '_monitor.evaluate')]
+    assert order == sorted(order)
+
+
+@pytest.mark.parametrize('count, collected', [(200, False), (500, True)])
+def test_garbage_is_collected_where_there_is_time_before_it_is_due(count, collected):
+    gc.collect()
+    seen: list[int] = []
+
+    def note(phase: str, figures: dict) -> None:
+        if phase == 'start':
+            seen.append(figures['generation'])
+
+    gc.callbacks.append(note)
+    try:
+        kept = [[] for _ in range(count)]
+        collect_early()
+    finally:
+        gc.callbacks.remove(note)
+    assert len(kept) == count
+    assert seen == [0] * collected

@@ -145,6 +145,7 @@ class Run:
         for _ in range(count):
             self.monitor.advance(1)
             self.monitor.add(self.sampler.sample())
+            self.monitor.evaluate()
 
     def told(self, component: str, overruns: int = 0) -> tuple[bytes, str]:
         status = self.status.statuses(overruns)[COMPONENTS.index(component)]

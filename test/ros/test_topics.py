@@ -142,6 +142,7 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
         expected = expected or local_error(simulation)
         sample = sample_of(simulation, work=0.125)
         monitor.add(sample)
+        monitor.evaluate()
         message = deserialize_message(topics.publish(sample)[-1], Float64MultiArray)
         dimension, = message.layout.dim
         assert dimension.label == ','.join(ENTRIES)
