@@ -12,9 +12,9 @@ from hnn_vi_ros.bags.state_message import State
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ENTRIES
+from hnn_vi_ros.ros.bridge_parameters import BridgeSettings
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.event_topic import COMPONENT
-from hnn_vi_ros.ros.parameters import Value
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
@@ -138,12 +138,12 @@ class BridgePicture:
         self.samples += 1
 
 
-def target_of(values: dict[str, Value]) -> Target:
+def target_of(settings: BridgeSettings) -> Target:
     """Return where parameters say that the picture goes, or raise ParameterError."""
-    path = str(values['rerun_path'])
-    if values['rerun_sink'] == 'connect':
+    path = settings.rerun_path
+    if settings.rerun_sink == 'connect':
         return path or VIEWER_URL
-    if values['rerun_sink'] == 'serve':
+    if settings.rerun_sink == 'serve':
         port = path or str(SERVER_PORT)
         if not (port.isdecimal() and 0 < int(port) < 65536):
             raise ParameterError(f'parameter rerun_path = {path!r}: expected a port, 1 to 65535')

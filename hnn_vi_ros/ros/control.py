@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.graph import collect_early, Discovery, DISCOVERY_PERIOD
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.run.pacing import LONGEST_CALL
 from rclpy.clock import Clock, ClockType
@@ -44,7 +45,7 @@ class Control:
         What is driven.
     discovery : Discovery
         What the first step waits for.
-    values : dict
+    settings : Settings
         The node's parameters.
 
     Attributes
@@ -57,11 +58,11 @@ class Control:
 
     """
 
-    def __init__(self, node: Node, run: Run, discovery: Discovery, values: dict):
+    def __init__(self, node: Node, run: Run, discovery: Discovery, settings: Settings):
         self._node, self._run, self._discovery = node, run, discovery
         # Timers on ROS time would stall in a pause of /clock, or when it jumps back.
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.active, self.paused, self.stopped = False, values['start_paused'], True
+        self.active, self.paused, self.stopped = False, settings.start_paused, True
         self._run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None

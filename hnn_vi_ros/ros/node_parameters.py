@@ -3,9 +3,12 @@
 """The parameters of a table in a node: declared, checked, and changed where they may."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters import PARAMETERS, Specification, START, UNCONFIGURED, Value
+from hnn_vi_ros.ros.parameters import (
+    PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -13,13 +16,20 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 _BY_NAME = {item.name: item for item in PARAMETERS}
+_Declared = TypeVar('_Declared')
 _DOUBLES = {item.name for item in PARAMETERS if isinstance(item.default, float)}
 
 
-def declare_parameters(node: Node, table: Sequence[Specification] = PARAMETERS
-                       ) -> dict[str, Value]:
+def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     """
-    Declare every parameter of a table and return the values, checked.
+    Declare every parameter of a class of settings and return the values, checked.
+
+    Parameters
+    ----------
+    node : Node
+        Whose parameters they are.
+    settings : type
+        Such as Settings: its fields are declared by ``parameter``.
 
     Raises
     ------
@@ -28,7 +38,7 @@ def declare_parameters(node: Node, table: Sequence[Specification] = PARAMETERS
 
     """
     values = {}
-    for specification in table:
+    for specification in specifications(settings):
         name = specification.name
         if node.has_parameter(name):
             # As it was given; see given_parameters.py.
@@ -40,7 +50,7 @@ def declare_parameters(node: Node, table: Sequence[Specification] = PARAMETERS
             raise ParameterError(f'parameter {name}: {specification.expected}; '
                                  f'{" ".join(str(problem).split())}') from problem
         values[name] = specification.check(parameter.value)
-    return values
+    return settings(**values)
 
 
 class Parameters:
@@ -56,13 +66,13 @@ class Parameters:
 
     Attributes
     ----------
-    values : dict
-        Name and value of each.
+    settings : Settings
+        What they are worth.
     configured : bool
         Whether a configured run uses them.
     run : object or None
-        Told of changes while it goes on: ``check(values)``, which may raise ParameterError, and
-        then ``apply(values)`` with all values.
+        Told of changes while it goes on: ``check(settings)``, which may raise ParameterError,
+        and then ``apply(settings)``.
 
     Raises
     ------
@@ -72,7 +82,7 @@ class Parameters:
     """
 
     def __init__(self, node: Node):
-        self.values = declare_parameters(node)
+        self.settings = declare_parameters(node, Settings)
         self.configured, self.run = False, None
         node.add_pre_set_parameters_callback(_with_doubles)
         node.add_on_set_parameters_callback(self._check)
@@ -80,20 +90,20 @@ class Parameters:
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
-            values = self._changed(parameters)
+            settings = self._changed(parameters)
             if self.run is not None:
-                self.run.check(values)
+                self.run.check(settings)
         except ParameterError as problem:
             return SetParametersResult(successful=False, reason=str(problem))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
-        self.values = self._changed(parameters)
+        self.settings = self._changed(parameters)
         if self.run is not None:
-            self.run.apply(self.values)
+            self.run.apply(self.settings)
 
-    def _changed(self, parameters: Sequence[Parameter]) -> dict[str, Value]:
-        """Return all values with changes, or raise ParameterError; other parameters are ROS's."""
+    def _changed(self, parameters: Sequence[Parameter]) -> Settings:
+        """Return all with changes, or raise ParameterError; other parameters are ROS's."""
         changes = {}
         for parameter in parameters:
             specification = _BY_NAME.get(parameter.name)
@@ -103,7 +113,7 @@ class Parameters:
                         f'parameter {parameter.name}: can only be set while the node is '
                         'unconfigured; use the transition cleanup first')
                 changes[parameter.name] = specification.check(parameter.value)
-        return self.values | changes
+        return replace(self.settings, **changes)
 
 
 def _with_doubles(parameters: list[Parameter]) -> list[Parameter]:

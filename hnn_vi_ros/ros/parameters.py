@@ -1,14 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters of the simulator node: one table that declares, checks and documents them.
+The parameters of the simulator node: one class that declares, checks and documents them.
 
 Imports nothing of ROS: help is written from it as well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 import math
+from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 
@@ -79,57 +80,82 @@ class Specification:
         return 'expected true or false' if isinstance(self.default, bool) else 'expected a string'
 
 
-PARAMETERS = (
-    Specification('autostart', True, 'configure and activate without being asked to; false leaves '
-                  'that to a lifecycle manager', changes=START),
-    Specification('scene', 'harmonic_oscillator',
-                  'name of a shipped scene, or path of a scene file (.yaml)'),
-    Specification('resume', '', 'bag to go on from: its last state, and the scene that it was '
-                  'recorded from in the place of `scene`; empty begins anew'),
-    Specification('trust_code', False, 'run Python code that the scene in the bag of `resume` '
-                  'names'),
-    Specification('real_time_factor', 1.0,
-                  'simulated seconds per wall second; 0 runs as fast as possible', '1',
-                  0.0, 1e6, changes=ALWAYS),
-    Specification('publish_rate', 100.0,
-                  'samples per simulated second; a whole number of steps lies between two '
-                  'samples, so it is rounded to what the step size allows', 'Hz', 1e-3, 1e6),
-    Specification('duration', 0.0,
-                  'simulated time after which the node ends; 0 runs until it is stopped', 's',
-                  0.0, 1e9),
-    Specification('discovery_time', 2.0,
-                  'the first step waits at most this long for subscribers that are there already, '
-                  'so that they miss no sample', 's', 0.0, 60.0),
-    Specification('start_paused', False, 'begin in a pause'),
-    Specification('step_count', 1, 'steps that one call of `~/step` takes', '1', 1, 1e9,
-                  changes=ALWAYS),
-    Specification('reset_time', False, '`~/reset` sets simulated time back to zero as well; else '
-                  'it goes on', changes=ALWAYS),
-    Specification('publish_clock', False, 'publish `/clock`'),
-    Specification('step_size', 0.0, "step size h; 0 takes the scene's", 's', 0.0, 1e6),
-    Specification('integrator', '', "name of the integrator; empty takes the scene's"),
-    Specification('record', True, 'write an MCAP bag'),
-    Specification('record_path', '', 'folder of the bag, which must not exist; empty makes '
-                  '`runs/<scene>-<UTC time>/bag` under the working directory'),
-    Specification('rerun_sink', 'file', 'where the picture goes: to a file, to a running viewer, '
-                  'to viewers that connect', choices=('file', 'connect', 'serve', 'none')),
-    Specification('rerun_path', '', 'file: the .rrd file, which must not exist; empty makes '
-                  '`runs/<scene>-<UTC time>/recording.rrd`. connect: URL of the viewer; '
-                  'empty takes the local one'),
-    Specification('publish_accuracy', False, 'publish and record `~/accuracy`'),
-    Specification('stop_outside_box', False, 'end the run, with status 1, at the first sample '
-                  'outside of the box that the model was trained in; else it is only told',
-                  changes=ALWAYS),
-    Specification('energy_band_limit', 0.05, 'band of the modified energy, over the energies in '
-                  'play, from which on a conservative run counts as under-resolved', '1',
-                  1e-15, 1e6, changes=ALWAYS),
-    Specification('energy_change_limit', 0.02, 'lasting change of the energy, over the energies '
-                  'in play, that no work accounts for, from which on energy counts as lost or '
-                  'gained', '1', 1e-15, 1e6, changes=ALWAYS),
-    Specification('explain', False, 'measure what each effect adds before the first step; '
-                  'compiles one kernel for each effect'),
-    Specification('frame_id', 'world', 'frame that `~/markers` are drawn in'),
-)
+def parameter(default: Value, description: str, unit: str = '', smallest: float = -math.inf,
+              largest: float = math.inf, choices: tuple[str, ...] = (),
+              changes: str = UNCONFIGURED) -> Any:
+    """Return the field of a parameter, whose name is the field's; see Specification."""
+    return field(default=default, metadata={
+        'description': description, 'unit': unit, 'smallest': smallest, 'largest': largest,
+        'choices': choices, 'changes': changes})
+
+
+def specifications(settings: type) -> tuple[Specification, ...]:
+    """Return the parameters that a class of settings declares."""
+    return tuple(Specification(item.name, item.default, **item.metadata)
+                 for item in fields(settings))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The parameters of the simulator node: what each is worth, and all that is told of it."""
+
+    autostart: bool = parameter(
+        True, 'configure and activate without being asked to; false leaves that to a lifecycle '
+        'manager', changes=START)
+    scene: str = parameter(
+        'harmonic_oscillator', 'name of a shipped scene, or path of a scene file (.yaml)')
+    resume: str = parameter(
+        '', 'bag to go on from: its last state, and the scene that it was recorded from in the '
+        'place of `scene`; empty begins anew')
+    trust_code: bool = parameter(
+        False, 'run Python code that the scene in the bag of `resume` names')
+    real_time_factor: float = parameter(
+        1.0, 'simulated seconds per wall second; 0 runs as fast as possible', '1', 0.0, 1e6,
+        changes=ALWAYS)
+    publish_rate: float = parameter(
+        100.0, 'samples per simulated second; a whole number of steps lies between two samples, '
+        'so it is rounded to what the step size allows', 'Hz', 1e-3, 1e6)
+    duration: float = parameter(
+        0.0, 'simulated time after which the node ends; 0 runs until it is stopped', 's', 0.0, 1e9)
+    discovery_time: float = parameter(
+        2.0, 'the first step waits at most this long for subscribers that are there already, so '
+        'that they miss no sample', 's', 0.0, 60.0)
+    start_paused: bool = parameter(False, 'begin in a pause')
+    step_count: int = parameter(
+        1, 'steps that one call of `~/step` takes', '1', 1, 1e9, changes=ALWAYS)
+    reset_time: bool = parameter(
+        False, '`~/reset` sets simulated time back to zero as well; else it goes on',
+        changes=ALWAYS)
+    publish_clock: bool = parameter(False, 'publish `/clock`')
+    step_size: float = parameter(0.0, "step size h; 0 takes the scene's", 's', 0.0, 1e6)
+    integrator: str = parameter('', "name of the integrator; empty takes the scene's")
+    record: bool = parameter(True, 'write an MCAP bag')
+    record_path: str = parameter(
+        '', 'folder of the bag, which must not exist; empty makes `runs/<scene>-<UTC time>/bag` '
+        'under the working directory')
+    rerun_sink: str = parameter(
+        'file', 'where the picture goes: to a file, to a running viewer, to viewers that connect',
+        choices=('file', 'connect', 'serve', 'none'))
+    rerun_path: str = parameter(
+        '', 'file: the .rrd file, which must not exist; empty makes `runs/<scene>-<UTC '
+        'time>/recording.rrd`. connect: URL of the viewer; empty takes the local one')
+    publish_accuracy: bool = parameter(False, 'publish and record `~/accuracy`')
+    stop_outside_box: bool = parameter(
+        False, 'end the run, with status 1, at the first sample outside of the box that the '
+        'model was trained in; else it is only told', changes=ALWAYS)
+    energy_band_limit: float = parameter(
+        0.05, 'band of the modified energy, over the energies in play, from which on a '
+        'conservative run counts as under-resolved', '1', 1e-15, 1e6, changes=ALWAYS)
+    energy_change_limit: float = parameter(
+        0.02, 'lasting change of the energy, over the energies in play, that no work accounts '
+        'for, from which on energy counts as lost or gained', '1', 1e-15, 1e6, changes=ALWAYS)
+    explain: bool = parameter(
+        False, 'measure what each effect adds before the first step; compiles one kernel for '
+        'each effect')
+    frame_id: str = parameter('world', 'frame that `~/markers` are drawn in')
+
+
+PARAMETERS = specifications(Settings)
 
 
 def markdown_table(table: Sequence[Specification] = PARAMETERS) -> str:

@@ -12,6 +12,7 @@ from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.remapped_topics import KEY
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -66,7 +67,7 @@ class Prepared(NamedTuple):
     origin: int
 
 
-def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: RcutilsLogger,
+def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: RcutilsLogger,
             begin: Callable[[str], None]) -> Prepared:
     """
     Load the scene, compile it, look at how it moves, and open the files.
@@ -76,7 +77,7 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
 
     Parameters
     ----------
-    values : dict
+    settings : Settings
         The node's parameters.
     topics : BagTopics
         What the bag holds.
@@ -94,31 +95,31 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
 
     """
     begin('loading the scene')
-    factor = values['real_time_factor']
-    scene, step, origin = _load(values)
+    factor = settings.real_time_factor
+    scene, step, origin = _load(settings)
     begin('choosing the integrator')
-    scene, chosen, events = choose(scene, 1.0 / values['publish_rate'], factor, logger)
+    scene, chosen, events = choose(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     simulation = _compile(scene, logger)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
-    sampler = Sampler(simulation, values['publish_rate'], origin)
+    sampler = Sampler(simulation, settings.publish_rate, origin)
     if step:
-        events.append((f'resumed {values["resume"]} at t = {sampler.time:.9g} s', 'INFO'))
-    sampler.count(values['duration'])
+        events.append((f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
+    sampler.count(settings.duration)
     check_pace(factor, sampler.tick)
     begin('looking ahead')
     seconds = _SEEN * (factor or 1.0)
-    box, cost = look_ahead(simulation, min(seconds, values['duration'] or seconds))
+    box, cost = look_ahead(simulation, min(seconds, settings.duration or seconds))
     if simulation.hamiltonian.box is not None:
         box = simulation.hamiltonian.box
-    if values['explain'] and scene.effects:
+    if settings.explain and scene.effects:
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
-    report = scene_report(scene, simulation, origin, cost, values['explain'], chosen)
+    report = scene_report(scene, simulation, origin, cost, settings.explain, chosen)
     if topics.remapped:
         report[KEY] = dict(topics.remapped)
-    if values['autostart']:
+    if settings.autostart:
         while not discovery.over:
             begin('waiting for subscribers')
             time.sleep(DISCOVERY_PERIOD)
@@ -126,22 +127,23 @@ def prepare(values: dict, topics: BagTopics, discovery: Discovery, logger: Rcuti
     freeze_memory()
     begin(OPENING)
     recording = Recording(
-        logger, scene, simulation, values, topics, box, report, sampler)
+        logger, scene, simulation, settings, topics, box, report, sampler)
     return Prepared(scene, chosen, simulation, box, report, recording, events, origin)
 
 
-def _load(values: dict) -> tuple[Scene, int, int]:
+def _load(settings: Settings) -> tuple[Scene, int, int]:
     """Return the scene, and the step and the stamp of step 0 [ns] from which it goes on."""
-    overrides = {name: values[name] for name in ('step_size', 'integrator') if values[name]}
-    if not values['resume']:
-        return load_scene(values['scene']).with_overrides(
+    overrides = {name: value for name, value in (
+        ('step_size', settings.step_size), ('integrator', settings.integrator)) if value}
+    if not settings.resume:
+        return load_scene(settings.scene).with_overrides(
             overrides.get('step_size'), overrides.get('integrator')), 0, 0
     if overrides:
         raise ParameterError(f'parameter {next(iter(overrides))}: cannot be changed in a run that '
                              'is resumed; leave it out, or leave out resume')
     # Imported here: it reads bags, which few runs begin with.
     from hnn_vi_ros.ros.recorded_run import resume
-    found = resume(values['resume'], values['trust_code'])
+    found = resume(settings.resume, settings.trust_code)
     return found.scene, found.step, found.origin
 
 

@@ -3,6 +3,7 @@
 """The files of a run: its MCAP bag and its rerun recording."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 import os
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.run_folder import create_run_folder
 from hnn_vi_ros.run.sampling import Sampler
@@ -46,7 +48,7 @@ class Recording:
         What is simulated.
     simulation : Simulation
         In its initial state.
-    values : dict
+    settings : Settings
         The node's parameters.
     topics : BagTopics
         What the bag holds.
@@ -72,12 +74,12 @@ class Recording:
     """
 
     def __init__(self, logger: RcutilsLogger, scene: Scene, simulation: Simulation,
-                 values: dict, topics: BagTopics, box: tuple[np.ndarray, np.ndarray],
+                 settings: Settings, topics: BagTopics, box: tuple[np.ndarray, np.ndarray],
                  report: dict[str, Any], sampler: Sampler):
         self._logger, self._simulation = logger, simulation
-        self._values, self._topics, self._box = values, topics, box
+        self._settings, self._topics, self._box = settings, topics, box
         self.problem = ''
-        self._bag_wanted = values['record']
+        self._bag_wanted = settings.record
         self._home, self._folder = _working_folder(), None
         self._used: set[Path] = set()
         self._choose_files(scene, report, sampler)
@@ -215,14 +217,14 @@ class Recording:
         self._scene, self._report, self._sampler = scene, report, sampler
         self.samples = 0
         self._bag_sink = self._picture_sink = None
-        picture, sink = self._values['rerun_path'], self._values['rerun_sink']
+        picture, sink = self._settings.rerun_path, self._settings.rerun_sink
         self._bags = [self._free_bag()] if self._bag_wanted else []
         self._picture = self._free(picture, 'recording.rrd') if sink == 'file' else None
         self._target = {'file': self._picture, 'serve': SERVER_PORT, 'none': None,
                         'connect': picture or VIEWER_URL}[sink]
 
     def _free_bag(self) -> Path:
-        return self._free(self._values['record_path'], 'bag')
+        return self._free(self._settings.record_path, 'bag')
 
     def _free(self, asked: str, default: str) -> Path:
         """Return the path asked for or a default one, numbered if it is one of ours already."""
@@ -242,7 +244,7 @@ class Recording:
         scene = dump_yaml(self._report)
         attachments = {
             'scene.yaml': scene.encode(),
-            'parameters.yaml': dump_yaml(self._values).encode()}
+            'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
         if self._simulation.steps != self._report['first_step']:
             attachments[STATE_FILE] = state_file(self._simulation)
         sink = McapSink(self._bags[-1], self._topics.tick, attachments)
@@ -253,15 +255,15 @@ class Recording:
         self._bag_sink = sink
 
     def _open_picture(self) -> None:
-        scene, simulation, values = self._scene, self._simulation, self._values
+        scene, simulation, settings = self._scene, self._simulation, self._settings
         if self._target is None:
             return
         # Imported here: a run without a picture starts without the viewer's libraries.
         from hnn_vi_ros.viewer.rerun_sink import RerunSink
-        if values['rerun_sink'] == 'serve':
+        if settings.rerun_sink == 'serve':
             self._logger.info(f'rerun viewers can connect to {VIEWER_URL}')
         mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None
-        pace = values['real_time_factor']
+        pace = settings.real_time_factor
         self._picture_sink = RerunSink(
             scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
             simulation.p.copy(), box=self._box, mechanism=mechanism,

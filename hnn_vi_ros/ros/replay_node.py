@@ -23,7 +23,7 @@ from hnn_vi_ros.ros.player import Player, read_ahead
 from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.remapped_topics import own_topics
-from hnn_vi_ros.ros.replay_parameters import PARAMETERS
+from hnn_vi_ros.ros.replay_parameters import PARAMETERS, ReplaySettings
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -67,32 +67,32 @@ class ReplayNode(Node):
             super().__init__('hnn_replay', parameter_overrides=[
                 Parameter(name, value=value) for name, value in values.items()],
                 automatically_declare_parameters_from_overrides=True)
-        values = declare_parameters(self, PARAMETERS)
+        settings = declare_parameters(self, ReplaySettings)
         self._reader = BagReader(bag)
         topics = {CLOCK_TOPIC[0], *(found.topic for found in self._reader.channels.values())}
         refuse_unknown(self, PARAMETERS, [
             Endpoint(name, 'publisher') for name in sorted(topics) if _is_topic(name)], arguments)
-        self._publishers_of = self._open(values)
-        first = self._reader.first + round(values['start_offset'] * 1e9)
+        self._publishers_of = self._open(settings)
+        first = self._reader.first + round(settings.start_offset * 1e9)
         last = self._reader.last
         if first > last:
             raise ParameterError(
-                f'parameter start_offset = {values["start_offset"]:g}: the bag is '
+                f'parameter start_offset = {settings.start_offset:g}: the bag is '
                 f'{(last - self._reader.first) * 1e-9:g} s long')
-        if values['duration']:
-            last = min(last, first + round(values['duration'] * 1e9))
-        if values['publish_clock']:
+        if settings.duration:
+            last = min(last, first + round(settings.duration * 1e9))
+        if settings.publish_clock:
             self._clock_publisher = ClockPublisher(
                 create_publisher(self, *reversed(CLOCK_TOPIC), CLOCK_QOS))
         self.player = Player(
             lambda: read_ahead(chain(
                 self._latched(first), self._reader.messages(self._publishers_of, first, last))),
-            self._publish, self._clock_publisher.tell if values['publish_clock'] else None,
+            self._publish, self._clock_publisher.tell if settings.publish_clock else None,
             first, last,
-            values['rate'], values['loop'], values['start_paused'])
+            settings.rate, settings.loop, settings.start_paused)
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
-        self._discovery = Discovery(self._count_subscribers, values['discovery_time'])
+        self._discovery = Discovery(self._count_subscribers, settings.discovery_time)
         self._timer = self.create_timer(
             DISCOVERY_PERIOD, self._start_when_discovered,
             clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -119,14 +119,14 @@ class ReplayNode(Node):
         """Return what is to be told of parts of the bag that could not be read."""
         return self._reader.damage
 
-    def _open(self, values: dict[str, Value]) -> dict[int, Publisher]:
+    def _open(self, settings: ReplaySettings) -> dict[int, Publisher]:
         """Create the publishers, one for each topic; return them by channel."""
-        wanted = [name.strip() for name in str(values['topics']).split(',') if name.strip()]
+        wanted = [name.strip() for name in settings.topics.split(',') if name.strip()]
         known = sorted({channel.topic for channel in self._reader.channels.values()})
         if unknown := [name for name in wanted if name not in known]:
             raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
                                  f'{", ".join(known) or "none"}')
-        left_out = {CLOCK_TOPIC[0]} if values['publish_clock'] else set()
+        left_out = {CLOCK_TOPIC[0]} if settings.publish_clock else set()
         if not wanted:
             left_out |= self._heard()
         topics: dict[str, Publisher] = {}

@@ -13,7 +13,7 @@ from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
-from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
+from hnn_vi_ros.ros.bridge_parameters import BridgeSettings, PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
@@ -76,11 +76,11 @@ class RerunBridge(Node):
             super().__init__(
                 'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,
                 parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
-        self._values = declare_parameters(self, PARAMETERS)
+        self._settings = declare_parameters(self, BridgeSettings)
         self._topics = self._find_topics()
         refuse_unknown(self, PARAMETERS, [
             Endpoint(name, 'subscription') for name in self._topics], arguments)
-        self.target = target_of(self._values)
+        self.target = target_of(self._settings)
         self.problem: HnnViRosError | None = None
         self._described, self._scenes = '', 0
         self._picture: BridgePicture | None = None
@@ -90,16 +90,16 @@ class RerunBridge(Node):
 
     def listen(self) -> None:
         """Subscribe to the scene, the state, and what tells of samples where there is none."""
-        ticks = {topic.replace('~', self._values['simulator']) for topic in _TICK.values()}
+        ticks = {topic.replace('~', self._settings.simulator) for topic in _TICK.values()}
         for topic, (kind, callback, qos, raw) in self._topics.items():
             subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)
             if topic in ticks:
                 self._tick_subscriptions.append(subscription)
-        self.get_logger().info(f'waiting for {self._values["simulator"]}/scene')
+        self.get_logger().info(f'waiting for {self._settings.simulator}/scene')
 
     def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile, bool]]:
         """Return message type, callback, QoS and whether bytes are wanted, by topic."""
-        simulator = self._values['simulator']
+        simulator = self._settings.simulator
         try:
             validate_topic_name(simulator)
         except InvalidTopicNameException as problem:
@@ -120,7 +120,7 @@ class RerunBridge(Node):
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""
-        run = RecordedRun(bag, self._values['trust_code'])
+        run = RecordedRun(bag, self._settings.trust_code)
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
         names = run.names
@@ -174,7 +174,7 @@ class RerunBridge(Node):
             return
         self._described = message.data
         try:
-            scene, _ = described_scene(message.data, '~/scene', self._values['trust_code'])
+            scene, _ = described_scene(message.data, '~/scene', self._settings.trust_code)
         except RecordingError as problem:
             # Anybody may have sent it: what is shown goes on.
             self.get_logger().error(str(problem))
@@ -184,7 +184,7 @@ class RerunBridge(Node):
             target = self._next_target()
             self._picture = BridgePicture(scene, target, 'bridge')
             shown = f'port {target}' if isinstance(target, int) else target
-            self.get_logger().info(f'showing {self._values["simulator"]} on {shown}')
+            self.get_logger().info(f'showing {self._settings.simulator} on {shown}')
 
     def _next_target(self) -> Target:
         """Return where the next picture goes: after the first, a file that is not there yet."""
@@ -208,7 +208,7 @@ class RerunBridge(Node):
 
     def _keeper(self, name: str) -> Callable:
         """Return what takes the messages of a topic, where there is no ~/state."""
-        state = f'{self._values["simulator"]}/state'
+        state = f'{self._settings.simulator}/state'
 
         def keep(message: Any, info: dict) -> None:
             # The simulator announces ~/state before the topics that are heard here.

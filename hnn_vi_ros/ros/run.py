@@ -18,6 +18,7 @@ from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.event_topic import EventTopic
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.log import log
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.topics import Topics
@@ -43,7 +44,7 @@ class Run:
         What it publishes.
     prepared : Prepared
         The scene and its parts.
-    values : dict
+    settings : Settings
         The node's parameters.
     stop : callable
         Ends the process: its status, and why.
@@ -55,22 +56,22 @@ class Run:
 
     """
 
-    def __init__(self, node: Node, topics: Topics, prepared: Prepared, values: dict,
+    def __init__(self, node: Node, topics: Topics, prepared: Prepared, settings: Settings,
                  stop: Callable[[int, str], None]):
-        self._node, self._topics, self._stop, self._values = node, topics, stop, values
+        self._node, self._topics, self._stop, self._settings = node, topics, stop, settings
         self._scene, self.recording = prepared.scene, prepared.recording
         self._chosen = prepared.chosen
         self.simulation = watched(prepared.simulation, prepared.scene)
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step = 1, math.inf
-        self.sampler = Sampler(self.simulation, values['publish_rate'], prepared.origin)
-        self.pacer = Pacer(self.sampler.tick, values['real_time_factor'])
+        self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
+        self.pacer = Pacer(self.sampler.tick, settings.real_time_factor)
         self._diagnostics = DiagnosticsPublisher(node, topics.diagnostics, self._scene.name)
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
         topics.open(self.simulation, monitor, self._scene.mechanism, prepared.box,
-                    values['frame_id'], self._record_heard)
+                    settings.frame_id, self._record_heard)
         self._events = EventTopic(node, topics.open_events, self._scene.name, self.simulation)
         self._begin(monitor)
         self._tell_scene(prepared.report)
@@ -80,11 +81,11 @@ class Run:
             node.get_logger().warning(self.sampler.deviation)
 
     def _make_monitor(self) -> Monitor:
-        sampler, values = self.sampler, self._values
+        sampler, settings = self.sampler, self._settings
         scale = SampledScale(hamiltonian := self.simulation.hamiltonian)
-        guards = [*make_guards(self.simulation, scale, values['energy_band_limit'],
-                               values['energy_change_limit'], hamiltonian.barrier)]
-        if values['real_time_factor']:
+        guards = [*make_guards(self.simulation, scale, settings.energy_band_limit,
+                               settings.energy_change_limit, hamiltonian.barrier)]
+        if settings.real_time_factor:
             guards.append(OverrunGuard(self.pacer))
         return Monitor(
             self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.budget,
@@ -92,8 +93,8 @@ class Run:
 
     def _begin(self, monitor: Monitor) -> None:
         """Watch and record from an initial state on."""
-        scene, values, self._monitor = self._scene, self._values, monitor
-        samples = self.sampler.count(values['duration'])
+        scene, settings, self._monitor = self._scene, self._settings, monitor
+        samples = self.sampler.count(settings.duration)
         self._last_step = self.simulation.steps + samples * self.sampler.every
         self.recording.event(', '.join([
             f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
@@ -105,7 +106,7 @@ class Run:
             self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
             lambda text, level: self.tell(text, level, show=False), self._errors())
         self.status = RunStatus(scene, self.simulation, self.sampler, monitor, self.recording,
-                                self._health, values['real_time_factor'])
+                                self._health, settings.real_time_factor)
 
     def _tell_scene(self, report: dict[str, Any]) -> None:
         self._report = report
@@ -117,7 +118,7 @@ class Run:
 
     def _errors(self) -> list[str]:
         return [STEP_FAILED, EnergyGuard.kind,
-                *[BoxGuard.kind] * self._values['stop_outside_box']]
+                *[BoxGuard.kind] * self._settings.stop_outside_box]
 
     def tell(self, text: str, level: str, show: bool = True) -> None:
         """Log a line, and show it beside the samples; level is INFO, WARN or ERROR."""
@@ -130,7 +131,7 @@ class Run:
         sample = sample or self.sampler.sample()
         for alarm in self._monitor.watch(sample):
             self._health.add(alarm, sample.stamp)
-            if alarm.kind == BoxGuard.kind and self._values['stop_outside_box']:
+            if alarm.kind == BoxGuard.kind and self._settings.stop_outside_box:
                 self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp / 1e9:.9g} s')
 
     def publish_diagnostics(self) -> None:
@@ -254,7 +255,7 @@ class Run:
         self._start = self._next_start
         # The files tell where they begin.
         self._scene = with_start(self._scene, *self._start)
-        self.sampler = Sampler(self.simulation, self._values['publish_rate'], origin)
+        self.sampler = Sampler(self.simulation, self._settings.publish_rate, origin)
         monitor = self._make_monitor()
         self._topics.follow(monitor)
         report = self._report | {
@@ -268,22 +269,22 @@ class Run:
         self.status.paused = paused
         self.watch()
 
-    def check(self, values: dict) -> None:
+    def check(self, settings: Settings) -> None:
         """Raise ParameterError if parameters do not fit the run."""
-        check_pace(values['real_time_factor'], self.sampler.tick)
+        check_pace(settings.real_time_factor, self.sampler.tick)
 
-    def apply(self, values: dict) -> None:
+    def apply(self, settings: Settings) -> None:
         """Go on with changed parameters."""
-        if values['real_time_factor'] != self._values['real_time_factor']:
-            factor = self.status.asked = values['real_time_factor']
+        if settings.real_time_factor != self._settings.real_time_factor:
+            factor = self.status.asked = settings.real_time_factor
             self.pacer.set_pace(factor)
             self.start_clocks()
             guards = self._monitor.guards
             if factor and not any(isinstance(guard, OverrunGuard) for guard in guards):
                 guards.append(OverrunGuard(self.pacer))
         for guard in self._monitor.guards:
-            guard.allow(values['energy_band_limit'], values['energy_change_limit'])
-        self._values = values
+            guard.allow(settings.energy_band_limit, settings.energy_change_limit)
+        self._settings = settings
         self._health.errors = self._errors()
 
     def close(self) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
 from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.run import Run
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -16,7 +17,7 @@ class Simulator(Protocol):
 
     run: Run | None
     control: Control | None
-    values: dict[str, Any]
+    settings: Settings
     state: int
     stop: Callable[[int, str], None]
     change_state: Callable[[int], Awaitable[bool]]

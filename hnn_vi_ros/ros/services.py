@@ -64,7 +64,7 @@ class Services:
 
     def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Begin anew at the initial state."""
-        control, time_too = self._simulator.control, self._simulator.values['reset_time']
+        control, time_too = self._simulator.control, self._simulator.settings.reset_time
         return _fill(response, control.reset(time_too) if control else self._refusal)
 
     async def step(self, request: Trigger.Request, response: Trigger.Response
@@ -74,7 +74,7 @@ class Services:
         if control is None:
             return _fill(response, self._refusal)
         return _fill(
-            response, await control.request_steps(self._simulator.values['step_count']))
+            response, await control.request_steps(self._simulator.settings.step_count))
 
     def start_recording(self, request: Trigger.Request, response: Trigger.Response
                         ) -> Trigger.Response:

@@ -8,7 +8,6 @@ import os
 import signal
 import sys
 import time
-from typing import Any
 
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
@@ -21,7 +20,7 @@ from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.node_parameters import Parameters
-from hnn_vi_ros.ros.parameters import PARAMETERS
+from hnn_vi_ros.ros.parameters import PARAMETERS, Settings
 from hnn_vi_ros.ros.preparation import OPENING, prepare, Prepared
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
@@ -74,7 +73,7 @@ class SimulatorNode(ManagedNode):
         self.topics: Topics | None = None
         self._incomplete, self._stage = False, ''
         self._prepared: Prepared | None = None
-        self._settings = Parameters(self)
+        self._declared = Parameters(self)
         refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
         offer_services(self, self)
 
@@ -86,31 +85,31 @@ class SimulatorNode(ManagedNode):
         return 'the node is not configured: use the transition configure first'
 
     @property
-    def values(self) -> dict[str, Any]:
+    def settings(self) -> Settings:
         """Return the parameters."""
-        return self._settings.values
+        return self._declared.settings
 
     async def autostart(self) -> None:
         """Configure and activate, as the parameter says; raise what makes that impossible."""
-        if self.values['autostart'] and await self.change_state(
+        if self.settings.autostart and await self.change_state(
                 Transition.TRANSITION_CONFIGURE):
             await self.change_state(Transition.TRANSITION_ACTIVATE)
 
     async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load, compile and open everything, and serve meanwhile."""
-        self._settings.configured = True
-        values, begin = dict(self.values), time.monotonic()
+        self._declared.configured = True
+        settings, begin = self.settings, time.monotonic()
         progress = self.create_timer(
             _PROGRESS, lambda: self.get_logger().info(
                 f'configuring: {self._stage}, {time.monotonic() - begin:.0f} s so far'),
             clock=Clock(clock_type=ClockType.STEADY_TIME))
         try:
             # There from now on, so that other nodes find them while the kernel is compiled.
-            self.topics = Topics(self, values['publish_accuracy'], values['publish_clock'])
+            self.topics = Topics(self, settings.publish_accuracy, settings.publish_clock)
             topics, discovery = self.topics.descriptions, Discovery(
-                self.topics.count_subscribers, values['discovery_time'])
-            await self.in_thread(lambda: self._prepare(values, topics, discovery))
-            self.run = Run(self, self.topics, self._prepared, values, self.stop)
+                self.topics.count_subscribers, settings.discovery_time)
+            await self.in_thread(lambda: self._prepare(settings, topics, discovery))
+            self.run = Run(self, self.topics, self._prepared, settings, self.stop)
             self.topics.hear('~/initial_state', JointState, self._on_initial_state)
         except HnnViRosError:
             self._close_prepared()
@@ -118,10 +117,10 @@ class SimulatorNode(ManagedNode):
             raise
         finally:
             self.destroy_timer(progress)
-        self.control = Control(self, self.run, discovery, values)
+        self.control = Control(self, self.run, discovery, settings)
         # Those that were changed meanwhile count as well.
-        self._settings.run = self
-        self.apply(self.values)
+        self._declared.run = self
+        self.apply(self.settings)
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -165,18 +164,18 @@ class SimulatorNode(ManagedNode):
         if self._incomplete:
             self.exit_status = self.exit_status or 1
 
-    def check(self, values: dict) -> None:
+    def check(self, settings: Settings) -> None:
         """Raise ParameterError if changed parameters do not fit the run."""
-        self.run.check(values)
+        self.run.check(settings)
 
-    def apply(self, values: dict) -> None:
+    def apply(self, settings: Settings) -> None:
         """Go on with changed parameters."""
-        self.run.apply(values)
+        self.run.apply(settings)
         self.control.set_period()
 
-    def _prepare(self, values: dict, topics: list[Topic], discovery: Discovery) -> None:
+    def _prepare(self, settings: Settings, topics: list[Topic], discovery: Discovery) -> None:
         """Keep what is prepared: the node may be stopped before it can take it."""
-        self._prepared = prepare(values, topics, discovery, self.get_logger(), self._set_stage)
+        self._prepared = prepare(settings, topics, discovery, self.get_logger(), self._set_stage)
 
     def _close_prepared(self) -> None:
         """Close the files of a run that has not begun, those as well that are being opened."""
@@ -208,8 +207,8 @@ class SimulatorNode(ManagedNode):
             self.control.close()
         if self.topics is not None:
             self.topics.close()
-        self.run = self.control = self.topics = self._settings.run = self._prepared = None
-        self._settings.configured, self._stage = False, ''
+        self.run = self.control = self.topics = self._declared.run = self._prepared = None
+        self._declared.configured, self._stage = False, ''
 
 
 def main(argv: list[str]) -> int:

@@ -54,7 +54,7 @@ class WorldServices:
         world = world_of(self._simulator.run.scene)
         # What a bag holds cannot be had by a URI.
         response.world = self._resource(
-            world._replace(uri='') if self._simulator.values['resume'] else world)
+            world._replace(uri='') if self._simulator.settings.resume else world)
         return self._fill(response, 'RESULT_OK')
 
     async def load_world(self, request: Any, response: Any) -> Any:

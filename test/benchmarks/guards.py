@@ -10,6 +10,7 @@ import time
 from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.ros import parameters
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -86,8 +87,8 @@ def _make_tick(node: Node, folder: Path
     topics.open(simulation, monitor, None, box, 'world', lambda topic, payload: None)
     recording = Recording(
         node.get_logger(), scene, simulation,
-        {'record': True, 'record_path': str(folder / 'bag'), 'rerun_sink': 'none',
-         'rerun_path': ''}, topics.descriptions, box, scene_report(scene, simulation), sampler)
+        parameters.Settings(record_path=str(folder / 'bag'), rerun_sink='none'),
+        topics.descriptions, box, scene_report(scene, simulation), sampler)
     monitor.watch(sampler.sample())
     watching: list[float] = []
 

@@ -15,6 +15,7 @@ from unittest.mock import patch
 from benchmarks.cold_start import simulator
 from benchmarks.measurement import Row, Settings
 from hnn_vi_ros.bags import mcap_sink
+from hnn_vi_ros.ros import parameters
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -109,8 +110,8 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
     with patch.object(mcap_sink, 'time', clock), patch.object(rerun_sink, 'time', clock):
         recording = Recording(
             node.get_logger(), scene, simulation,
-            {'record': True, 'record_path': str(folder / 'bag'), 'rerun_sink': 'file',
-             'rerun_path': str(folder / 'picture.rrd'), 'real_time_factor': 1.0},
+            parameters.Settings(record_path=str(folder / 'bag'),
+                                rerun_path=str(folder / 'picture.rrd')),
             topics.descriptions, box, scene_report(scene, simulation), sampler)
         for tick in range(ticks):
             if tick == round(_WARM_SHARE * ticks):

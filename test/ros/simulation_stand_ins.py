@@ -4,12 +4,14 @@
 
 from collections.abc import Awaitable, Callable
 import copy
+from dataclasses import replace
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.control import Answer
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.scene import load_scene
 from lifecycle_msgs.msg import State, Transition
@@ -136,7 +138,7 @@ class Simulator:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, modules: dict[str, ModuleType | None]):
         self.offered: dict[str, tuple[type, Callable]] = {}
-        self.values = {'reset_time': False, 'step_count': 1, 'resume': ''}
+        self.settings = Settings()
         self.run, self.control = None, None
         self.state, self.ended = State.PRIMARY_STATE_UNCONFIGURED, []
         self.refused, self.refusal = '', 'the node is not configured'
@@ -159,14 +161,15 @@ class Simulator:
         return work()
 
     def set_parameters_atomically(self, parameters: list) -> SimpleNamespace:
-        self.values |= {parameter.name: parameter.value for parameter in parameters}
+        self.settings = replace(
+            self.settings, **{parameter.name: parameter.value for parameter in parameters})
         return SimpleNamespace(successful=True)
 
     async def change_state(self, transition: int) -> bool:
         if transition == Transition.TRANSITION_CONFIGURE:
             if self.refused:
                 raise HnnViRosError(self.refused)
-            self.load(self.values['scene'])
+            self.load(self.settings.scene)
         elif transition == Transition.TRANSITION_CLEANUP:
             self.run = self.control = None
             self.state = State.PRIMARY_STATE_UNCONFIGURED

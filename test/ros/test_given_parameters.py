@@ -12,7 +12,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.node_parameters import declare_parameters
-from hnn_vi_ros.ros.parameters import PARAMETERS
+from hnn_vi_ros.ros.parameters import PARAMETERS, Settings
 from hnn_vi_ros.ros.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.starting import own_arguments
 from hnn_vi_ros.ros.topics import ENDPOINTS
@@ -41,7 +41,7 @@ def given(*arguments: str) -> Iterator[Node]:
     node = Node('hnn_simulator', context=context, start_parameter_services=False,
                 automatically_declare_parameters_from_overrides=True)
     try:
-        node.values = declare_parameters(node)
+        node.settings = declare_parameters(node, Settings)
         refuse_unknown(node, PARAMETERS, ENDPOINTS, arguments)
         yield node
     finally:
@@ -91,7 +91,7 @@ def test_parameter_like_no_other_is_refused_with_those_that_there_are():
 def test_parameters_of_ros_of_qos_and_of_other_nodes_are_taken_or_left(arguments):
     with given(*arguments) as node:
         own = '-p hnn_simulator:integrator:=rk4' in ' '.join(arguments)
-        assert node.values['integrator'] == ('rk4' if own else '')
+        assert node.settings.integrator == ('rk4' if own else '')
 
 
 @pytest.mark.parametrize('section', ['hnn_simulator', '/hnn_simulator', '/**/hnn_simulator'])
@@ -109,7 +109,7 @@ def test_unknown_parameter_of_a_file_for_all_nodes_is_left_and_a_misspelling_is_
             'qos_overrides': {'/elsewhere': {'publisher': {'depth': 1}}}}},
         'elsewhere': {'ros__parameters': {'xyz': 1}}})
     with given(*arguments) as node:
-        assert node.values['integrator'] == 'gauss4'
+        assert node.settings.integrator == 'gauss4'
         assert not node.has_parameter('robot_description')
         assert not node.has_parameter('controller.gains')
     told = capfd.readouterr().err

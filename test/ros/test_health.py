@@ -25,7 +25,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, Status, WARN
 from hnn_vi_ros.ros.health import Health
-from hnn_vi_ros.ros.parameters import PARAMETERS
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.run.sampling import Sampler
@@ -236,9 +236,9 @@ def test_barrier_has_the_energy_of_its_saddle(hamiltonian, q):
 
 
 def test_guards_of_the_node_have_the_limits_of_the_study():
-    defaults = {item.name: item.default for item in PARAMETERS}
+    defaults = Settings()
     limits = load_plan().guards
-    assert (defaults['energy_band_limit'], defaults['energy_change_limit']) == (
+    assert (defaults.energy_band_limit, defaults.energy_change_limit) == (
         limits.under_resolved, limits.drift) == (BAND_LIMIT, CHANGE_LIMIT)
 
 

@@ -8,7 +8,7 @@ import signal
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.node_parameters import declare_parameters
-from hnn_vi_ros.ros.parameters import ALWAYS, PARAMETERS, START, UNCONFIGURED
+from hnn_vi_ros.ros.parameters import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
 from hnn_vi_ros.ros.starting import plain_ros_errors
 from hnn_vi_ros.ros.topics import ENDPOINTS
 from hypothesis import given, HealthCheck, settings, strategies
@@ -31,7 +31,7 @@ GOOD = """\
 """
 
 
-def declare(*arguments: str) -> tuple[dict, Node]:
+def declare(*arguments: str) -> tuple[Settings, Node]:
     """Declare the parameters in a node that is started with these arguments."""
     context = Context()
     rclpy.init(args=['--ros-args', *arguments], context=context)
@@ -41,9 +41,9 @@ def declare(*arguments: str) -> tuple[dict, Node]:
                         start_parameter_services=False,
                         automatically_declare_parameters_from_overrides=True)
         try:
-            values = declare_parameters(node)
+            settings = declare_parameters(node, Settings)
             refuse_unknown(node, PARAMETERS, ENDPOINTS, arguments)
-            return values, node
+            return settings, node
         finally:
             node.destroy_node()
     finally:
@@ -51,7 +51,8 @@ def declare(*arguments: str) -> tuple[dict, Node]:
 
 
 def test_parameters_defaults_are_those_of_the_table():
-    assert declare()[0] == {item.name: item.default for item in PARAMETERS}
+    assert declare()[0] == Settings()
+    assert Settings() == Settings(**{item.name: item.default for item in PARAMETERS})
 
 
 def test_parameters_of_another_node_are_checked_together_and_applied_where_they_may(tmp_path):
@@ -118,10 +119,10 @@ def test_limits_of_guards_can_be_changed_while_the_run_goes_on(tmp_path):
 def test_parameters_of_a_file_are_taken_and_integers_serve_as_doubles(tmp_path):
     path = tmp_path / 'parameters.yaml'
     path.write_text(GOOD)
-    values, node = declare('--params-file', str(path))
-    assert values['publish_rate'] == 50.0
-    assert isinstance(values['publish_rate'], float)
-    assert (values['duration'], values['record']) == (2.5, False)
+    values, _ = declare('--params-file', str(path))
+    assert values.publish_rate == 50.0
+    assert isinstance(values.publish_rate, float)
+    assert (values.duration, values.record) == (2.5, False)
 
 
 @pytest.mark.parametrize('item', [i for i in PARAMETERS if isinstance(i.default, float)],
@@ -151,4 +152,5 @@ def test_parameter_file_of_any_content_gives_values_or_one_line(tmp_path, conten
         # RuntimeError: the file is refused by ROS itself; main() makes one line of it.
         assert str(problem)
     else:
-        assert set(values) == {item.name for item in PARAMETERS}
+        for item in PARAMETERS:
+            assert item.check(getattr(values, item.name)) == getattr(values, item.name)

@@ -12,7 +12,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros import rerun_bridge
-from hnn_vi_ros.ros.bridge_parameters import PARAMETERS
+from hnn_vi_ros.ros.bridge_parameters import BridgeSettings, PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import target_of
 from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_run import RecordedRun
@@ -211,14 +211,14 @@ def test_picture_after_a_reset_leaves_those_of_before_alone(tmp_path):
 @pytest.mark.parametrize('port', ['0', '65536', '-1', 'x', '1.5'])
 def test_port_out_of_its_range_is_a_parameter_error(port):
     with pytest.raises(ParameterError, match='expected a port'):
-        target_of({'rerun_sink': 'serve', 'rerun_path': port})
+        target_of(BridgeSettings(rerun_sink='serve', rerun_path=port))
 
 
 def test_targets_are_those_of_the_sinks(tmp_path):
-    assert target_of({'rerun_sink': 'serve', 'rerun_path': ''}) == 9876
-    assert target_of({'rerun_sink': 'serve', 'rerun_path': '1234'}) == 1234
-    assert target_of({'rerun_sink': 'connect', 'rerun_path': ''}).startswith('rerun+http://')
-    assert target_of({'rerun_sink': 'file', 'rerun_path': 'a.rrd'}) == Path('a.rrd')
+    assert target_of(BridgeSettings(rerun_sink='serve', rerun_path='')) == 9876
+    assert target_of(BridgeSettings(rerun_sink='serve', rerun_path='1234')) == 1234
+    assert target_of(BridgeSettings(rerun_sink='connect')).startswith('rerun+http://')
+    assert target_of(BridgeSettings(rerun_sink='file', rerun_path='a.rrd')) == Path('a.rrd')
 
 
 def test_readme_table_of_the_bridge_is_that_of_the_node():

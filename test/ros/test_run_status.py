@@ -13,6 +13,7 @@ from hnn_vi_ros.accuracy.trials import Budget
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.run.monitor import Monitor
@@ -90,7 +91,7 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     # What an oscillation of 5e-3 may leave in a slope over 25 s, 12 A / (w T^2), twice.
     assert abs(float(energy['drift_per_hour [1/h]'])) <= 3600.0 * 24.0 * 5e-3 / (2.0 * 25.0 ** 2)
     assert health['watched'] == ('step failed, under-resolved, energy not accounted for, '
-                                 'slow step, real-time overrun')
+                                 'slow step, rescued steps, real-time overrun')
     assert recorder == {'bag': str(tmp_path / 'bag'), 'samples [1]': '2500'}
     assert model['hamiltonian'] == 'harmonic_oscillator' and model['coordinates'] == 'x'
     assert len(accuracy) > 2400
@@ -131,9 +132,9 @@ class Run:
         self.monitor = Monitor(
             self.simulation, self.sampler.every, self.sampler.tick, budget,
             lambda text, first: self.warnings.append((text, first)))
-        values = {'record': False, 'record_path': '', 'rerun_sink': 'none', 'rerun_path': ''}
+        settings = Settings(record=False, rerun_sink='none')
         self.recording = Recording(
-            rclpy.logging.get_logger('test'), scene, self.simulation, values, None, None, {},
+            rclpy.logging.get_logger('test'), scene, self.simulation, settings, None, None, {},
             self.sampler)
         self.health = Health(self.sampler.stamp_at, [], SimpleNamespace(
             topic=None, publish=lambda statuses, stamp: b''), self.recording, lambda *line: None)

@@ -4,6 +4,7 @@
 
 from pathlib import Path
 
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.simulation_services import INTERFACES, service_name
 from lifecycle_msgs.msg import State
@@ -148,7 +149,7 @@ def test_reset_is_of_state_time_or_both_and_nothing_else_is_reset(simulator):
 
 
 def test_step_takes_the_count_of_its_request_and_not_the_parameter(simulator):
-    simulator.values['step_count'] = 50
+    simulator.settings = Settings(step_count=50)
     assert simulator.code('step_simulation', steps=4) == OK
     assert simulator.control.waiting.result().message == '4'
     answer = simulator.call('step_simulation', steps=5).result
@@ -222,14 +223,14 @@ def test_world_that_cannot_be_loaded_is_refused_by_its_code_and_the_run_goes_on(
 
 @pytest.mark.parametrize('first', ['active', 'inactive', 'unconfigured'])
 def test_world_is_loaded_from_any_state_and_left_stopped(simulator, first):
-    simulator.values['resume'] = 'bag'
+    simulator.settings = Settings(resume='bag')
     if first != 'active':
         now(simulator.change_state(4))
     if first == 'unconfigured':
         now(simulator.change_state(2))
     answer = simulator.call('load_world', world_resource=resource(simulator, SHIPPED))
     assert answer.result.result == OK and answer.world.name == 'exact_pendulum'
-    assert (simulator.values['scene'], simulator.values['resume']) == ('exact_pendulum', '')
+    assert (simulator.settings.scene, simulator.settings.resume) == ('exact_pendulum', '')
     assert simulator.state == State.PRIMARY_STATE_ACTIVE and state_of(simulator) == STOPPED
     current = simulator.call('get_current_world').world
     assert (current.name, current.world_resource.uri) == ('exact_pendulum', SHIPPED)
@@ -250,7 +251,7 @@ def test_world_is_unloaded_once(simulator):
 
 
 def test_world_that_goes_on_from_a_bag_has_no_uri(simulator):
-    simulator.values['resume'] = 'bag'
+    simulator.settings = Settings(resume='bag')
     world = simulator.call('get_current_world').world
     assert world.name == 'exact_harmonic_oscillator' and world.world_resource.uri == ''
 
