@@ -15,7 +15,7 @@ from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.bridge_parameters import BridgeSettings
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.event_topic import COMPONENT
-from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
+from hnn_vi_ros.ros.picture_output import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build

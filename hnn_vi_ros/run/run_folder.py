@@ -5,7 +5,9 @@
 from contextlib import suppress
 from datetime import datetime, timezone
 from itertools import count
+import os
 from pathlib import Path
+from typing import final
 
 from hnn_vi_ros.errors import RecordingError
 
@@ -34,3 +36,56 @@ def create_run_folder(scene: str, home: Path) -> Path:
         raise RecordingError(
             f'{folder} cannot be created ({problem.strerror}); set record_path and '
             'rerun_path to a place that can be written') from problem
+
+
+@final
+class RunFiles:
+    """
+    Names of a run's files: those that are asked for, or in a folder of the run's own.
+
+    Later ones of a name get a number: nothing is ever overwritten.
+    """
+
+    def __init__(self):
+        self._home = _working_folder()
+        self._folder: Path | None = None
+        self._used: set[Path] = set()
+
+    def free(self, asked: str, default: str, scene: str) -> Path:
+        """
+        Return an absolute path for a file.
+
+        Parameters
+        ----------
+        asked : str
+            What the user calls it; empty for a default.
+        default : str
+            Its name in the run's folder, which is made then.
+        scene : str
+            Name of the scene, for the folder.
+
+        Raises
+        ------
+        RecordingError
+            The folder cannot be created.
+
+        """
+        if asked:
+            first = self._home / os.path.expanduser(asked)
+        else:
+            self._folder = self._folder or create_run_folder(scene, self._home)
+            first = self._folder / default
+        path, number = first, 1
+        while path in self._used or (number > 1 and path.exists()):
+            number += 1
+            path = first.with_name(f'{first.stem}-{number}{first.suffix}')
+        self._used.add(path)
+        return path
+
+
+def _working_folder() -> Path:
+    """Return the absolute path that others are relative to; an empty one if it was removed."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError:
+        return Path()

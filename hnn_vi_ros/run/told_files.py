@@ -10,38 +10,28 @@ import shutil
 import sys
 
 
-def tell_files(bags: Sequence[Path], picture: Path | None) -> None:
-    """
-    Print where bags and a picture are, and the command that opens each.
+def bag_lines(bag: Path) -> list[str]:
+    """Return lines that say where a bag is, and the commands that open it."""
+    bag = _from_here(bag)
+    file = bag / f'{bag.name}_0.mcap'
+    told = f'bag        {bag}'
+    if not file.exists():
+        return [told, '  was removed']
+    if not (bag / 'metadata.yaml').exists():
+        return [told, '  is not complete']
+    play = [f'  open it  {_command("ros2", "bag", "play", bag)}'] if shutil.which('ros2') else []
+    return [told, *play, f'  open it  {_command(_rerun(), file)}']
 
-    Parameters
-    ----------
-    bags : sequence of Path
-        Their folders.
-    picture : Path or None
-        The recording of the viewer, if there is one.
 
-    """
-    lines = []
-    for bag in map(_from_here, bags):
-        file = bag / f'{bag.name}_0.mcap'
-        lines.append(f'bag        {bag}')
-        if not file.exists():
-            lines.append('  was removed')
-            continue
-        if not (bag / 'metadata.yaml').exists():
-            lines.append('  is not complete')
-            continue
-        if shutil.which('ros2'):
-            lines.append(f'  open it  {_command("ros2", "bag", "play", bag)}')
-        lines.append(f'  open it  {_command(_rerun(), file)}')
-    picture = picture and _from_here(picture)
-    if picture is not None:
-        lines.append(f'recording  {picture}')
-    if picture is not None and not picture.exists():
-        lines.append('  was removed')
-    elif picture is not None:
-        lines.append(f'  open it  {_command(_rerun(), picture)}')
+def picture_lines(picture: Path) -> list[str]:
+    """Return lines that say where a recording of the viewer is, and the command that opens it."""
+    picture = _from_here(picture)
+    return [f'recording  {picture}', f'  open it  {_command(_rerun(), picture)}'
+            if picture.exists() else '  was removed']
+
+
+def tell_files(lines: Sequence[str]) -> None:
+    """Print what is to be said of all files."""
     if lines:
         sys.stdout.write('\n'.join(lines) + '\n')
         sys.stdout.flush()

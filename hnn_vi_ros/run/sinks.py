@@ -1,0 +1,97 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What takes the samples of a run besides ROS: the protocol of a bag, a picture and others."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.timing import Figures
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.sample import Sample
+
+
+class Beginning(NamedTuple):
+    """
+    Where a sink begins.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the initial state from which the simulation goes on.
+    simulation : Simulation
+        In its state of now.
+    report : dict
+        What ``~/scene`` tells.
+    sampler : Sampler
+        Whose stamps count.
+
+    """
+
+    scene: Scene
+    simulation: Simulation
+    report: dict[str, Any]
+    sampler: Sampler
+
+
+class Sink(ABC):
+    """
+    Something that a run is written to or shown by.
+
+    Any method may raise RecordingError, which says what is missing: nothing more is then asked of
+    the sink until it is opened again. Between ``open`` and ``close`` come samples and whatever
+    else a sink cares for.
+
+    Attributes
+    ----------
+    name : str
+        By which /diagnostics tells where it goes.
+
+    """
+
+    name: str
+
+    @property
+    @abstractmethod
+    def target(self) -> str:
+        """Return where an open sink goes: a path, a URL or a port."""
+
+    @property
+    def greeting(self) -> str:
+        """Return what is logged once all sinks are open; empty for nothing."""
+        return ''
+
+    @abstractmethod
+    def open(self, begin: Beginning) -> bool:  # noqa: A003
+        """Begin, again after ``close`` as well; tell whether anything is wanted here."""
+
+    @abstractmethod
+    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+        """Take a sample, and the messages that were published of it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Complete what was begun; makes no ROS call."""
+
+    def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
+        """Take a message that does not come with each sample."""
+        return
+
+    def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
+        """Take a line at a stamp [ns] and a step; level is INFO, WARN or ERROR."""
+        return
+
+    def timing(self, figures: Figures) -> None:
+        """Take what steps cost lately, and the pace, at the newest sample."""
+        return
+
+    def flush(self) -> None:
+        """Hand on what is held back, where no sample follows for a while."""
+        return
+
+    def files(self) -> list[str]:
+        """Return lines that say which files there are since ``open``, and how to open them."""
+        return []
