@@ -11,7 +11,6 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.learning.choices import FamilyChoice
-from hnn_vi_ros.learning.families.base import Family
 from hnn_vi_ros.models import families
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
@@ -60,7 +59,7 @@ def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoin
 def test_row_of_a_family_names_what_is_compiled_and_what_is_trained(family: str):
     row = families.FAMILIES[family]
     assert issubclass(row.hamiltonian, LearnedHamiltonian)
-    assert issubclass(row.trainer, Family)
+    assert issubclass(row.trainer, torch.nn.Module)
     assert row.hamiltonian.canonical == row.canonical
     assert row.dissipation in {'', *row.networks}
     assert set(row.constants) <= ModelCard.model_fields.keys()
@@ -68,7 +67,7 @@ def test_row_of_a_family_names_what_is_compiled_and_what_is_trained(family: str)
 
 def test_every_family_that_a_configuration_can_name_has_a_row():
     kinds = TypeAdapter(FamilyChoice).json_schema()['discriminator']['mapping']
-    assert kinds.keys() == families.FAMILIES.keys()
+    assert kinds.keys() <= families.FAMILIES.keys()
 
 
 def learned(family: str, d: int, **changes) -> LearnedHamiltonian:
