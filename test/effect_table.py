@@ -115,3 +115,43 @@ EFFECT_ROWS = [
         'periodic_drive', {'coordinate': 'x', 'amplitude': 3.0, 'frequency': 0.8})),
         **_ON_A_ROD),
 ]
+
+# The first argument of each is a name that no coordinate has.
+UNKNOWN = {
+    'gravity': {'coordinate': 'w'}, 'spring': {'point': ['w'], 'anchor': [0.0]},
+    'magnetic_field': {'plane': ['x', 'w']}, 'soft_wall': {'coordinate': 'w'},
+    'dry_friction': {'coordinate': 'w', 'force': 1.0},
+    'quadratic_drag': {'coordinates': ['x', 'w'], 'coefficient': 1.0},
+    'periodic_drive': {'coordinate': 'w', 'amplitude': 1.0, 'frequency': 1.0},
+    'external_force': {'coordinates': ['w']},
+    'holonomic_constraint': {'point': ['x', 'w'], 'anchor': [0.0, 0.0]},
+    'impact': {'coordinate': 'w'},
+}
+# Those whose lists have one number too many for two coordinates.
+TOO_LONG = {
+    'damping': {'rate': [1.0, 2.0, 3.0]}, 'thermostat': {'temperature': 1.0, 'rate': [1.0] * 3},
+    'learned_dissipation': {'model': 3},
+}
+
+# Every effect once in compiled code, in as few compilations as their methods allow.
+COMPILED = {
+    'potentials and forces': ('rk4', 'henon_heiles', (), (0.3, -0.2), (0.4, 0.3), [
+        ('gravity', {'coordinate': 'y', 'acceleration': 0.3}),
+        ('magnetic_field', {'plane': ['x', 'y']}),
+        ('spring', {'point': ['x', 'y'], 'anchor': [0.1, 0.1], 'rest_length': 0.3}),
+        ('soft_wall', {'coordinate': 'x', 'position': -0.1, 'stiffness': 2.0, 'width': 0.2}),
+        ('damping', {'rate': [0.3, 0.1]}),
+        ('dry_friction', {'coordinate': 'x', 'force': 0.1, 'speed': 0.2}),
+        ('quadratic_drag', {'coordinates': ['x', 'y'], 'coefficient': 0.2}),
+        ('periodic_drive', {'coordinate': 'y', 'amplitude': 0.5, 'frequency': 0.7}),
+        ('external_force', {'coordinates': ['y'], 'timeout': 0.25}),
+        ('learned_dissipation', {'model': 2})]),
+    'bath and wall': ('stormer_verlet', 'pendulum', (), (1.0,), (0.0,), [
+        ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),
+        ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7})]),
+    'rods': ('stormer_verlet', 'free_particle', (1.0, ('x', 'z', 'x2', 'z2')),
+             (0.6, 0.8, 0.6, 1.8), (0.8, -0.6, 0.8, -0.6), [
+                 ('gravity', {'coordinate': 'z2'}),
+                 ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
+                 ('holonomic_constraint', {'point': ['x2', 'z2'], 'other': ['x', 'z']})]),
+}

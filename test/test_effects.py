@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from effect_table import create_effect, EFFECT_ROWS, EffectRow
+from effect_table import create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOWN
 from helpers import (
     EPS, exact, jacobian, python_step, random_checkpoint, symplectic_defect, Uncompiled)
 from hnn_vi_ros.effects import EFFECTS
@@ -26,22 +26,6 @@ pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network
 
 NAN, INF = float('nan'), float('inf')
 NAMES = ('x', 'y', 'z', 'x2', 'y2', 'z2')
-# The first argument of each is a name that no coordinate has.
-UNKNOWN = {
-    'gravity': {'coordinate': 'w'}, 'spring': {'point': ['w'], 'anchor': [0.0]},
-    'magnetic_field': {'plane': ['x', 'w']}, 'soft_wall': {'coordinate': 'w'},
-    'dry_friction': {'coordinate': 'w', 'force': 1.0},
-    'quadratic_drag': {'coordinates': ['x', 'w'], 'coefficient': 1.0},
-    'periodic_drive': {'coordinate': 'w', 'amplitude': 1.0, 'frequency': 1.0},
-    'external_force': {'coordinates': ['w']},
-    'holonomic_constraint': {'point': ['x', 'w'], 'anchor': [0.0, 0.0]},
-    'impact': {'coordinate': 'w'},
-}
-# Those whose lists have one number too many for two coordinates.
-TOO_LONG = {
-    'damping': {'rate': [1.0, 2.0, 3.0]}, 'thermostat': {'temperature': 1.0, 'rate': [1.0] * 3},
-    'learned_dissipation': {'model': 3},
-}
 
 
 def free(*names: str) -> Hamiltonian:

@@ -55,7 +55,7 @@ def rows(settings: Settings) -> Iterator[Row]:
     for name, steps in _STEPS.items():
         settings.say(name)
         yield _conservative(name, steps, settings)
-    for kind in EFFECTS:
+    for kind in _EFFECTS:
         settings.say(kind)
         yield _added(kind, settings)
 

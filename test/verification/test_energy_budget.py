@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from effect_table import EFFECT_ROWS, EffectRow
+from effect_table import COMPILED, EFFECT_ROWS, EffectRow
 from helpers import EPS, Method, METHODS
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
@@ -120,30 +120,6 @@ def test_energy_budget_of_the_thermostat_closes_with_order_2(name: str, measured
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     measured('order of the energy budget', f'{name}, thermostat', slope, '>= 2 - 0.35')
     assert slope >= 2 - 0.35
-
-
-# Every effect once in compiled code, in as few compilations as their methods allow.
-COMPILED = {
-    'potentials and forces': ('rk4', 'henon_heiles', (), (0.3, -0.2), (0.4, 0.3), [
-        ('gravity', {'coordinate': 'y', 'acceleration': 0.3}),
-        ('magnetic_field', {'plane': ['x', 'y']}),
-        ('spring', {'point': ['x', 'y'], 'anchor': [0.1, 0.1], 'rest_length': 0.3}),
-        ('soft_wall', {'coordinate': 'x', 'position': -0.1, 'stiffness': 2.0, 'width': 0.2}),
-        ('damping', {'rate': [0.3, 0.1]}),
-        ('dry_friction', {'coordinate': 'x', 'force': 0.1, 'speed': 0.2}),
-        ('quadratic_drag', {'coordinates': ['x', 'y'], 'coefficient': 0.2}),
-        ('periodic_drive', {'coordinate': 'y', 'amplitude': 0.5, 'frequency': 0.7}),
-        ('external_force', {'coordinates': ['y'], 'timeout': 0.25}),
-        ('learned_dissipation', {'model': 2})]),
-    'bath and wall': ('stormer_verlet', 'pendulum', (), (1.0,), (0.0,), [
-        ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),
-        ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7})]),
-    'rods': ('stormer_verlet', 'free_particle', (1.0, ('x', 'z', 'x2', 'z2')),
-             (0.6, 0.8, 0.6, 1.8), (0.8, -0.6, 0.8, -0.6), [
-                 ('gravity', {'coordinate': 'z2'}),
-                 ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
-                 ('holonomic_constraint', {'point': ['x2', 'z2'], 'other': ['x', 'z']})]),
-}
 
 
 def test_every_effect_is_run_compiled():
