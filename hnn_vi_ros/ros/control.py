@@ -9,7 +9,7 @@ import time
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.ros.graph import collect_early, Discovery, DISCOVERY_PERIOD
+from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.run.pacing import LONGEST_CALL
@@ -220,7 +220,6 @@ class Control:
             elif run.at_sample and not run.pacer.due():
                 wait = run.pacer.wait
                 if time.monotonic() + wait > until:
-                    collect_early()
                     return
                 time.sleep(max(wait, 0.0))
             elif run.step() == 0:

@@ -28,19 +28,6 @@ def freeze_memory() -> None:
     gc.freeze()
 
 
-def collect_early() -> None:
-    """
-    Collect garbage where there is time for it, before it is due at some other moment.
-
-    Each turn of rclpy's executor leaves some 35 objects in cycles. Left alone, Python collects
-    them in whatever call comes by, for 0.1 ms: at 1 kHz that makes one message in 100 late.
-    """
-    for generation in (2, 1, 0):
-        if gc.get_count()[generation] > gc.get_threshold()[generation] // 2:
-            gc.collect(generation)
-            return
-
-
 class Discovery:
     """
     Wait for subscribers that are there already: DDS takes some 1.5 s to find a node.

@@ -3,14 +3,14 @@
 """Requests for steps and resets, as Control answers them; the run and the timers are stand-ins."""
 
 from collections.abc import Callable
-import gc
 import json
 import math
 from types import SimpleNamespace
 from unittest.mock import Mock
 
 from hnn_vi_ros.ros.control import Control
-from hnn_vi_ros.ros.graph import collect_early, Discovery
+from hnn_vi_ros.ros.graph import Discovery
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.run import Run
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ class Timers:
 def control() -> Control:
     """Return a Control that was activated, in a pause."""
     node, run = Timers(), Steps()
-    made = Control(node, run, Discovery(lambda: 0, 0.0), {'start_paused': True})
+    made = Control(node, run, Discovery(lambda: 0, 0.0), Settings(start_paused=True))
     assert made.stopped
     made.activate()
     # Discovery is over at once.
@@ -181,22 +181,3 @@ def test_messages_of_a_sample_leave_before_the_figures_are_evaluated():
     order = [calls.index(name) for name in (
         '_monitor.add', '_topics.publish', 'recording.write', '_monitor.evaluate')]
     assert order == sorted(order)
-
-
-@pytest.mark.parametrize('count, collected', [(200, False), (500, True)])
-def test_garbage_is_collected_where_there_is_time_before_it_is_due(count, collected):
-    gc.collect()
-    seen: list[int] = []
-
-    def note(phase: str, figures: dict) -> None:
-        if phase == 'start':
-            seen.append(figures['generation'])
-
-    gc.callbacks.append(note)
-    try:
-        kept = [[] for _ in range(count)]
-        collect_early()
-    finally:
-        gc.callbacks.remove(note)
-    assert len(kept) == count
-    assert seen == [0] * collected
