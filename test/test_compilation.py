@@ -10,12 +10,14 @@ import sys
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.kernels.addresses import by_address, provide
 from hnn_vi_ros.kernels.compilation import compiled_loop
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import reached
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.loops import advance
 import numba
+import numpy as np
 import pytest
 
 RUN = """
@@ -44,10 +46,62 @@ def test_kernel_compiled_by_one_process_is_found_by_the_next(tmp_path):
     assert first[2] == second[2]
 
 
-def test_each_kernel_has_an_index_of_its_own(tmp_path):
-    run(tmp_path)
-    run(tmp_path, 'pendulum')
-    assert len([*tmp_path.rglob('loops.advance_*.nbi')]) == 2
+def test_second_system_of_a_method_compiles_no_loop(tmp_path):
+    assert run(tmp_path)[:2] == ['0', '1']
+    assert run(tmp_path, 'pendulum')[:2] == ['1', '0']
+    assert len([*tmp_path.rglob('loops.advance_*.nbi')]) == 1
+
+
+@pytest.mark.parametrize('name', ['pendulum', 'henon_heiles'])
+def test_kernel_by_address_gives_the_same_numbers(name):
+    kernel = HAMILTONIANS[name]().kernel
+    called, d = by_address(kernel), kernel.dimension
+    q, p, v_q, v_p = np.random.default_rng(0).normal(size=(4, d))
+    assert called.energy(called.parameters, q, p) == kernel.energy(kernel.parameters, q, p)
+    results = [np.zeros((4, d)), np.zeros((4, d))]
+    for own, result in zip((kernel, called), results, strict=True):
+        own.gradient(own.parameters, q, p, result[0], result[1])
+        own.hessian_vector(own.parameters, q, p, v_q, v_p, result[2], result[3])
+    np.testing.assert_array_equal(*results)
+    assert np.abs(results[0]).max() > 0.0
+
+
+def test_function_that_was_not_asked_for_is_compiled_when_it_is_called():
+    kernel = by_address(HAMILTONIANS['pendulum']().kernel)
+    q = np.array([0.5])
+
+    @numba.njit
+    def call(kernel, q):
+        return kernel.energy(kernel.parameters, q, q)
+
+    addresses = kernel.parameters.words[:3].copy()
+    value = call(kernel, q)
+    assert value == kernel.energy(kernel.parameters, q, q)
+    assert [*(kernel.parameters.words[:3] != addresses)] == [True, False, False]
+
+
+def test_error_in_a_function_by_address_is_raised():
+    @numba.njit
+    def energy(parameters, q, p):
+        raise ValueError('no energy there')
+
+    kernel = by_address(HAMILTONIANS['tao']().kernel._replace(energy=energy))
+
+    @numba.njit
+    def call(kernel, q):
+        return kernel.energy(kernel.parameters, q, q)
+
+    provide(kernel, 0)
+    with pytest.raises(ValueError, match='no energy there'):
+        call(kernel, np.zeros(1))
+
+
+def test_parameters_that_are_no_words_are_refused():
+    kernel = HAMILTONIANS['tao']().kernel
+    with pytest.raises(TypeError, match='str in the parameters'):
+        by_address(kernel._replace(parameters=('text',)))
+    with pytest.raises(TypeError, match='truth values'):
+        provide(by_address(kernel._replace(parameters=(True, True))), 0)
 
 
 def test_kernel_of_a_function_from_elsewhere_is_not_kept():

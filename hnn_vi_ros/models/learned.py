@@ -7,6 +7,7 @@ from functools import cached_property
 import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.networks.activations import ACTIVATIONS
@@ -64,8 +65,10 @@ class LearnedHamiltonian(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         kernel = self._kernel()
-        return kernel._replace(gradient_scale=self._gradient_scale(kernel),
-                               energy_scale=self._energy_scale(kernel))
+        # By address: what is compiled here is what simulations call.
+        called = by_address(kernel)
+        return kernel._replace(gradient_scale=self._gradient_scale(called),
+                               energy_scale=self._energy_scale(called))
 
     def _packed(self, network: str, part: str = 'both') -> tuple:
         """Return a network of (q, p), or of q or p alone, for the loops of perceptron.py."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
 from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -60,5 +61,7 @@ def assemble(loop: Callable, kernel: Kernel, method: Integrator, link: int = 0
     if not (kernel.compiled and method.compiled):
         return loop, method.step, options
     name = method.kernel_name
+    if isinstance(kernel.parameters, Target):
+        provide_for(kernel, method.step, options)
     parts = compiled(method.step, name), compiled_options(options)
     return compiled_loop(loop, kernel, name, parts, method.own), *parts

@@ -15,6 +15,7 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, REASONS, REDUNDANT
+from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
@@ -252,6 +253,9 @@ class System:
         if self._taken:
             self.kernel = add_forces(self.kernel, [self._effects[i] for i in self._taken],
                                      [self._parameters[i] for i in self._taken], self.live)
+        if integrator.takes_canonical:
+            # Others read what is in the parameters of their own family of models.
+            self.kernel = by_address(self.kernel)
         self._constraints = self._constrained(self._in(Place.MANIFOLD))
         self.integrator = self._wrapped(integrator)
 

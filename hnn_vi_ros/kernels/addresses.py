@@ -1,0 +1,321 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Hamiltonians by address: a loop over steps is compiled once, for whichever H it is run with.
+
+Each function of a kernel is compiled by itself into an entry, which takes addresses: of a block
+of memory that holds the parameters as numba lays them out, and of the arrays. The kernel that
+loops get instead has one type for all Hamiltonians: its parameters are the addresses of its three
+entries, followed by the block, and its functions call what they find there.
+"""
+
+from collections.abc import Callable
+import ctypes
+import dis
+from functools import cache
+from hashlib import sha256
+import re
+from types import FunctionType
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.kernels.compilation import functions_of, identify, kept
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linking import Part
+from hnn_vi_ros.kernels.marks import is_own
+from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
+from llvmlite import ir
+import numba
+from numba import carray
+from numba.core import types
+from numba.core.base import BaseContext
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic
+import numpy as np
+
+# Arrays that energy, gradient and hessian_vector take.
+_ARRAYS = (2, 4, 6)
+# What entries find under these names is their own; see _entry.
+function: Any = None
+kind: Any = None
+_ENTRY = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model': 'numpy'}
+
+
+class Target(NamedTuple):
+    """
+    The parameters of a kernel by address.
+
+    Parameters
+    ----------
+    words : np.ndarray of int64
+        The addresses of the entries of energy, gradient and hessian_vector, and the parameters
+        that they take. Its memory belongs to an object that keeps all else alive.
+
+    """
+
+    words: np.ndarray
+
+
+class _Memory(bytearray):
+    """The memory of a target's words, with what they point to."""
+
+    kernel: Kernel
+    # What stands in for the entries stays: machine code may be inside of it.
+    late: list
+    entries: dict
+
+
+def by_address(kernel: Kernel) -> Kernel:
+    """
+    Return a kernel of the same functions, of a type that all Hamiltonians share.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Of a Hamiltonian, with effects or without; as it is where it is not compiled. Its arrays
+        are not copied.
+
+    """
+    if not kernel.compiled or isinstance(kernel.parameters, Target):
+        return kernel
+    # Three addresses, then the parameters; no entry is compiled before it is called.
+    words = [0, 0, 0, *_flat(kernel.parameters)]
+    memory = _Memory(np.array(words, dtype=np.int64).tobytes())
+    memory.kernel = kernel
+    target = Target(np.frombuffer(memory, dtype=np.int64))
+    memory.late, memory.entries = [_late(memory, k) for k in range(3)], {}
+    for k, call in enumerate(memory.late):
+        target.words[k] = ctypes.cast(call, ctypes.c_void_p).value
+    return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
+                           parameters=target)
+
+
+def provide(kernel: Kernel, *which: int) -> None:
+    """Compile functions of a kernel by address now: 0 energy, 1 gradient, 2 hessian_vector."""
+    memory = _memory_of(kernel.parameters)
+    for k in which:
+        if k not in memory.entries:
+            function = functions_of(memory.kernel)[k]
+            kind = numba.typeof(memory.kernel.parameters)
+            context = cpu_target.target_context
+            if context.get_abi_sizeof(context.get_data_type(kind)) + 24 != len(memory):
+                raise TypeError('parameters of a kernel that are no whole words: truth values '
+                                'beside each other; give them as int')
+            memory.entries[k] = _entry(function, kind, _name(memory.kernel, kind, k), k)
+            kernel.parameters.words[k] = memory.entries[k].address
+
+
+def original(kernel: Kernel) -> Kernel:
+    """Return the kernel whose functions are called by address; any other as it is."""
+    return _memory_of(kernel.parameters).kernel if isinstance(kernel.parameters, Target) \
+        else kernel
+
+
+def provide_for(kernel: Kernel, step: Callable, options: tuple) -> None:
+    """
+    Compile now what a step will call of a kernel by address.
+
+    Anything else is compiled when it is called. A function named ``..._tangent`` is called where
+    a solver uses its argument ``tangent``; see solvers.
+    """
+    functions = reached(step, options)
+    solves = any(line.argval == 'tangent' and line.opname.startswith('LOAD')
+                 for function in functions for line in dis.get_instructions(function))
+    names = {name for function in functions
+             if solves or not function.__name__.endswith('_tangent')
+             for name in names_in(function.__code__)}
+    provide(kernel, *(k for k, name in enumerate(Kernel._fields[:3]) if name in names))
+
+
+def _memory_of(target: Target) -> _Memory:
+    memory = target.words.base
+    return memory.obj if isinstance(memory, memoryview) else memory
+
+
+def _late(memory: _Memory, k: int) -> Any:
+    """Return what stands in for an entry until it is called: it compiles the entry."""
+    def compile_and_call(result: int, error: int, *arguments: int) -> int:
+        words = np.frombuffer(memory, dtype=np.int64)
+        provide(memory.kernel._replace(parameters=Target(words)), k)
+        return memory.entries[k].native(result, error, *arguments)
+    return _prototype(k)(compile_and_call)
+
+
+@cache
+def _prototype(k: int) -> Any:
+    """Return the type of an entry in C: where it leaves its result and its exception first."""
+    return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p,
+                            *[ctypes.c_int64] * (_ARRAYS[k] + 2))
+
+
+class _Entry:
+    """The compiled entry of a function, for callers in machine code and in Python."""
+
+    def __init__(self, dispatcher: Callable, k: int):
+        (result,) = dispatcher.overloads.values()
+        self.call, self._library = result.entry_point, result.library
+        self.address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+        self.native = _prototype(k)(self.address)
+
+
+@cache
+def _entry(function: Callable, kind: types.Type, name: str, k: int) -> _Entry:
+    """Return the entry of a kernel's function for one type of parameters, compiled."""
+    code = (_energy_entry, _gradient_entry, _hessian_vector_entry)[k].__code__
+    options = {name: value for name, value in function.targetoptions.items()
+               if name in ('fastmath', 'error_model')}
+    # A part of the entry and of nothing else.
+    copy = Part(function.py_func, targetoptions={**options, 'forceinline': True})
+    entry = FunctionType(code, {**globals(), 'function': copy, 'kind': kind}, code.co_name)
+    entry.__qualname__ = name
+    compile_ = kept(**_ENTRY) if is_own(function.py_func.__module__) else numba.njit(**_ENTRY)
+    dispatcher = compile_(entry)
+    dispatcher.compile((types.int64,) * (_ARRAYS[k] + 2))
+    return _Entry(dispatcher, k)
+
+
+def _name(kernel: Kernel, kind: types.Type, k: int) -> str:
+    """Return a name for all that an entry is compiled from, the same in every process."""
+    # Numba keeps a function by its name and code: what it finds under global names is not seen.
+    sources = digest_of(frozenset(part.__module__ for part in reached(kernel.parameters)))
+    layout = re.sub(r' at 0x\w+', '', str(kind))
+    text = '/'.join((identify(functions_of(kernel)[k]), layout, sources))
+    return f'{Kernel._fields[k]}_{sha256(text.encode()).hexdigest()[:16]}'
+
+
+def _flat(value: object) -> list[int]:
+    """Return a value as words, as numba lays it out in memory; arrays without an owner."""
+    if isinstance(value, tuple):
+        return [word for part in value for word in _flat(part)]
+    if isinstance(value, np.ndarray):
+        return [0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
+    if isinstance(value, float):
+        return [int(np.float64(value).view(np.int64))]
+    # A truth value is a byte, padded to a word unless another one follows; see provide.
+    if isinstance(value, int | np.integer):
+        return [int(value)]
+    if callable(value):
+        return [0]
+    raise TypeError(f'{type(value).__name__} in the parameters of a kernel; valid: int, float, '
+                    'numpy arrays, functions, and tuples of such')
+
+
+def _energy_entry(block: int, q: int, p: int, n: int) -> float:
+    return function(_load(block, kind), _array(q, n), _array(p, n))
+
+
+def _gradient_entry(block: int, q: int, p: int, dH_dq: int, dH_dp: int, n: int) -> None:
+    function(_load(block, kind), _array(q, n), _array(p, n), _array(dH_dq, n), _array(dH_dp, n))
+
+
+def _hessian_vector_entry(block: int, q: int, p: int, v_q: int, v_p: int, product_q: int,
+                          product_p: int, n: int) -> None:
+    function(_load(block, kind), _array(q, n), _array(p, n), _array(v_q, n), _array(v_p, n),
+             _array(product_q, n), _array(product_p, n))
+
+
+@intrinsic
+def _load(_context, block, kind):
+    """Return the parameters that stand at an address."""
+    def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+                 ) -> ir.Value:
+        model = context.data_model_manager[signature.return_type]
+        pointer = builder.inttoptr(arguments[0], model.get_data_type().as_pointer())
+        return model.load_from_data_pointer(builder, pointer)
+    return kind.instance_type(block, kind), generate
+
+
+@Part
+def _array(address: int, n: int) -> np.ndarray:
+    return carray(_pointer(address), (n,))
+
+
+@intrinsic
+def _pointer(_context, address):
+    def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+                 ) -> ir.Value:
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+    return types.CPointer(types.float64)(address), generate
+
+
+def _caller(k: int) -> Callable:
+    """Return what calls the k-th entry of a target with arrays."""
+    result = types.float64 if k == 0 else types.none
+    kinds = (types.int64,) * (_ARRAYS[k] + 2)
+
+    @intrinsic
+    def call(_context, target, arrays):
+        for array in arrays:
+            if array.ndim != 1 or array.dtype != types.float64:
+                raise numba.TypingError(f'{array} by address; expected float64 and shape (n,)')
+
+        def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+                     ) -> ir.Value:
+            word = context.get_value_type(types.int64)
+            words = context.make_array(signature.args[0].types[0])(
+                context, builder, builder.extract_value(arguments[0], 0)).data
+            parts = [context.make_array(kind)(context, builder,
+                                              builder.extract_value(arguments[1], i))
+                     for i, kind in enumerate(signature.args[1].types)]
+            for kind, part in zip(signature.args[1].types, parts, strict=True):
+                if kind.layout != 'C':  # a row of a matrix, as numba does not know
+                    step = builder.extract_value(part.strides, 0)
+                    strided = builder.icmp_signed('!=', step, part.itemsize)
+                    with builder.if_then(strided, likely=False):
+                        context.call_conv.return_user_exc(
+                            builder, ValueError, ('an array by address has gaps',))
+            block = builder.ptrtoint(builder.gep(words, [ir.Constant(word, 3)]), word)
+            address = builder.load(builder.gep(words, [ir.Constant(word, k)]))
+            pointer = context.call_conv.get_function_type(result, kinds).as_pointer()
+            status, value = context.call_conv.call_function(
+                builder, builder.inttoptr(address, pointer), result, kinds,
+                [block, *(builder.ptrtoint(part.data, word) for part in parts),
+                 parts[0].nitems])
+            with builder.if_then(status.is_error, likely=False):
+                context.call_conv.return_status_propagate(builder, status)
+            return value if k == 0 else context.get_dummy_value()
+        return result(target, arrays), generate
+    return call
+
+
+_call_energy, _call_gradient, _call_hessian_vector = (_caller(k) for k in range(3))
+
+
+class _Linked(Part):
+    """A function of every kernel by address; called from Python, it calls the entry."""
+
+    def __call__(self, target: Target, *arrays: np.ndarray) -> Any:
+        """Call the entry of the function that the target stands for."""
+        k = _ARRAYS.index(len(arrays))
+        memory = _memory_of(target)
+        if k not in memory.entries:
+            provide(memory.kernel._replace(parameters=target), k)
+        for array in arrays:
+            if array.dtype != np.float64 or array.ndim != 1 or not array.flags.c_contiguous:
+                raise ValueError(f'an array of {array.dtype} and shape {array.shape}; expected '
+                                 'contiguous ones of float64 and shape (n,)')
+        return memory.entries[k].call(target.words.ctypes.data + 24,
+                                      *(array.ctypes.data for array in arrays), arrays[0].size)
+
+
+def _linked(function: Callable) -> _Linked:
+    return _Linked(function, targetoptions={'forceinline': True, 'error_model': 'numpy'})
+
+
+@_linked
+def energy(target: Target, q: np.ndarray, p: np.ndarray) -> float:
+    """Return H(q, p) [J]; see Kernel."""
+    return _call_energy(target, (q, p))
+
+
+@_linked
+def gradient(target: Target, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
+             ) -> None:
+    """Fill dH_dq and dH_dp; see Kernel."""
+    _call_gradient(target, (q, p, dH_dq, dH_dp))
+
+
+@_linked
+def hessian_vector(target: Target, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                   v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    """Fill the last two with H''(q, p) (v_q, v_p); see Kernel."""
+    _call_hessian_vector(target, (q, p, v_q, v_p, product_q, product_p))
