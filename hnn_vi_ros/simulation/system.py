@@ -253,7 +253,7 @@ class System:
         if self._taken:
             self.kernel = add_forces(self.kernel, [self._effects[i] for i in self._taken],
                                      [self._parameters[i] for i in self._taken], self.live)
-        if integrator.takes_canonical:
+        if integrator.requirements.coordinates != 'other':
             # Others read what is in the parameters of their own family of models.
             self.kernel = by_address(self.kernel)
         self._constraints = self._constrained(self._in(Place.MANIFOLD))
