@@ -12,6 +12,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, Point
+from hnn_vi_ros.kernels.addresses import by_address, provide_for
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
@@ -81,10 +82,11 @@ def _conservative(name: str, steps: int, settings: Settings) -> Row:
 def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, p: np.ndarray,
          steps: int) -> tuple[Callable[[], None], Point]:
     """Return a function that takes steps of a method over H and nothing else, and its state."""
-    kernel, n = hamiltonian.kernel, q.size
+    kernel, n = by_address(hamiltonian.kernel), q.size
     z, z1, memory = Point.empty(n), Point.empty(n), method.memory(n)
     z.q[:], z.p[:] = q, p
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+    provide_for(kernel, method.step, method.options(0, kernel.dimension))
     arguments = (compiled(method.step, method.kernel_name), kernel, h,
                  compiled_options(method.options(0, kernel.dimension)), 0, steps, z, z1, memory,
                  *np.empty((2, 1, n)))
