@@ -232,7 +232,7 @@ def find_type(name: str) -> type:
 
 
 def main(argv: list[str]) -> int:
-    """Play or verify a bag, until its end or a signal."""
+    """Play a bag, or check its replay, until its end or a signal."""
     parser = arguments.replay()
     words = own_arguments(argv)
     options = parser.parse_args(words)
@@ -246,8 +246,8 @@ def main(argv: list[str]) -> int:
             parser.error(f'--verify: publishes nothing, so that {unused} would be without effect; '
                          'leave them out')
         # Imported here: who only plays does not wait for the compiler.
-        from hnn_vi_ros.ros.verification import verify
-        verdict = verify(options.bag, options.trust_code)
+        from hnn_vi_ros.ros.replay_check import check_replay
+        verdict = check_replay(options.bag, options.trust_code)
         print(verdict.text, flush=True)
         return 0 if verdict.good else 1
     init_ros(argv)

@@ -5,9 +5,9 @@
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import bridge_picture
+from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics import EVENTS_QOS
-from hnn_vi_ros.ros.verification import verify
 import numpy as np
 from peer import peer, SIMULATOR
 from processes import finish, start
@@ -62,7 +62,7 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
         assert logged.time == stamp.sec * 10**9 + stamp.nanosec
     # The run ends in the step of the event: no sample comes after it.
     assert reader.last <= recorded[-1].time + 10**7
-    assert verify(tmp_path / 'bag').good
+    assert check_replay(tmp_path / 'bag').good
     assert_bridge_shows(tmp_path, monkeypatch)
 
 

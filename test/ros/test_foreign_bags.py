@@ -13,7 +13,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.bag_data import BagData, read_bags
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.ros.replay_check import check_replay
 from mcap.writer import Writer as McapWriter
 import numpy as np
 from processes import finish, start_executable
@@ -115,7 +115,7 @@ def test_foreign_bag_of_two_runs_is_one_line_that_says_where_to_cut_it(run, tmp_
     words = f'reset at log time {second} ns: cut it there' if reset else \
         f'goes back, from 2 s to 0.01 s, at log time {second + 10**7} ns: cut it there'
     # From the last run of several of one scene a simulator may go on.
-    for use in (verify, resume, show) if reset else (verify, show):
+    for use in (check_replay, resume, show) if reset else (check_replay, show):
         with pytest.raises(RecordingError, match=words) as caught:
             use(bag)
         assert '\n' not in str(caught.value)
@@ -161,7 +161,8 @@ def with_attachments(bag: Path, target: Path, change=bytes) -> Path:
 @pytest.mark.parametrize('change', [bytes, zstandard.compress], ids=['split', 'packed'])
 def test_split_and_packed_bag_is_shown_verified_and_resumed(run, tmp_path, change):
     bag = with_attachments(run, tmp_path / 'bag', change)
-    assert 'differs' not in verify(bag).text and verify(bag).good is verify(run).good
+    verdict = check_replay(bag)
+    assert 'differs' not in verdict.text and verdict.good is check_replay(run).good
     assert resume(bag).step == TICKS
     recording = tmp_path / 'a.rrd'
     status, _, log = finish(start_executable(
@@ -193,7 +194,7 @@ def many_chunks(tmp_path_factory) -> Path:
 
 def test_bag_with_an_unreadable_chunk_is_not_verified(many_chunks, tmp_path):
     bag = damaged(many_chunks, tmp_path / 'damaged', 0.5)
-    whole, verdict = verify(many_chunks), verify(bag)
+    whole, verdict = check_replay(many_chunks), check_replay(bag)
     assert whole.good and not verdict.good
     assert 'samples agree bit by bit' in verdict.text and '\n' not in verdict.text
     gap = re.search(r'BUT (\d+) samples are missing in 1 gaps, the first from t = ([\d.]+) s',
@@ -227,7 +228,7 @@ def test_bag_that_lacks_samples_is_not_verified(tmp_path, lost, there):
             if not lost(message.time // 10**7):
                 writer.add_message(channels[message.channel], message.time, message.data, 0)
         writer.finish()
-    verdict = verify(thinned)
+    verdict = check_replay(thinned)
     assert not verdict.good
     assert f'of {there} samples agree' in verdict.text
     assert f'BUT {100 - there} samples are missing' in verdict.text
@@ -249,7 +250,7 @@ def test_verify_of_a_damaged_bag_ends_non_zero_and_others_warn(many_chunks, tmp_
 @pytest.mark.parametrize('name', ['bag_0.db3', 'bag_0.mcap.zstd', 'bag_0.db3.zstd'])
 def test_noise_in_the_place_of_a_bag_is_one_line(tmp_path, name):
     (tmp_path / name).write_bytes(b'no bag at all' * 100)
-    for use in (BagReader, resume, verify):
+    for use in (BagReader, resume, check_replay):
         with pytest.raises(RecordingError) as caught:
             use(tmp_path)
         assert '\n' not in str(caught.value)

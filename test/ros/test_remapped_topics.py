@@ -10,10 +10,10 @@ from pathlib import Path
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
+from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.ros.replay_node import ReplayNode
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics import Topics
-from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.scene import Scene
 import pytest
 import rclpy
@@ -78,7 +78,7 @@ def test_scene_tells_what_remapped_topics_are_called():
 def test_run_whose_topics_were_remapped_agrees_bit_by_bit(tmp_path, driven, calling):
     bag = record_run(tmp_path / 'bag', driven, 100, commands={0: [[0.5]], 40: [[1.0]]},
                      remapped=CALLED)
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert verdict.good and 'H and work of 100 samples agree' in verdict.text, verdict.text
     assert resume(as_received(bag, tmp_path / 'a.mcap')).step == 100
     assert {'state', 'commands', 'joint_states'} <= set(RecordedRun(bag).names.values())
@@ -86,7 +86,7 @@ def test_run_whose_topics_were_remapped_agrees_bit_by_bit(tmp_path, driven, call
 
 @pytest.mark.parametrize('told', [{'/hnn_simulator/state': '/none', 'y': 3}, [1], None])
 def test_name_that_is_told_and_is_not_there_changes_nothing(tmp_path, driven, told):
-    assert verify(record_run(tmp_path / 'bag', driven, 5, remapped=told)).good
+    assert check_replay(record_run(tmp_path / 'bag', driven, 5, remapped=told)).good
 
 
 def test_bridge_shows_and_replay_leaves_out_what_was_remapped(tmp_path, driven, calling):

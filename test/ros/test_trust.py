@@ -19,10 +19,10 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
+from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.ros.replay_node import find_type
 from hnn_vi_ros.ros.replay_node import main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.ros.verification import verify
 from hnn_vi_ros.run.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
@@ -90,7 +90,7 @@ def to_file(path: Path) -> list[str]:
 
 
 READERS: dict[str, Callable] = {
-    'RecordedRun': RecordedRun, 'verify': verify, 'resume': resume,
+    'RecordedRun': RecordedRun, 'check_replay': check_replay, 'resume': resume,
     'replay --verify': lambda bag: replay([str(bag), '--verify'])}
 
 
@@ -165,7 +165,7 @@ def test_bridge_survives_a_message_that_names_os_abort(tmp_path):
 
 def test_trusted_code_is_run_from_the_path_of_python(tmp_path, marker, on_path):
     # The pendulum of exact_pendulum, so that the samples agree.
-    verdict = verify(record(tmp_path, **PYTHON), trust_code=True)
+    verdict = check_replay(record(tmp_path, **PYTHON), trust_code=True)
     assert verdict.good and marker.exists()
 
 
@@ -198,7 +198,7 @@ def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, monkeypatc
 def test_folder_of_code_is_not_taken_from_a_bag(tmp_path, marker):
     bag = record(tmp_path, **PYTHON, source=str(marker.parent / 'code' / 'scene.yaml'))
     with pytest.raises(SceneError, match="No module named 'marker'; .* PYTHONPATH") as caught:
-        verify(bag, trust_code=True)
+        check_replay(bag, trust_code=True)
     assert '\n' not in str(caught.value)
     assert not marker.exists() and str(marker.parent / 'code') not in sys.path
 

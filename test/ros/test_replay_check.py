@@ -10,10 +10,10 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.kernels.identity import identity
-from hnn_vi_ros.ros import verification
+from hnn_vi_ros.ros import replay_check
 from hnn_vi_ros.ros.bridge_picture import BridgePicture
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.verification import verify
+from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.run.held_state import restore_state, state_file
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
@@ -35,7 +35,7 @@ SCENES = ('harmonic_oscillator', 'exact_double_pendulum', 'damped_driven_pendulu
 def test_bag_agrees_bit_by_bit_with_its_run_simulated_again(tmp_path, name):
     bag = record_run(tmp_path / 'bag', load_scene(name), 100)
     assert RecordedRun(bag).reader.metadata('hnn_vi_ros') == identity()
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert verdict.good
     assert '100 samples agree bit by bit, on the machine' in verdict.text
 
@@ -64,7 +64,7 @@ def driven(tmp_path_factory):
 
 def test_driven_run_agrees_bit_by_bit_by_the_commands_in_its_bag(tmp_path, driven):
     bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS)
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert verdict.good and '100 samples agree bit by bit' in verdict.text, verdict.text
 
 
@@ -72,23 +72,23 @@ def test_bag_begun_while_a_command_is_held_agrees_bit_by_bit(tmp_path, driven):
     # At step 60 the one of step 58 is held until step 78; solver and bath have a history.
     for begin in (60, 62):
         bag = record_run(tmp_path / f'bag{begin}', driven, 100, commands=COMMANDS, begin=begin)
-        verdict = verify(bag)
+        verdict = check_replay(bag)
         assert verdict.good and '85 samples agree bit by bit' in verdict.text, verdict.text
 
 
 def test_driven_run_whose_commands_are_gone_is_not_certified(tmp_path, driven):
     bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS)
-    verdict = verify(as_received(bag, tmp_path / 'a.mcap', without=['commands']))
+    verdict = check_replay(as_received(bag, tmp_path / 'a.mcap', without=['commands']))
     assert not verdict.good and 'the log does not tell at which step' in verdict.text
     # At which step those acted that came at some time of another clock is not known either.
-    assert not verify(as_received(bag, tmp_path / 'b.mcap')).good
+    assert not check_replay(as_received(bag, tmp_path / 'b.mcap')).good
 
 
 def test_bag_of_another_recorder_is_verified_and_resumed_by_its_scene_topic(tmp_path):
     scene = load_scene('harmonic_oscillator')
     own = record_run(tmp_path / 'bag', scene, 100)
     bag = as_received(own, tmp_path / 'a.mcap')
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert '100 samples agree bit by bit' in verdict.text, verdict.text
     there, here = resume(bag), resume(own)
     assert there.scene.model_dump() == here.scene.model_dump()
@@ -101,7 +101,7 @@ def test_bag_of_another_recorder_is_verified_and_resumed_by_its_scene_topic(tmp_
 def test_bag_of_another_recorder_that_lacks_a_topic_is_one_line(tmp_path, without, words):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5)
     with pytest.raises(RecordingError, match=words) as caught:
-        verify(as_received(bag, tmp_path / 'a.mcap', without=without))
+        check_replay(as_received(bag, tmp_path / 'a.mcap', without=without))
     assert '\n' not in str(caught.value)
 
 
@@ -144,13 +144,13 @@ def test_bags_of_a_commanded_simulator_agree_bit_by_bit_whenever_they_were_begun
         assert finish(process)[0] == 0
     for name in ('bag', 'bag-2', 'bag-3'):
         assert len(list(RecordedRun(tmp_path / name).commands())) > 10
-        verdict = verify(tmp_path / name)
+        verdict = check_replay(tmp_path / name)
         assert verdict.good, verdict.text
 
 
 def test_bag_of_before_the_state_topic_agrees_bit_by_bit(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('harmonic_oscillator'), 50, state=False)
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert verdict.good and '50 samples agree bit by bit' in verdict.text
 
 
@@ -166,13 +166,13 @@ def shift(stamp: int, size: float):
 @pytest.fixture
 def elsewhere(monkeypatch):
     """Let this machine be another than that of the logs."""
-    monkeypatch.setattr(verification, 'identity', lambda: identity() | {'processor': 'another'})
+    monkeypatch.setattr(replay_check, 'identity', lambda: identity() | {'processor': 'another'})
 
 
 def test_difference_on_the_same_machine_is_named_and_not_good(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_double_pendulum'), 100,
                      change=shift(500_000_000, 1e-15))
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert not verdict.good
     assert '49 samples agree bit by bit' in verdict.text
     assert ' differs at t = 0.5 s by ' in verdict.text
@@ -184,7 +184,7 @@ def test_difference_on_the_same_machine_is_named_and_not_good(tmp_path):
 def test_difference_elsewhere_is_good_within_round_off_alone(tmp_path, elsewhere, size, within):
     bag = record_run(tmp_path / 'bag', load_scene('exact_double_pendulum'), 100,
                      change=shift(500_000_000, size))
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert verdict.good == within
     assert ('is within' if within else 'is beyond') in verdict.text
     assert f'processor is {identity()["processor"]}' in verdict.text
@@ -198,7 +198,7 @@ def test_change_of_the_last_bit_of_what_the_state_tells_beside_q_and_p_is_named(
         tmp_path, name, change):
     bag = record_run(tmp_path / 'bag', load_scene('exact_damped_driven_pendulum'), 20,
                      change=lambda sample: change(sample) if sample.stamp == 10**8 else sample)
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert not verdict.good
     assert ' 9 samples agree bit by bit, on' in verdict.text
     assert f'then {name} differs at t = 0.1 s by ' in verdict.text
@@ -211,23 +211,24 @@ def test_energy_work_and_force_are_good_elsewhere_within_round_off_alone(
     for size, within in ((1e-14, True), (1e-7, False)):
         bag = record_run(tmp_path / f'bag{within}', load_scene(scene), 20, change=lambda sample:
                          replace(sample, **{name: getattr(sample, name) + size}))
-        verdict = verify(bag)
+        verdict = check_replay(bag)
         assert verdict.good == within, verdict.text
 
 
 def test_sample_that_is_no_number_is_not_explained_by_round_off(tmp_path, elsewhere):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 20,
                      change=shift(10**8, np.nan))
-    verdict = verify(bag)
+    verdict = check_replay(bag)
     assert not verdict.good and 'is beyond' in verdict.text
 
 
 @pytest.mark.parametrize('begin', [0, 62])
 def test_bag_without_its_first_samples_is_not_certified(tmp_path, driven, begin):
     bag = record_run(tmp_path / 'bag', driven, 100, begin=begin)
-    assert verify(bag).good
+    assert check_replay(bag).good
     own = RecordedRun(bag).reader
-    verdict = verify(rewritten(own, tmp_path / 'a.mcap', lambda message: message.time > 5 * 10**8))
+    verdict = check_replay(
+        rewritten(own, tmp_path / 'a.mcap', lambda message: message.time > 5 * 10**8))
     assert not verdict.good and 'samples are missing in 1 gaps' in verdict.text
 
 
@@ -239,7 +240,7 @@ def test_message_that_is_none_of_its_type_is_one_line(tmp_path, driven, topic, d
     bag = rewritten(reader, tmp_path / 'a.mcap', own=topic == 'commands', change=lambda message:
                     message._replace(data=data) if message.channel in numbers else message)
     with pytest.raises(RecordingError, match=f'{topic} at 0 ns cannot be read') as caught:
-        verify(bag)
+        check_replay(bag)
     assert '\n' not in str(caught.value)
 
 
@@ -265,7 +266,7 @@ def rewritten(reader: BagReader, path: Path, keep=lambda message: True, own: boo
 
 
 def test_agreement_elsewhere_says_so(tmp_path, elsewhere):
-    verdict = verify(record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 20))
+    verdict = check_replay(record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 20))
     assert verdict.good and 'elsewhere than the log' in verdict.text
 
 
@@ -275,20 +276,20 @@ def test_log_of_another_model_is_refused(tmp_path):
     name = next(iter(provenance))
     bag = record_run(tmp_path / 'bag', scene, 5, **{name: 'another'})
     with pytest.raises(RecordingError, match=f'another model: its {name} is another'):
-        verify(bag)
+        check_replay(bag)
 
 
 def test_log_whose_stamps_are_no_whole_steps_is_refused(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, origin=1)
     with pytest.raises(HnnViRosError, match='no whole number of steps'):
-        verify(bag)
+        check_replay(bag)
 
 
 @pytest.mark.parametrize('step_size', [1e-11, 1e-300, 5e-324])
 def test_log_of_more_steps_than_anybody_would_record_so_rarely_is_refused(tmp_path, step_size):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=step_size)
     with pytest.raises(RecordingError, match='its sample 1 takes .* is the step_size') as caught:
-        verify(bag)
+        check_replay(bag)
     assert '\n' not in str(caught.value)
 
 
@@ -329,13 +330,13 @@ def test_resumed_log_is_verified_from_its_own_first_step(tmp_path):
     scene = load_scene('exact_damped_driven_pendulum')
     resumption = resume(record_run(tmp_path / 'bag', scene, 100))
     second = record_run(tmp_path / 'second', resumption.scene, 50, first_step=resumption.step)
-    verdict = verify(second)
+    verdict = check_replay(second)
     assert verdict.good and '50 samples agree bit by bit' in verdict.text
     assert resume(second).step == resumption.step + 50 * resumption.step // 100
     # As if the first step were forgotten: the drive would be out of step.
     with pytest.raises(RecordingError, match='no whole number of steps'):
-        verify(record_run(tmp_path / 'third', resumption.scene, 5, first_step=resumption.step,
-                          origin=10**12))
+        check_replay(record_run(tmp_path / 'third', resumption.scene, 5,
+                                first_step=resumption.step, origin=10**12))
 
 
 def test_bag_without_states_or_scene_cannot_be_resumed(tmp_path):

@@ -53,7 +53,7 @@ class Margin(NamedTuple):
     name: str
 
 
-def verify(bag: Path, trust_code: bool = False) -> Verdict:
+def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     """
     Simulate what a bag tells of, from its scene and first state, and compare each sample.
 
