@@ -10,6 +10,7 @@ from setuptools import find_packages, setup
 
 NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
+TRAIN = ['matplotlib>=3.8', 'torch>=2.3,<3', 'tqdm>=4.60']
 
 
 def shipped(*patterns: str) -> list[tuple[str, list[str]]]:
@@ -48,7 +49,6 @@ setup(
     python_requires='>=3.11',
     install_requires=[
         'contourpy>=1.2',
-        'matplotlib>=3.8',
         'mcap>=1.6,<2',
         'numba>=0.61,<0.70',
         'numpy>=2.0',
@@ -58,12 +58,12 @@ setup(
         'safetensors>=0.4',
         'scipy>=1.13',
         'setuptools',
-        'torch>=2.3,<3',
-        'tqdm>=4.60',
     ],
     extras_require={
-        'test': ['hypothesis>=6.100', 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5',
-                 'rosbags>=0.10'],
+        # What training and the studies take besides.
+        'train': TRAIN,
+        'test': [*TRAIN, 'hypothesis>=6.100', 'pytest>=7.4', 'pytest-timeout>=2.1',
+                 'pytest-xdist>=3.5', 'rosbags>=0.10'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

@@ -29,6 +29,8 @@ _PIP_NAMES = {
     'std_srvs': 'ros-jazzy-common-interfaces',
     'yaml': 'pyyaml',
 }
+# The packages of the extra `train`, which simulating does without.
+_TRAINING = ('matplotlib', 'torch', 'tqdm')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
 
@@ -163,14 +165,30 @@ def _call(name: str, module: str) -> int | str | None:
     except ModuleNotFoundError as problem:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
-        package = problem.name.partition('.')[0]
-        status = (f'{name}: the Python package {package} is missing; install it with: '
-                  f'{sys.executable} -m pip install "{_PIP_NAMES.get(package, package)}"')
-        if sys.prefix == sys.base_prefix:
-            status += ' (best in a virtual environment, active while colcon builds)'
-        return status
+        return f'{name}: {_missing(problem.name.partition(".")[0])}'
     except KeyboardInterrupt:
         return 130
+
+
+def _missing(package: str) -> str:
+    """Return that a package is missing, and the command that installs it, in one line."""
+    text = f'the Python package {package} is missing; install '
+    packages = [_PIP_NAMES.get(package, package)]
+    if package in _TRAINING:
+        packages = list(_TRAINING)
+        text += 'what training takes (1 GB, or 5 GB with CUDA) '
+        # Of the environment that `make` has made: requirements/make_venv wrote it.
+        made = Path(sys.prefix) / '.installed'
+        if made.is_file():
+            checkout = made.read_text(encoding='utf-8').splitlines()[0].partition(' ')[2]
+            return f'{text}with: make -C {checkout} build TORCH=any (or cpu, or cuda)'
+    else:
+        text += 'it '
+    text += f'with: {sys.executable} -m pip install ' + ' '.join(
+        f'"{name}"' for name in packages)
+    if sys.prefix == sys.base_prefix:
+        text += ' (best in a virtual environment, active while colcon builds)'
+    return text
 
 
 def _with_output(name: str, status: int | str | None) -> int | str | None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from xml.etree import ElementTree
 
+from hnn_vi_ros import cli
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.networks.activations import ACTIVATIONS
@@ -49,9 +50,8 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
 @pytest.mark.parametrize('executable, hidden, package', [
     ('simulator', 'rclpy', 'ros-jazzy-rclpy[fastrtps]'), ('simulator', 'numba', 'numba'),
     ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', 'ros-jazzy-common-interfaces'),
-    ('train', 'torch', 'torch'), ('train', 'yaml', 'pyyaml'),
+    ('train', 'yaml', 'pyyaml'),
     ('paper_figures', 'pydantic', 'pydantic'), ('work_precision', 'scipy', 'scipy'),
-    ('published_tables', 'tqdm', 'tqdm'),
     ('recover_bag', 'zstandard', 'zstandard'),
     ('replay', 'std_srvs', 'ros-jazzy-common-interfaces'), ('rerun_bridge', 'rerun', 'rerun-sdk'),
 ])
@@ -60,6 +60,29 @@ def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, pa
     assert result.returncode == 1
     assert result.stderr.count('\n') == 1
     assert f'-m pip install "{package}"' in result.stderr
+
+
+@pytest.mark.parametrize('executable, hidden', [
+    ('train', 'torch'), ('published_tables', 'tqdm'), ('bag_to_model', 'matplotlib')])
+def test_missing_package_of_training_is_one_line_with_the_command(executable, hidden):
+    result = run(executable, hidden)
+    assert result.returncode == 1
+    assert result.stderr.count('\n') == 1
+    assert f'the Python package {hidden} is missing' in result.stderr
+    assert re.search('with: (make -C .* build TORCH=any|.* -m pip install "matplotlib" "torch")',
+                     result.stderr)
+
+
+@pytest.mark.parametrize('made_by_make', [True, False])
+def test_remedy_for_a_package_of_training_suits_the_environment(
+        made_by_make, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path))
+    if made_by_make:
+        (tmp_path / '.installed').write_text('wheels /a/checkout\nrun 1-2\n')
+    expected = ('make -C /a/checkout build TORCH=any' if made_by_make
+                else f'{sys.executable} -m pip install "matplotlib" "torch" "tqdm"')
+    assert f'with: {expected}' in cli._missing('torch')
+    assert '-m pip install "numba"' in cli._missing('numba')
 
 
 @pytest.mark.parametrize('redirection, status, reason', [
@@ -107,7 +130,7 @@ def test_missing_peer_is_one_line_before_anything_is_measured(hidden, tmp_path):
                  str(tmp_path / 'out'))
     assert result.returncode == 1
     assert result.stderr.count('\n') == 1
-    assert f'-m pip install "{hidden}"' in result.stderr
+    assert f'the Python package {hidden} is missing' in result.stderr
     assert not (tmp_path / 'out').exists()
 
 

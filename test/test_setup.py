@@ -67,6 +67,17 @@ def test_executables_run_the_building_python_where_no_environment_is_active(
     assert '__PYVENV_LAUNCHER__' not in os.environ
 
 
+@pytest.mark.parametrize('name, besides', [('runtime', {'setuptools'}), ('train', set())])
+def test_setup_names_the_packages_of_the_requirements(run_setup, name, besides):
+    captured = run_setup()
+    named = captured['install_requires'] if name == 'runtime' else captured['extras_require'][name]
+    ranges = {canonicalize_name(item.name): item.specifier for item in map(Requirement, named)}
+    pins = {canonicalize_name(pin.name): str(pin.specifier)
+            for pin in _requirements(f'{name}.txt')}
+    assert ranges.keys() - besides == pins.keys()
+    assert all(pin.removeprefix('==') in ranges[package] for package, pin in pins.items())
+
+
 def _requirements(name: str) -> Iterator[Requirement]:
     """Yield the lines of a file of requirements that name a package."""
     for line in (ROOT / 'requirements' / name).read_text().splitlines():
@@ -79,7 +90,8 @@ def test_constraints_pin_every_package_that_an_install_brings(python):
     pins = {canonicalize_name(pin.name): str(pin.specifier) for name in (
         'constraints.txt', 'bench.txt') for pin in _requirements(name)}
     environment = {'python_version': python, 'python_full_version': f'{python}.0'}
-    pending = [requirement for name in ('build.txt', 'runtime.txt', 'ros.txt', 'test.txt')
+    pending = [requirement for name in (
+        'build.txt', 'runtime.txt', 'ros.txt', 'train.txt', 'test.txt', 'ros_test.txt')
                for requirement in _requirements(name)]
     seen: set[tuple[str, frozenset[str]]] = set()
     unpinned = set()
