@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from helpers import python_step
+from helpers import python_step, random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -18,6 +18,7 @@ from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.steps import SCHEMES, step
 from hnn_vi_ros.learning.train import describe, main
 from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
@@ -186,6 +187,32 @@ def test_step_of_the_training_is_that_of_the_simulator(scheme: str):
     theirs = [python_step(INTEGRATORS[scheme](), exact, h, z) for z in z0]
     # Both are solved to round-off.
     assert np.abs(ours - theirs).max() <= 1e-14
+
+
+@pytest.mark.parametrize('scheme', SCHEMES)
+def test_step_of_the_training_is_that_of_the_simulator_on_a_random_network(scheme: str):
+    network, h = NeuralHamiltonian(random_checkpoint([4, 16, 16, 1], seed=4)), 0.1
+    layers = [(torch.tensor(weight), torch.tensor(bias)) for weight, bias in zip(
+        network.checkpoint.weights, network.checkpoint.biases, strict=True)]
+
+    def field(z: torch.Tensor) -> torch.Tensor:
+        z = z if z.requires_grad else z.clone().requires_grad_(True)
+        a = z
+        for weight, bias in layers[:-1]:
+            a = torch.tanh(a @ weight.T + bias)
+        energy = (a @ layers[-1][0].T + layers[-1][1]).sum()
+        (gradient,) = torch.autograd.grad(energy, z, create_graph=True)
+        dq, dp = gradient.chunk(2, dim=1)
+        return torch.cat([dp, -dq], dim=1)
+
+    z0 = np.random.default_rng(3).normal(size=(5, 4))
+    ours = step(field, scheme, torch.tensor(z0), h).detach().numpy()
+    simulations = [Simulation(network, INTEGRATORS[scheme](), h, z[:2], z[2:]) for z in z0]
+    for simulation in simulations:
+        simulation.advance(1)
+    theirs = [np.concatenate([simulation.q, simulation.p]) for simulation in simulations]
+    # Both are solved to round-off; a gradient's is that of sums of 16 terms of order 1.
+    assert np.abs(ours - theirs).max() <= 1e-13
 
 
 def test_step_too_large_for_the_field_gives_data_error():
