@@ -2,16 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled kernels: found again by a later process, and never for functions from elsewhere."""
 
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 import os
 from pathlib import Path
 import shutil
 import subprocess
 import sys
+from threading import Barrier, BrokenBarrierError
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.kernels import compilation
 from hnn_vi_ros.kernels.addresses import by_address, provide
-from hnn_vi_ros.kernels.compilation import compiled_loop
+from hnn_vi_ros.kernels.compilation import compiled_loop, identify
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import reached
 from hnn_vi_ros.simulation import Simulation
@@ -195,3 +199,20 @@ def test_functions_are_found_behind_closures_tuples_and_names():
     method = INTEGRATORS['variational_euler']()
     names = {function.__name__ for function in reached(method.step, method.options(0, 2))}
     assert {'extrapolate', '_residual', 'is_in_doubt'} <= names
+
+
+def test_function_is_named_once_where_two_threads_ask_at_the_same_time(monkeypatch):
+    """The first one waits in the middle of it, until the second one has come as far or waits."""
+    together = Barrier(2)
+
+    def digest(*values: object) -> str:
+        with suppress(BrokenBarrierError):
+            together.wait(0.5)
+        return 'digest'
+
+    monkeypatch.setattr(compilation, '_digest', digest)
+    dispatcher = numba.njit(lambda x: x)
+    with ThreadPoolExecutor(2) as pool:
+        names = list(pool.map(identify, [dispatcher, dispatcher]))
+    assert names[0] == names[1]
+    assert names[0].endswith('-digest')

@@ -5,6 +5,7 @@
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
+from threading import Lock
 from types import FunctionType
 
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -15,6 +16,7 @@ import numba
 
 # Of loops, which only Python calls.
 _LOOP = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
+_naming = Lock()
 
 
 def kept(**options: object) -> Callable[[Callable], Callable]:
@@ -126,9 +128,15 @@ def _cached(loop: Callable, *names: str) -> Callable:
     return numba.njit(copy, cache=True, **_LOOP)
 
 
-@cache
 def identify(dispatcher: Callable) -> str:
     """Give a compiled function the name that it has in every process, and return it."""
+    # A name is given once, also where threads ask for it at the same time.
+    with _naming:
+        return _identify(dispatcher)
+
+
+@cache
+def _identify(dispatcher: Callable) -> str:
     function = dispatcher.py_func
     return _give_identity(dispatcher, f'{function.__module__}.{function.__qualname__}')
 
