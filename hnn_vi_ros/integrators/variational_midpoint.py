@@ -109,11 +109,11 @@ def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
     D holds the rounding of H over abs(u1 - u0), which W^-1 makes one of u'.
     """
     n, d = z.q.size, kernel.dimension
-    energy, inverse = kernel.parameters[6][0], kernel.parameters[6][1]
+    form = kernel.parameters
     for a in range(0, n, d):
         slope_q, slope_p = largest(z.dH_dp[a:a + d]), largest(z.dH_dq[a:a + d])
         fastest = max(slope_q, slope_p)
-        rounding = energy * inverse / fastest if fastest > 0.0 else 0.0
+        rounding = form.energy_rounding * form.inverse_norm / fastest if fastest > 0.0 else 0.0
         for i in range(a, a + d):
             scale[i] = max(largest(z.q[a:a + d]), abs(h) * slope_q,
                            abs(h) * kernel.gradient_scale[1], rounding)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned one-form and energy, whose motions follow in coordinates that are not canonical."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -76,20 +78,21 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         energy, n = self._packed('energy'), 2 * self.dimension
-        parameters = (energy, pack_outputs(self.checkpoint, 'one_form', 'both'),
-                      np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
-                      np.empty(n), self._rounding(energy))
+        parameters = FormParameters(
+            energy, pack_outputs(self.checkpoint, 'one_form', 'both'),
+            np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
+            np.empty(n), *self._rounding(energy))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension,
                       (0.0, 0.0), compiled=True)
 
-    def _rounding(self, energy: tuple) -> np.ndarray:
+    def _rounding(self, energy: tuple) -> tuple[float, float]:
         """Return the rounding error of H in units of the unit round-off, and norm(W^-1)."""
         z, d = self._states(), self.dimension
         computed = np.array([perceptron.energy(energy, x[:d], x[d:]) for x in z])
         exact = self._evaluated('energy', z)[0][:, 0]
         error = max(np.abs(computed).max(), np.abs(computed - exact).max() / _EPS)
         inverse = np.linalg.inv(self.two_forms(z).astype(np.float64))
-        return np.array([4.0 * error, np.abs(inverse).sum(axis=2).max()], dtype=np.float64)
+        return float(4.0 * error), float(np.abs(inverse).sum(axis=2).max())
 
     def _states(self) -> np.ndarray:
         low, high = np.concatenate(self.box).T
@@ -144,22 +147,52 @@ def _pfaffian(matrix: np.ndarray) -> float:
     return value
 
 
+class FormParameters(NamedTuple):
+    """
+    What the functions of a symplectic form take first.
+
+    Parameters
+    ----------
+    energy, form : tuple
+        The networks of H, and of N, whose outputs are packed; see perceptron and outputs.
+    mass : np.ndarray, shape (d, d)
+        M.
+    rows, two_form : np.ndarray, shape (2 d, 2 d)
+        Space for theta' and for W.
+    unit : np.ndarray, shape (2 d,)
+        Space for a unit vector.
+    energy_rounding, inverse_norm : float
+        The rounding error of H in units of the unit round-off [J], and the largest norm of W^-1.
+
+    """
+
+    energy: tuple
+    form: tuple
+    mass: np.ndarray
+    rows: np.ndarray
+    two_form: np.ndarray
+    unit: np.ndarray
+    energy_rounding: float
+    inverse_norm: float
+
+
 @_compiled
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
-    return perceptron.energy(parameters[0], q, p)
+def _energy(parameters: FormParameters, q: np.ndarray, p: np.ndarray) -> float:
+    return perceptron.energy(parameters.energy, q, p)
 
 
 @part(error_model='numpy')
-def slope(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
+def slope(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
     """Fill H'(u), shape (2 d,), at one state."""
-    perceptron.gradient(parameters[0], q, p, covector[:q.size], covector[q.size:])
+    perceptron.gradient(parameters.energy, q, p, covector[:q.size], covector[q.size:])
 
 
 @part(error_model='numpy')
-def raise_index(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
+def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np.ndarray
+                ) -> None:
     """Turn a covector c, shape (2 d,), into W(u)^-1 c at one state; NaN if W is singular."""
-    _, form, mass, rows, two_form, unit, _ = parameters
-    d = q.size
+    form, mass, rows = parameters.form, parameters.mass, parameters.rows
+    two_form, unit, d = parameters.two_form, parameters.unit, q.size
     for i in range(2 * d):
         for k in range(2 * d):
             unit[k] = 1.0 if k == i else 0.0
@@ -178,7 +211,7 @@ def raise_index(parameters: tuple, q: np.ndarray, p: np.ndarray, covector: np.nd
 @_compiled
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    d = parameters[2].shape[0]
+    d = parameters.mass.shape[0]
     rates = np.empty(2 * d)
     for a in range(0, q.size, d):
         slope(parameters, q[a:a + d], p[a:a + d], rates)
