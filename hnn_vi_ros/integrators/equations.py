@@ -16,26 +16,61 @@ import numpy as np
 _LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
-class _Problem(NamedTuple):
-    """x = base + factor H_x(...), with the other variable held; each array of shape (n,)."""
+class Known(NamedTuple):
+    """
+    What an equation x = base + factor H_x(...) starts from; each array of shape (n,).
 
-    kernel: Kernel
-    factor: float
+    Parameters
+    ----------
+    held : np.ndarray
+        The other variable, which the equation does not change.
+    base, carry : np.ndarray
+        The old values of x, and what was rounded off them.
+    slope : np.ndarray
+        H_x, as well as it is known, for the first start.
+
+    """
+
     held: np.ndarray
     base: np.ndarray
     carry: np.ndarray
-    new_carry: np.ndarray
+    slope: np.ndarray
+
+
+class Sought(NamedTuple):
+    """
+    What an equation fills; each array of shape (n,).
+
+    Parameters
+    ----------
+    x, carry : np.ndarray
+        The solution, and what was rounded off it.
+    dH_dq, dH_dp : np.ndarray
+        The gradient there.
+
+    """
+
+    x: np.ndarray
+    carry: np.ndarray
     dH_dq: np.ndarray
     dH_dp: np.ndarray
+
+
+class _Problem(NamedTuple):
+    """x = base + factor H_x(...), and two arrays of shape (n,) for products with H''."""
+
+    kernel: Kernel
+    factor: float
+    known: Known
+    sought: Sought
+    base: np.ndarray
     product_q: np.ndarray
     product_p: np.ndarray
 
 
 @inlined
-def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carry: np.ndarray,
-                  guess: np.ndarray, p1: np.ndarray, p1_carry: np.ndarray, dH_dq1: np.ndarray,
-                  dH_dp1: np.ndarray, memory: Memory, options: SolverOptions
-                  ) -> tuple[int, float, int]:
+def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought, memory: Memory,
+                  options: SolverOptions) -> tuple[int, float, int]:
     """
     Solve p1 = p - h H_q(q, p1); leave the gradient at (q, p1).
 
@@ -45,12 +80,10 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
         The Hamiltonian.
     h : float
         Step size, or a part of it [s].
-    q, p, p_carry : np.ndarray, shape (n,)
-        Known coordinates, old momenta and what was rounded off them.
-    guess : np.ndarray, shape (n,)
-        H_q, as well as it is known, for the first start.
-    p1, p1_carry, dH_dq1, dH_dp1 : np.ndarray, shape (n,)
-        Filled.
+    known : Known
+        q, p and H_q.
+    sought : Sought
+        p1 and the gradient.
     memory, options
         See solvers.
 
@@ -60,41 +93,37 @@ def solve_momenta(kernel: Kernel, h: float, q: np.ndarray, p: np.ndarray, p_carr
         Outcome, relative residual [1], gradients.
 
     """
+    p, p1 = known.base, sought.x
     for i in range(p.size):
-        p1[i] = p[i] - h * guess[i]
-    set_scale(memory.scale, memory.own_scale, p, guess, h, kernel, 0)
+        p1[i] = p[i] - h * known.slope[i]
+    set_scale(memory.scale, memory.own_scale, p, known.slope, h, kernel, 0)
     if options.extrapolate:
         extrapolate(memory, p, p1)
-    problem = _Problem(kernel, -h, q, p, p_carry, p1_carry, dH_dq1, dH_dp1,
-                       memory.values[3], memory.residuals[3])
+    problem = _Problem(kernel, -h, known, sought, p, memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _momentum_equation, _momentum_tangent, problem, p1, memory, options.max_iterations)
     if outcome == OK and is_in_doubt(options, memory, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
         remember(memory, p, p1)
-        _finish(p, p_carry, -h, dH_dq1, p1, p1_carry)
+        _finish(p, known.carry, -h, sought.dH_dq, p1, sought.carry)
     return outcome, residual, gradients
 
 
 @inlined
-def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
-                      q_carry: np.ndarray, guess: np.ndarray, q1: np.ndarray,
-                      q1_carry: np.ndarray, dH_dq1: np.ndarray, dH_dp1: np.ndarray,
-                      memory: Memory, options: SolverOptions) -> tuple[int, float, int]:
+def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought, memory: Memory,
+                      options: SolverOptions) -> tuple[int, float, int]:
     """
-    Solve q1 = q + h H_p(q1, p); leave the gradient at (q1, p). See solve_momenta.
+    Solve q1 = q + h H_p(q1, p); leave the gradient at (q1, p).
 
     Parameters
     ----------
     kernel, h, memory, options
         See solve_momenta.
-    p, q, q_carry : np.ndarray, shape (n,)
-        Known momenta, old coordinates and what was rounded off them.
-    guess : np.ndarray, shape (n,)
-        H_p, as well as it is known, for the first start.
-    q1, q1_carry, dH_dq1, dH_dp1 : np.ndarray, shape (n,)
-        Filled.
+    known : Known
+        p, q and H_p.
+    sought : Sought
+        q1 and the gradient.
 
     Returns
     -------
@@ -102,20 +131,20 @@ def solve_coordinates(kernel: Kernel, h: float, p: np.ndarray, q: np.ndarray,
         Outcome, relative residual [1], gradients.
 
     """
+    q, q1 = known.base, sought.x
     for i in range(q.size):
-        q1[i] = q[i] + h * guess[i]
-    set_scale(memory.scale, memory.own_scale, q, guess, h, kernel, 1)
+        q1[i] = q[i] + h * known.slope[i]
+    set_scale(memory.scale, memory.own_scale, q, known.slope, h, kernel, 1)
     if options.extrapolate:
         extrapolate(memory, q, q1)
-    problem = _Problem(kernel, h, p, q, q_carry, q1_carry, dH_dq1, dH_dp1,
-                       memory.values[3], memory.residuals[3])
+    problem = _Problem(kernel, h, known, sought, q, memory.values[3], memory.residuals[3])
     outcome, residual, gradients = options.solve(
         _coordinate_equation, _coordinate_tangent, problem, q1, memory, options.max_iterations)
     if outcome == OK and is_in_doubt(options, memory, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
         remember(memory, q, q1)
-        _finish(q, q_carry, h, dH_dp1, q1, q1_carry)
+        _finish(q, known.carry, h, sought.dH_dp, q1, sought.carry)
     return outcome, residual, gradients
 
 
@@ -169,10 +198,11 @@ def _finish(base: np.ndarray, carry: np.ndarray, factor: float, slope: np.ndarra
 
 @inlined
 def _momentum_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    problem.kernel.gradient(problem.kernel.parameters, problem.held, x,
-                            problem.dH_dq, problem.dH_dp)
+    problem.kernel.gradient(problem.kernel.parameters, problem.known.held, x,
+                            problem.sought.dH_dq, problem.sought.dH_dp)
     for i in range(x.size):
-        value[i] = plus(problem.base[i], problem.carry[i], problem.factor * problem.dH_dq[i])[0]
+        value[i] = plus(problem.base[i], problem.known.carry[i],
+                        problem.factor * problem.sought.dH_dq[i])[0]
 
 
 @inlined
@@ -182,17 +212,18 @@ def _momentum_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: 
     zero, rest = problem.product_q, problem.product_p
     for i in range(x.size):
         zero[i] = 0.0
-    kernel.hessian_vector(kernel.parameters, problem.held, x, zero, v, product, rest)
+    kernel.hessian_vector(kernel.parameters, problem.known.held, x, zero, v, product, rest)
     for i in range(x.size):
         product[i] *= problem.factor
 
 
 @inlined
 def _coordinate_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    problem.kernel.gradient(problem.kernel.parameters, x, problem.held,
-                            problem.dH_dq, problem.dH_dp)
+    problem.kernel.gradient(problem.kernel.parameters, x, problem.known.held,
+                            problem.sought.dH_dq, problem.sought.dH_dp)
     for i in range(x.size):
-        value[i] = plus(problem.base[i], problem.carry[i], problem.factor * problem.dH_dp[i])[0]
+        value[i] = plus(problem.base[i], problem.known.carry[i],
+                        problem.factor * problem.sought.dH_dp[i])[0]
 
 
 @inlined
@@ -202,6 +233,6 @@ def _coordinate_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product
     zero, rest = problem.product_q, problem.product_p
     for i in range(x.size):
         zero[i] = 0.0
-    kernel.hessian_vector(kernel.parameters, x, problem.held, v, zero, rest, product)
+    kernel.hessian_vector(kernel.parameters, x, problem.known.held, v, zero, rest, product)
     for i in range(x.size):
         product[i] *= problem.factor

@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, OK, Point
-from hnn_vi_ros.integrators.equations import solve_coordinates, solve_momenta
+from hnn_vi_ros.integrators.equations import Known, solve_coordinates, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import leapfrog_energy
 from hnn_vi_ros.integrators.requirements import Requirements
@@ -60,16 +60,16 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         half = 0.5 * h
         # The half-way momentum stands in z1.p, the half-way coordinate in the second base.
         outcome, residual, gradients = solve_momenta(
-            kernel, half, z.q, z.p, z.p_carry, z.dH_dq, z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp,
-            memory[0], options)
+            kernel, half, Known(z.q, z.p, z.p_carry, z.dH_dq),
+            Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         if outcome != OK:
             return outcome, residual, gradients
         base, carry = memory[0].base, memory[0].unknowns
         for i in range(z.q.size):
             base[i], carry[i] = plus(z.q[i], z.q_carry[i], half * z1.dH_dp[i])
         outcome, residual_q, more = solve_coordinates(
-            kernel, half, z1.p, base, carry, z1.dH_dp, z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp,
-            memory[1], options)
+            kernel, half, Known(z1.p, base, carry, z1.dH_dp),
+            Sought(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[1], options)
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z1.p[i], z1.p_carry[i], -half * z1.dH_dq[i])
         return outcome, max(residual, residual_q), gradients + more

@@ -5,7 +5,7 @@
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
-from hnn_vi_ros.integrators.equations import solve_momenta
+from hnn_vi_ros.integrators.equations import Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -41,8 +41,8 @@ class SymplecticEuler(ImplicitIntegrator):
              memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_momenta(
-            kernel, h, z.q, z.p, z.p_carry, z.dH_dq, z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp,
-            memory[0], options)
+            kernel, h, Known(z.q, z.p, z.p_carry, z.dH_dq),
+            Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         for i in range(z.q.size):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
         return outcome, residual, gradients

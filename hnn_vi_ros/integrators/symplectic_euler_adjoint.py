@@ -5,7 +5,7 @@
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
-from hnn_vi_ros.integrators.equations import solve_coordinates
+from hnn_vi_ros.integrators.equations import Known, solve_coordinates, Sought
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -40,8 +40,8 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
              memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_coordinates(
-            kernel, h, z.p, z.q, z.q_carry, z.dH_dp, z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp,
-            memory[0], options)
+            kernel, h, Known(z.p, z.q, z.q_carry, z.dH_dp),
+            Sought(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
         return outcome, residual, gradients

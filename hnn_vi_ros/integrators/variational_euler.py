@@ -5,7 +5,7 @@
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Memory, Point
-from hnn_vi_ros.integrators.equations import solve_momenta
+from hnn_vi_ros.integrators.equations import Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -51,8 +51,8 @@ class VariationalEuler(ImplicitIntegrator):
         for i in range(z.q.size):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z.dH_dp[i])
         # The paper starts from (q_n, p_n), whose gradient is at hand.
-        return solve_momenta(kernel, h, z1.q, z.p, z.p_carry, z.dH_dq, z1.p, z1.p_carry,
-                             z1.dH_dq, z1.dH_dp, memory[0], options)
+        return solve_momenta(kernel, h, Known(z1.q, z.p, z.p_carry, z.dH_dq),
+                             Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
 
     @staticmethod
     def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
