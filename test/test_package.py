@@ -186,6 +186,8 @@ def test_test_file_asserts_something(path):
 @pytest.mark.parametrize('effect', EFFECTS.values(), ids=lambda effect: effect.__name__)
 def test_effect_is_a_file_of_its_own_of_at_most_100_lines(effect):
     path = PACKAGE.parent / f'{effect.__module__.replace(".", "/")}.py'
-    classes = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef)]
+    # Beside the named tuple of its parameters.
+    classes = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef)
+               and 'NamedTuple' not in [ast.unparse(base) for base in node.bases]]
     assert [node.name for node in classes] == [effect.__name__]
     assert len(path.read_text().splitlines()) <= 100

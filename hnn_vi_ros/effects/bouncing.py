@@ -3,9 +3,10 @@
 """Steps that are cut where a coordinate meets a wall."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Live
-from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, seek, TRY
+from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of, scratch
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point
@@ -21,6 +22,33 @@ _MOST_IMPACTS = 10_000
 # that the same force makes in the step.
 _SHORTEST_FLIGHT = 1e-5
 _NEWTON_ITERATIONS = 50
+
+
+class Wall(NamedTuple):
+    """
+    What the step with impacts takes; see Impact.
+
+    Parameters
+    ----------
+    place : int
+        Of the coordinate.
+    position, sign : float
+        a, and 1 where the motion is free above it, -1 below.
+    restitution : float
+        e [1].
+    search : Search
+        Space for that of a crossing.
+    kept : np.ndarray, shape (4, K)
+        Space for what the K effects did before a part of the step, and before the step.
+
+    """
+
+    place: int
+    position: float
+    sign: float
+    restitution: float
+    search: Search
+    kept: np.ndarray
 
 
 def bounce(step: Callable, high: bool) -> Callable:

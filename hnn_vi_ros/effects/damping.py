@@ -7,7 +7,7 @@ from functools import cache
 import math
 
 from hnn_vi_ros.effects.base import Force, Live, per_coordinate, Place, StepEffect
-from hnn_vi_ros.effects.masses import check_rates, vector_potential
+from hnn_vi_ros.effects.masses import check_rates, Friction, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -67,9 +67,9 @@ class Damping(Force, StepEffect):
         return integrator.requirements.hamiltonian and (
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Friction:
         """Return the rates, shape (d,) [1/s], and the gauge of the magnetic fields; see Live."""
-        return per_coordinate(coordinates, 'rate', self.rate), live.gauge
+        return Friction(per_coordinate(coordinates, 'rate', self.rate), live.gauge)
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
         """Raise ValueError if the rates would feed energy in near q, shape (m d,)."""
@@ -77,12 +77,11 @@ class Damping(Force, StepEffect):
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(own: Friction, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add -gamma P."""
-        rate, gauge = parameters
         for i in range(p.size):
-            f_p[i] -= rate[i] * (p[i] - vector_potential(gauge, q, i))
+            f_p[i] -= own.rate[i] * (p[i] - vector_potential(own.gauge, q, i))
 
     @staticmethod
     @cache
@@ -92,8 +91,8 @@ class Damping(Force, StepEffect):
 
 
 @inlined
-def _flow(parameters: tuple, h: float, q: np.ndarray, p: np.ndarray, p_carry: np.ndarray) -> None:
-    rate, gauge = parameters
+def _flow(own: Friction, h: float, q: np.ndarray, p: np.ndarray, p_carry: np.ndarray) -> None:
+    rate, gauge = own.rate, own.gauge
     for i in range(rate.size):
         factor = math.exp(-rate[i] * h)
         p[i] = factor * p[i] - math.expm1(-rate[i] * h) * vector_potential(gauge, q, i)

@@ -4,12 +4,21 @@
 
 from collections.abc import Sequence
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class FrictionParameters(NamedTuple):
+    """Place c of the coordinate, F [N] and the speed v_0 [m/s]; for angles in N m and rad/s."""
+
+    place: int
+    force: float
+    speed: float
 
 
 class DryFriction(Force):
@@ -46,14 +55,15 @@ class DryFriction(Force):
         check_positive(force=force, speed=speed)
         self.coordinate, self.force, self.speed = coordinate, float(force), float(speed)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, float, float]:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> FrictionParameters:
         """Return the coordinate's place, F and u."""
-        return coordinate_index(coordinates, self.coordinate), self.force, self.speed
+        return FrictionParameters(coordinate_index(coordinates, self.coordinate), self.force,
+                                  self.speed)
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: FrictionParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add -F tanh(v / u)."""
-        c, force, speed = parameters
-        f_p[c] -= force * math.tanh(velocity[c] / speed)
+        c = parameters.place
+        f_p[c] -= parameters.force * math.tanh(velocity[c] / parameters.speed)

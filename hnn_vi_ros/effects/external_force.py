@@ -3,12 +3,16 @@
 """A force that is commanded from outside while the simulation runs."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import Commanded, coordinate_index, Force, Live
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.effects.input_map import InputParameters
 
 
 class ExternalForce(Force, Commanded):
@@ -62,33 +66,31 @@ class ExternalForce(Force, Commanded):
             model = load_map(model)
         self._model = model
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> 'InputParameters':
         """Return the command, the clock, the numbers' places, and what adds their forces."""
         # Imported here: it is compiled, which who only reads a scene has no use for.
-        from hnn_vi_ros.effects.input_map import add_by_map, add_by_place, resolve_map
+        from hnn_vi_ros.effects.input_map import by_map, by_place
         if self._model is None:
             places = np.array([coordinate_index(coordinates, name) for name in self.coordinates])
-            return live.command, live.clock, places, add_by_place, (places,)
-        network = resolve_map(self._model, len(coordinates))
-        m = network[1].size // len(coordinates)
-        return live.command, live.clock, np.arange(m), add_by_map, network
+            return by_place(live, places)
+        return by_map(live, self._model, len(coordinates))
 
-    def take(self, values: Sequence[float], parameters: tuple) -> None:
+    def take(self, values: Sequence[float], parameters: 'InputParameters') -> None:
         """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
-        command, clock, places, *_ = parameters
+        command, places = parameters.command, parameters.places
         array = np.array(values, dtype=np.float64)
         if array.shape != places.shape or not np.isfinite(array).all():
             names = f', for {", ".join(self.coordinates)}' if self.coordinates else ''
             raise ValueError(f'command {array.tolist()}: expected {places.size} finite numbers'
                              f'{names}')
-        command[places], command[-1] = array, clock[0] + self.timeout
+        command[places], command[-1] = array, parameters.clock[0] + self.timeout
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: 'InputParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the command while it holds."""
-        command, clock, _, add, own = parameters
+        command = parameters.command
         # By the time at the start of the step: the force is constant over each step.
-        if clock[0] < command[command.size - 1]:
-            add(own, command, q, p, f_p)
+        if parameters.clock[0] < command[command.size - 1]:
+            parameters.add(parameters.own, command, q, p, f_p)

@@ -3,12 +3,20 @@
 """Uniform gravity along one coordinate."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class GravityParameters(NamedTuple):
+    """Place c of the coordinate, and m g [N]."""
+
+    place: int
+    weight: float
 
 
 class Gravity(Potential):
@@ -42,26 +50,24 @@ class Gravity(Potential):
         check_finite(weight=mass * acceleration)
         self.coordinate, self.weight = coordinate, mass * acceleration
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, float]:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> GravityParameters:
         """Return the coordinate's place and the weight [N]."""
-        return coordinate_index(coordinates, self.coordinate), self.weight
+        return GravityParameters(coordinate_index(coordinates, self.coordinate), self.weight)
 
     @staticmethod
     @inlined
-    def energy(parameters: tuple, q: np.ndarray) -> float:
+    def energy(parameters: GravityParameters, q: np.ndarray) -> float:
         """Return V [J]."""
-        c, weight = parameters
-        return weight * q[c]
+        return parameters.weight * q[parameters.place]
 
     @staticmethod
     @inlined
-    def add_gradient(parameters: tuple, q: np.ndarray, dH_dq: np.ndarray) -> None:
+    def add_gradient(parameters: GravityParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add V'."""
-        c, weight = parameters
-        dH_dq[c] += weight
+        dH_dq[parameters.place] += parameters.weight
 
     @staticmethod
     @inlined
-    def add_hessian_vector(parameters: tuple, q: np.ndarray, v: np.ndarray, product: np.ndarray
-                           ) -> None:
+    def add_hessian_vector(parameters: GravityParameters, q: np.ndarray, v: np.ndarray,
+                           product: np.ndarray) -> None:
         """Add nothing: V is linear."""

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Literal
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, Place, StepEffect
-from hnn_vi_ros.effects.bouncing import bounce
+from hnn_vi_ros.effects.bouncing import bounce, Wall
 from hnn_vi_ros.effects.crossings import Search
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_finite
@@ -67,17 +67,17 @@ class Impact(StepEffect):
         needs = integrator.requirements
         return needs.hamiltonian and integrator.order >= 2 and needs.from_state
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Wall:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""
-        return (coordinate_index(coordinates, self.coordinate), self.position, self.sign,
-                self.restitution, Search.empty(), np.zeros((4, live.pending.size)))
+        return Wall(coordinate_index(coordinates, self.coordinate), self.position, self.sign,
+                    self.restitution, Search.empty(), np.zeros((4, live.pending.size)))
 
-    def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
+    def check_state(self, hamiltonian: Hamiltonian, parameters: Wall, q: np.ndarray) -> None:
         """Raise ValueError if q, shape (d,), is behind the wall."""
-        c, position, sign = parameters[:3]
-        if sign * (q[c] - position) < 0.0:
-            raise ValueError(f'the initial {self.coordinate} = {float(q[c])!r} is behind the wall '
-                             f'of an impact at {position!r}')
+        place, position = parameters.place, parameters.position
+        if parameters.sign * (q[place] - position) < 0.0:
+            raise ValueError(f'the initial {self.coordinate} = {float(q[place])!r} is behind the '
+                             f'wall of an impact at {position!r}')
 
     @staticmethod
     def inner_step(integrator: Integrator) -> tuple[Callable, bool]:

@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forces of a command: on named coordinates, or on all of them by a learned input map g(q)."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hnn_vi_ros.effects.base import Live
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
@@ -26,30 +30,73 @@ def load_map(model: str) -> Checkpoint:
     return checkpoint
 
 
-def resolve_map(model: Checkpoint, d: int) -> tuple[tuple, np.ndarray]:
-    """Return the network of g(q) and space for its d m entries, or raise ValueError."""
+class Places(NamedTuple):
+    """Places of the coordinates, one for each number."""
+
+    places: np.ndarray
+
+
+class InputMap(NamedTuple):
+    """The network of g(q), and space for its d m entries."""
+
+    network: tuple
+    entries: np.ndarray
+
+
+class InputParameters(NamedTuple):
+    """
+    What the compiled function of an external force takes.
+
+    Parameters
+    ----------
+    command, clock : np.ndarray
+        See Live.
+    places : np.ndarray, shape (m,)
+        Those of the command's numbers in ``command``.
+    add : callable
+        Adds the forces of the numbers; see add_by_place.
+    own : Places or InputMap
+        What it takes first.
+
+    """
+
+    command: np.ndarray
+    clock: np.ndarray
+    places: np.ndarray
+    add: Callable
+    own: Places | InputMap
+
+
+def by_place(live: Live, places: np.ndarray) -> InputParameters:
+    """Return what adds each number to a coordinate, of these places."""
+    return InputParameters(live.command, live.clock, places, add_by_place, Places(places))
+
+
+def by_map(live: Live, model: Checkpoint, d: int) -> InputParameters:
+    """Return what adds g(q) u to d coordinates, or raise ValueError."""
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
                          f'H has {d} coordinates, and takes at most as many numbers')
-    return pack_outputs(model, 'input_map'), np.zeros(entries)
+    own = InputMap(pack_outputs(model, 'input_map'), np.zeros(entries))
+    return InputParameters(live.command, live.clock, np.arange(entries // d), add_by_map, own)
 
 
 @kept(error_model='numpy')
-def add_by_place(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
-                 ) -> None:
+def add_by_place(own: Places, command: np.ndarray, q: np.ndarray, p: np.ndarray,
+                 f_p: np.ndarray) -> None:
     """Add one number of the command to each of some coordinates."""
-    (places,) = own
+    places = own.places
     for k in range(places.size):
         f_p[places[k]] += command[places[k]]
 
 
 @kept(error_model='numpy')
-def add_by_map(own: tuple, command: np.ndarray, q: np.ndarray, p: np.ndarray, f_p: np.ndarray
-               ) -> None:
+def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
+               f_p: np.ndarray) -> None:
     """Add g(q) u, with the entries of g row by row, and u the first numbers of the command."""
-    network, entries = own
-    evaluate_outputs(network, q, p, entries)
+    entries = own.entries
+    evaluate_outputs(own.network, q, p, entries)
     m = entries.size // f_p.size
     for i in range(f_p.size):
         for k in range(m):

@@ -3,15 +3,27 @@
 """Dissipation that a network has learned."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Force, Live, Place
 from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class DissipationParameters(NamedTuple):
+    """The kernel of D, Live.gauge, and space for P and for the gradient of D, shape (d,)."""
+
+    network: Kernel
+    gauge: np.ndarray
+    kinetic: np.ndarray
+    dD_dq: np.ndarray
+    dD_dp: np.ndarray
 
 
 class LearnedDissipation(Force):
@@ -61,20 +73,19 @@ class LearnedDissipation(Force):
         """Return the rounding errors of D_q and D_p; see Force."""
         return self.network.kernel.gradient_scale
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> DissipationParameters:
         """Return the network's kernel, the gauge of magnetic fields, and space."""
-        if len(coordinates) != self.network.dimension:
-            raise ValueError(f'the model has {self.network.dimension} coordinates, H has '
-                             f'{len(coordinates)}')
+        if len(coordinates) != (d := self.network.dimension):
+            raise ValueError(f'the model has {d} coordinates, H has {len(coordinates)}')
         from hnn_vi_ros.kernels.compilation import identify
         kernel = self.network.twin().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
             identify(function)
-        return kernel, live.gauge, *np.zeros((3, len(coordinates)))
+        return DissipationParameters(kernel, live.gauge, *np.zeros((3, d)))
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: DissipationParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add D_q and D_p."""
         network, gauge, kinetic, dD_dq, dD_dp = parameters

@@ -3,6 +3,7 @@
 """A uniform magnetic field across the plane of two coordinates."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, Joined, Live
 from hnn_vi_ros.hamiltonians.parameters import check_finite
@@ -10,6 +11,14 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class FieldParameters(NamedTuple):
+    """Places of the two coordinates of the plane, and c B / 2 [N s/m]."""
+
+    x: int
+    y: int
+    half_strength: float
 
 
 class MagneticField(Joined):
@@ -50,20 +59,20 @@ class MagneticField(Joined):
         needs = integrator.requirements
         return needs.hamiltonian and not needs.separable
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[int, int, float]:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> FieldParameters:
         """Return the places of x and y, and c B / 2 [kg/s]."""
         x, y = (coordinate_index(coordinates, name) for name in self.plane)
-        parameters = x, y, 0.5 * self.strength
+        parameters = FieldParameters(x, y, 0.5 * self.strength)
         self.add_gauge(parameters, live.gauge)
         return parameters
 
-    def add_gauge(self, parameters: tuple[int, int, float], gauge: np.ndarray) -> None:
+    def add_gauge(self, parameters: FieldParameters, gauge: np.ndarray) -> None:
         """Add c A(q), which is linear in q."""
-        x, y, b = parameters
+        x, y, b = parameters.x, parameters.y, parameters.half_strength
         gauge[x, y] -= b
         gauge[y, x] += b
 
-    def join(self, kernel: Kernel, parameters: tuple[int, int, float]) -> Kernel:
+    def join(self, kernel: Kernel, parameters: FieldParameters) -> Kernel:
         """Return the kernel of H(q, p - c A(q))."""
         from hnn_vi_ros.effects.kernels import join_magnetic_field
         return join_magnetic_field(kernel, type(self), parameters)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What momenta mean: the mass matrix and the vector potential, for effects that act on them."""
 
+from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -54,6 +55,13 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
             'damping: H_p is not 0 at p = 0, as in a frame that turns: p is not the momentum of '
             'the velocity, and it is p that damping brings to rest, by which H may grow',
             stacklevel=7)
+
+
+class Friction(NamedTuple):
+    """The rates of friction on P = p - c A(q), shape (d,) [1/s], and Live.gauge."""
+
+    rate: np.ndarray
+    gauge: np.ndarray
 
 
 def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | None) -> None:

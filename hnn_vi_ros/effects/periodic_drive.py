@@ -4,12 +4,22 @@
 
 from collections.abc import Sequence
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class DriveParameters(NamedTuple):
+    """Place of the coordinate, amplitude [N], angular frequency [rad/s], and phase [rad]."""
+
+    place: int
+    amplitude: float
+    omega: float
+    phase: float
 
 
 class PeriodicDrive(Force):
@@ -48,15 +58,14 @@ class PeriodicDrive(Force):
         self.coordinate = coordinate
         self.wave = float(amplitude), 2.0 * math.pi * frequency, float(phase)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live
-                ) -> tuple[int, float, float, float]:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> DriveParameters:
         """Return the coordinate's place, F, the angular frequency and phi."""
-        return coordinate_index(coordinates, self.coordinate), *self.wave
+        return DriveParameters(coordinate_index(coordinates, self.coordinate), *self.wave)
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: DriveParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add F cos(2 pi nu t + phi)."""
-        c, amplitude, omega, phase = parameters
-        f_p[c] += amplitude * math.cos(omega * t + phase)
+        own = parameters
+        f_p[own.place] += own.amplitude * math.cos(own.omega * t + own.phase)

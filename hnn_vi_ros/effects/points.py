@@ -3,11 +3,22 @@
 """Pairs of points, for what acts between two of them: springs and rods."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class Elastic(NamedTuple):
+    """Two points, or a point and an anchor, see resolve_pair; stiffness k and rest length l."""
+
+    first: np.ndarray
+    second: np.ndarray
+    anchor: np.ndarray
+    stiffness: float
+    rest_length: float
 
 
 def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],

@@ -3,12 +3,20 @@
 """The drag of a fast body in a fluid."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, Force, Live
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class DragParameters(NamedTuple):
+    """Places of the coordinates, and k [kg/m]."""
+
+    places: np.ndarray
+    coefficient: float
 
 
 class QuadraticDrag(Force):
@@ -43,19 +51,19 @@ class QuadraticDrag(Force):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.coefficient = coordinates, float(coefficient)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[np.ndarray, float]:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> DragParameters:
         """Return the coordinates' places and b."""
-        return (np.array([coordinate_index(coordinates, name) for name in self.coordinates]),
-                self.coefficient)
+        return DragParameters(np.array([coordinate_index(coordinates, name)
+                                        for name in self.coordinates]), self.coefficient)
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: DragParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add -b |v| v."""
-        places, coefficient = parameters
+        places = parameters.places
         square = 0.0
         for k in range(places.size):
             square += velocity[places[k]] * velocity[places[k]]
         for k in range(places.size):
-            f_p[places[k]] -= coefficient * np.sqrt(square) * velocity[places[k]]
+            f_p[places[k]] -= parameters.coefficient * np.sqrt(square) * velocity[places[k]]

@@ -4,13 +4,23 @@
 
 from collections.abc import Sequence
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class SoftWallParameters(NamedTuple):
+    """Place of the coordinate; a, the sign of the free side, k and w of the wall."""
+
+    place: int
+    position: float
+    sign: float
+    stiffness: float
+    width: float
 
 
 class SoftWall(Potential):
@@ -54,39 +64,37 @@ class SoftWall(Potential):
         self.sign = {'above': -1.0, 'below': 1.0}[side]
         self.stiffness, self.width = float(stiffness), float(width)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> SoftWallParameters:
         """Return the coordinate's place, position, sign of the depth, stiffness and width."""
-        return (coordinate_index(coordinates, self.coordinate), self.position, self.sign,
-                self.stiffness, self.width)
+        return SoftWallParameters(coordinate_index(coordinates, self.coordinate), self.position,
+                                  self.sign, self.stiffness, self.width)
 
     @staticmethod
     @inlined
-    def energy(parameters: tuple, q: np.ndarray) -> float:
+    def energy(own: SoftWallParameters, q: np.ndarray) -> float:
         """Return V [J]."""
-        c, position, sign, stiffness, width = parameters
-        s = width * _softplus(sign * (q[c] - position) / width)[0]
-        return 0.5 * stiffness * s * s
+        s = own.width * _depth(own, q)[0]
+        return 0.5 * own.stiffness * s * s
 
     @staticmethod
     @inlined
-    def add_gradient(parameters: tuple, q: np.ndarray, dH_dq: np.ndarray) -> None:
+    def add_gradient(own: SoftWallParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add V' = k w s s'."""
-        c, position, sign, stiffness, width = parameters
-        s, slope = _softplus(sign * (q[c] - position) / width)
-        dH_dq[c] += sign * stiffness * width * s * slope
+        s, slope = _depth(own, q)
+        dH_dq[own.place] += own.sign * own.stiffness * own.width * s * slope
 
     @staticmethod
     @inlined
-    def add_hessian_vector(parameters: tuple, q: np.ndarray, v: np.ndarray, product: np.ndarray
-                           ) -> None:
+    def add_hessian_vector(own: SoftWallParameters, q: np.ndarray, v: np.ndarray,
+                           product: np.ndarray) -> None:
         """Add V'' v, with V'' = k (s'^2 + s s' (1 - s'))."""
-        c, position, sign, stiffness, width = parameters
-        s, slope = _softplus(sign * (q[c] - position) / width)
-        product[c] += stiffness * (slope * slope + s * slope * (1.0 - slope)) * v[c]
+        (s, slope), c = _depth(own, q), own.place
+        product[c] += own.stiffness * (slope * slope + s * slope * (1.0 - slope)) * v[c]
 
 
 @inlined
-def _softplus(y: float) -> tuple[float, float]:
-    """Return log(1 + e^y) and its derivative, without overflow."""
+def _depth(own: SoftWallParameters, q: np.ndarray) -> tuple[float, float]:
+    """Return s = log(1 + e^y) and s', y the depth of q in the wall over w, without overflow."""
+    y = own.sign * (q[own.place] - own.position) / own.width
     e = math.exp(-abs(y))
     return max(y, 0.0) + math.log1p(e), (1.0 if y >= 0.0 else e) / (1.0 + e)

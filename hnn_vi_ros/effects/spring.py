@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.effects.base import Live, Potential
-from hnn_vi_ros.effects.points import add_along, distance, resolve_pair, separation
+from hnn_vi_ros.effects.points import add_along, distance, Elastic, resolve_pair, separation
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -52,13 +52,13 @@ class Spring(Potential):
         self.ends = point, other, anchor
         self.stiffness, self.rest_length = float(stiffness), float(rest_length)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Elastic:
         """Return the ends, the stiffness [N/m] and the length at rest [m]."""
-        return (*resolve_pair(coordinates, *self.ends), self.stiffness, self.rest_length)
+        return Elastic(*resolve_pair(coordinates, *self.ends), self.stiffness, self.rest_length)
 
     @staticmethod
     @inlined
-    def energy(parameters: tuple, q: np.ndarray) -> float:
+    def energy(parameters: Elastic, q: np.ndarray) -> float:
         """Return V [J]."""
         first, second, anchor, stiffness, rest = parameters
         stretch = distance(first, second, anchor, q) - rest
@@ -66,7 +66,7 @@ class Spring(Potential):
 
     @staticmethod
     @inlined
-    def add_gradient(parameters: tuple, q: np.ndarray, dH_dq: np.ndarray) -> None:
+    def add_gradient(parameters: Elastic, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add V' = k (1 - l / r) times the vector between the ends."""
         first, second, anchor, stiffness, rest = parameters
         r = distance(first, second, anchor, q)
@@ -78,7 +78,7 @@ class Spring(Potential):
 
     @staticmethod
     @inlined
-    def add_hessian_vector(parameters: tuple, q: np.ndarray, v: np.ndarray, product: np.ndarray
+    def add_hessian_vector(parameters: Elastic, q: np.ndarray, v: np.ndarray, product: np.ndarray
                            ) -> None:
         """Add V'' v."""
         first, second, anchor, stiffness, rest = parameters
