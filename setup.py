@@ -76,6 +76,7 @@ setup(
     entry_points={
         'console_scripts': [
             'bag_to_model = hnn_vi_ros.cli:bag_to_model',
+            'evaluate = hnn_vi_ros.cli:evaluate',
             'hard_cases = hnn_vi_ros.cli:hard_cases',
             'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
             'listener = hnn_vi_ros.cli:listener',

@@ -65,6 +65,11 @@ def train() -> NoReturn:
     _run('train', 'hnn_vi_ros.learning.train')
 
 
+def evaluate() -> NoReturn:
+    """Judge a model or a scene by measured motions."""
+    _run('evaluate', 'hnn_vi_ros.learning.evaluate')
+
+
 def import_checkpoint() -> NoReturn:
     """Turn a network of the original HNN code into a model."""
     _run('import_checkpoint', 'hnn_vi_ros.learning.import_checkpoint')

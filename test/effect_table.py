@@ -12,6 +12,7 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.checkpoint import save_checkpoint
+from mechanical_models import saved
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,9 @@ def create_effect(kind: str, arguments: dict[str, Any], folder: Path) -> Effect:
         if not path.exists():
             save_checkpoint(path, random_checkpoint([2 * d, 8, 1], seed=3))
         arguments = {'model': str(path)}
+    if kind == 'learned_friction':
+        path = folder / f'{arguments["model"]}.safetensors'
+        arguments = {'model': str(path) if path.exists() else saved(folder, arguments['model'])}
     return EFFECTS[kind](**arguments)
 
 
@@ -106,6 +110,7 @@ EFFECT_ROWS = [
     EffectRow('external_force', (('external_force', {
         'coordinates': ['angle'], 'timeout': 100.0}),)),
     EffectRow('learned_dissipation', (('learned_dissipation', {'model': 1}),)),
+    EffectRow('learned_friction', (('learned_friction', {'model': 'joint'}),)),
     EffectRow('thermostat', (('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),),
               order=2),
     EffectRow('holonomic_constraint', (_ROD, _WEIGHT), **_ON_A_ROD),
@@ -130,7 +135,7 @@ UNKNOWN = {
 # Those whose lists have one number too many for two coordinates.
 TOO_LONG = {
     'damping': {'rate': [1.0, 2.0, 3.0]}, 'thermostat': {'temperature': 1.0, 'rate': [1.0] * 3},
-    'learned_dissipation': {'model': 3},
+    'learned_dissipation': {'model': 3}, 'learned_friction': {'model': 'three'},
 }
 
 # Every effect once in compiled code, in as few compilations as their methods allow.

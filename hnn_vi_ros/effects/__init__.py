@@ -10,6 +10,7 @@ from hnn_vi_ros.effects.gravity import Gravity
 from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
 from hnn_vi_ros.effects.impact import Impact
 from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
+from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.effects.quadratic_drag import QuadraticDrag
@@ -28,6 +29,7 @@ EFFECTS: dict[str, type[Effect]] = {
     'periodic_drive': PeriodicDrive,
     'external_force': ExternalForce,
     'learned_dissipation': LearnedDissipation,
+    'learned_friction': LearnedFriction,
     'thermostat': Thermostat,
     'holonomic_constraint': HolonomicConstraint,
     'impact': Impact,

@@ -18,6 +18,7 @@ import time
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning import machine_train
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
@@ -155,6 +156,13 @@ def main(argv: Sequence[str]) -> None:
     # Small networks gain nothing from more threads, and sums come out the same on any machine.
     torch.set_num_threads(1)
     source = find_config(arguments.config)
+    outputs = Outputs.beside(arguments.out or Path('models') / f'{source.stem}.safetensors')
+    told = [part for part in argv if part != '--resume']
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
+    if machine_train.is_machine(source):
+        _check_outputs(outputs, resume=False)
+        machine_train.run(source, arguments, outputs.model, command)
+        return
     config = load_config(source)
     if arguments.seed is not None:
         if not 0 <= arguments.seed < 2**63:
@@ -163,12 +171,9 @@ def main(argv: Sequence[str]) -> None:
         config = config.model_copy(update={'seed': arguments.seed})
     if arguments.device == 'cuda' and not torch.cuda.is_available():
         raise ParameterError('--device cuda: torch finds no CUDA device here; use --device cpu')
-    outputs = Outputs.beside(arguments.out or Path('models') / f'{source.stem}.safetensors')
     dataset = make_dataset(config.data, config.seed, source, arguments.data)
     state = _check_outputs(outputs, arguments.resume)
     keeper = Keeper(state, config, dataset, arguments.device)
-    told = [part for part in argv if part != '--resume']
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
     start = time.perf_counter()
     checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
                                          arguments.device, keeper, arguments.resume)

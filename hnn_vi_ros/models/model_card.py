@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.mechanical_card import MechanicalCard
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -75,6 +76,8 @@ class ModelCard(StrictModel):
         'M, for a family whose kinetic energy holds dq/dt . M dq/dt / 2, or theta M times p'))
     friction: list[Annotated[float, Field(ge=0.0)]] | None = Field(None, description=(
         'gamma [1/s], for a family that learned dp/dt = -H_q - gamma p'))
+    mechanical: MechanicalCard | None = Field(None, description=(
+        'how the networks of the family mechanical see q, and its friction'))
     scheme: Scheme | None = Field(None, description=(
         'the one-step map that the model was trained through, and is right for'))
     dataset: str
@@ -100,8 +103,8 @@ class ModelCard(StrictModel):
             raise ValueError('two coordinates have the same name')
         if len(self.box.q) != d:
             raise ValueError(f'the box has {len(self.box.q)} coordinates, expected {d}')
-        self._check_networks(d)
         self._check_constants(d)
+        self._check_networks(d)
         return self
 
     def _check_networks(self, d: int) -> None:
@@ -113,6 +116,9 @@ class ModelCard(StrictModel):
         elif self.widths is not None or (self.networks or {}).keys() != expected.keys():
             raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
                              f'the family {self.family}')
+        if self.mechanical is not None:
+            self._check_mechanical(self.mechanical, d)
+            return
         for name, widths in self.layout.items():
             network = expected[name]
             ends = network.inputs * d, network.outputs(d, widths[-1])
@@ -120,13 +126,23 @@ class ModelCard(StrictModel):
                 raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} '
                                  f'and end with {ends[1]}, for {d} coordinates')
 
+    def _check_mechanical(self, card: MechanicalCard, d: int) -> None:
+        if len(card.kinds) != d:
+            raise ValueError(f'mechanical: {len(card.kinds)} kinds, expected {d}')
+        ends = {'mass': (card.inputs(card.mass_features), len(card.entries)),
+                'potential': (card.inputs(card.features), 1)}
+        for name, widths in self.layout.items():
+            if (widths[0], widths[-1]) != ends[name]:
+                raise ValueError(f'widths {widths} of {name} must begin with {ends[name][0]} and '
+                                 f'end with {ends[name][1]}, by what the networks see')
+
     def _check_constants(self, d: int) -> None:
-        for name in ('friction', 'mass', 'velocities'):
+        for name in ('friction', 'mass', 'velocities', 'mechanical'):
             value, needed = getattr(self, name), name in FAMILIES[self.family].constants
             if (value is not None) != needed:
                 raise ValueError(f'{name} must {"" if needed else "not "}be given for the family '
                                  f'{self.family}')
-            if needed and len(value) != d:
+            if needed and name != 'mechanical' and len(value) != d:
                 raise ValueError(f'{name} has {len(value)} entries, expected {d}')
         if self.mass is not None:
             mass = np.array([row for row in self.mass if len(row) == d])

@@ -8,7 +8,7 @@ are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradie
 """
 
 from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import padded
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import pack
@@ -29,9 +29,14 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple
         What it is a network of: ``'q'``, ``'p'`` or ``'both'``.
 
     """
-    weights, biases = padded(checkpoint.networks[network], part)
+    return pack_layers(padded(checkpoint.networks[network], part), checkpoint.card.activation)
+
+
+def pack_layers(layers: Layers, activation: str) -> tuple:
+    """Return the same of a network of an even number of inputs."""
+    weights, biases = layers
     one = np.zeros((1, weights[-1].shape[1]))
-    packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), checkpoint.card.activation)
+    packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), activation)
     return packed, np.ascontiguousarray(weights[-1]), np.ascontiguousarray(biases[-1])
 
 

@@ -1,0 +1,139 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Judge a model or a scene by measured motions: ``ros2 run hnn_vi_ros evaluate``."""
+
+from argparse import Namespace
+from collections.abc import Sequence
+import json
+import math
+from pathlib import Path
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.evaluation import (
+    constant_velocity, linear_model, Predict, score, Scores, simulated, table)
+from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, split_runs
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+# Commands hold to the end of the simulation [s].
+_FOREVER = 1e9
+_KEYS = 't', 'q', 'v', 'tau'
+
+
+def main(argv: Sequence[str]) -> None:
+    """Judge what the command line names."""
+    arguments = command_lines.evaluate().parse_args(argv)
+    for name in ('horizons', 'every', 'longest', 'smoothing'):
+        value = getattr(arguments, name)
+        if not all(math.isfinite(number) and number > 0.0
+                   for number in (value if isinstance(value, list) else [value])):
+            raise ParameterError(f'--{name} {value}: expected positive numbers')
+    if arguments.json is not None and arguments.json.exists():
+        raise ParameterError(f'--json {arguments.json} exists already and is not overwritten')
+    hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
+    names = [coordinate.name for coordinate in hamiltonian.coordinates]
+    motions, description = _motions(arguments.data, arguments, len(names))
+    if any(motion.tau.any() for motion in motions) and not any(
+            isinstance(effect, ExternalForce) for effect in effects):
+        raise DataError(f'{arguments.data}: the motions were driven, but {arguments.model} has '
+                        'no effect external_force; add it with all coordinates, or leave the '
+                        'forces out with --keys t,q,dq')
+    predict = prediction(hamiltonian, integrator, effects, motions, step_size)
+    scores = judge(predict, motions, arguments.horizons, arguments.every, arguments.longest)
+    if arguments.baselines is not None:
+        known, _ = _motions(arguments.baselines, arguments, len(names))
+        for name, other in (('constant velocity', constant_velocity),
+                            ('linear model', linear_model(known))):
+            scores[name] = score(other, motions, arguments.horizons, arguments.every,
+                                 arguments.longest)
+    print(f'{arguments.model} on {description}, simulated freely from a state every '
+          f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, and '
+          f'median of the valid prediction time\n\n{table(scores, names)}\n\n{verdict(scores)}')
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(as_json(scores['model']), indent=2) + '\n')
+
+
+def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Effect]]:
+    """Return H, method, step size (None: that of the data) and effects of a model or scene."""
+    if model.endswith('.safetensors'):
+        hamiltonian = load_learned(Path(model), confine=False)
+        effects: list[Effect] = [ExternalForce(
+            [coordinate.name for coordinate in hamiltonian.coordinates], timeout=_FOREVER)]
+        if hamiltonian.checkpoint.card.mechanical is not None:
+            effects.append(LearnedFriction(model))
+        return hamiltonian, ImplicitMidpoint(), None, effects
+    scene = load_scene(model if not is_path('scene', model) else Path(model))
+    scene, _ = resolve(scene)
+    effects = scene.create_effects()
+    for effect in effects:
+        if isinstance(effect, ExternalForce):
+            effect.timeout = _FOREVER
+    return scene.create_hamiltonian(), scene.create_integrator(), scene.step_size, effects
+
+
+def prediction(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
+               motions: Sequence[Motion], step_size: float | None = None) -> Predict:
+    """
+    Return what H predicts.
+
+    Steps are the data's interval, or the largest whole part of it that is no longer than
+    ``step_size``. All motions share one interval.
+    """
+    spacing = motions[0].spacing
+    steps = 1 if step_size is None else max(1, math.ceil(spacing / step_size - 1e-9))
+    zero = np.zeros(hamiltonian.dimension)
+    simulation = Simulation(hamiltonian, integrator, spacing / steps, motions[0].q_smooth[0], zero,
+                            effects)
+    return simulated(simulation, spacing)
+
+
+def judge(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
+          longest: float) -> dict[str, Scores]:
+    """Return the scores of a model, and of constant velocity for scale."""
+    return {name: score(what, motions, horizons, every, longest)
+            for name, what in (('model', predict), ('constant velocity', constant_velocity))}
+
+
+def verdict(scores: dict[str, Scores]) -> str:
+    """Return one plain sentence."""
+    said = [f'{"at least " if found.censored >= 0.5 else ""}{found.valid_prediction_time:.2g} s'
+            for found in scores.values()]
+    others = ', '.join(f'{name} {text}' for name, text in zip([*scores][1:], said[1:]))
+    return f'The model follows the machine for {said[0]} (median); {others}.'
+
+
+def as_json(scores: Scores) -> dict:
+    """Return what ``--json`` writes."""
+    return {'horizons': {f'{horizon:g}': rms.tolist() for horizon, rms in scores.horizons.items()},
+            'valid_prediction_time': scores.valid_prediction_time,
+            'censored': scores.censored, 'failed': scores.failed}
+
+
+def _motions(data: str, arguments: Namespace, d: int) -> tuple[list[Motion], str]:
+    keys = arguments.keys.split(',')
+    if len(keys) not in (3, 4):
+        raise ParameterError(f'--keys {arguments.keys}: expected those of {", ".join(_KEYS)}')
+    path, runs = split_runs(data)
+    if path.suffix != '.npz':
+        raise ParameterError(f'{path}: expected an .npz file of arrays; write t, q, dq and tau '
+                             'with numpy.savez')
+    schema = ArraysData(time=keys[0], q=keys[1], v=keys[2], smoothing=arguments.smoothing,
+                        tau=keys[3] if len(keys) == 4 else None)
+    motions, description = read_arrays(path, schema, d, runs)
+    spacing = motions[0].spacing
+    for motion in motions:
+        if abs(motion.spacing - spacing) > 0.01 * spacing:
+            raise DataError(f'{path}: {motion.name} is sampled every {motion.spacing:.4g} s, '
+                            f'{motions[0].name} every {spacing:.4g} s; judge them one by one')
+    return motions, description

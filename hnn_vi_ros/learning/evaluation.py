@@ -1,0 +1,208 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far a model can be trusted: simulated freely from measured states, and compared."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from hnn_vi_ros.errors import DataError, ModelError, StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+# The valid prediction time ends where sum_i (error of q_i)^2 / var_i reaches this (M. Lutter,
+# J. Peters, 2021).
+_VALID = 0.01
+# Newton's steps for the momentum of a velocity; H is quadratic in p as a rule, where one is all.
+_ITERATIONS = 20
+
+# ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
+# start on; not a number from where a simulation fails.
+Predict = Callable[[Motion, np.ndarray, int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """
+    How a prediction compares with measured motions.
+
+    Parameters
+    ----------
+    horizons : dict of float to np.ndarray, shape (d,)
+        Root mean square of the error of each coordinate at the end of each horizon [s].
+    starts : dict of float to int
+        How many simulations each is of.
+    valid_prediction_time : float
+        Median over the starts [s].
+    censored : float
+        Share of the starts whose prediction was still valid when it, or its run, ended.
+    failed : int
+        Simulations that failed; their errors are infinite.
+
+    """
+
+    horizons: dict[float, np.ndarray]
+    starts: dict[float, int]
+    valid_prediction_time: float
+    censored: float
+    failed: int
+
+
+def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.ndarray
+             ) -> np.ndarray:
+    """Return p, shape (d,), with H_p(q, p) = v, by Newton's method from a start; or ModelError."""
+    p, d = start.copy(), len(q)
+    zero = np.zeros(d)
+    for _ in range(_ITERATIONS):
+        missing = v - hamiltonian.gradient(q, p)[1]
+        if np.abs(missing).max() <= 1e-12 * max(1.0, float(np.abs(v).max())):
+            return p
+        inverse = np.stack([hamiltonian.hessian_vector(q, p, zero, unit)[1]
+                            for unit in np.eye(d)], axis=1)
+        p = p + np.linalg.solve(inverse, missing)
+    raise ModelError(f'no momentum belongs to the velocity {v.tolist()} at q = {q.tolist()}: '
+                     'H_p(q, p) = v has no solution; the state is outside what the model learned')
+
+
+def simulated(simulation: Simulation, spacing: float) -> Predict:
+    """
+    Return what a simulation predicts, with the measured forces as its commands.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose step size is a whole part of the samples' interval. It takes commands, one for each
+        coordinate, if the motions have forces.
+    spacing : float
+        The samples' interval [s].
+
+    """
+    steps = round(spacing / simulation.step_size)
+
+    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
+        p = np.zeros(motion.q.shape[1])
+        # Over an interval the force is about the mean of those at its ends.
+        tau = 0.5 * (motion.tau[1:] + motion.tau[:-1])
+        for row, start in zip(q, starts, strict=True):
+            row[0] = motion.q_smooth[start]
+            p = momentum(simulation.hamiltonian, motion.q_smooth[start], motion.v_smooth[start],
+                         p)
+            simulation.restart(motion.q_smooth[start], p)
+            try:
+                for k in range(min(count, len(tau) - start)):
+                    if simulation.takes_commands:
+                        simulation.set_command(tau[start + k])
+                    simulation.advance(steps)
+                    row[k + 1] = simulation.q
+            except StepFailure:
+                continue  # the row stays no number from here on, which the scores count
+        return q
+    return predict
+
+
+def constant_velocity(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    """Return what a motion without any force would be."""
+    t = motion.spacing * np.arange(count + 1)
+    return motion.q_smooth[starts][:, None] + t[:, None] * motion.v_smooth[starts][:, None]
+
+
+def linear_model(motions: Sequence[Motion]) -> Predict:
+    """Return what x_(k+1) = A x_k + B tau_k + c predicts, x = (q, v), fitted by least squares."""
+    inputs, targets = [], []
+    for motion in motions:
+        x = np.hstack([motion.q_smooth, motion.v_smooth])
+        tau = 0.5 * (motion.tau[1:] + motion.tau[:-1])
+        inputs.append(np.hstack([x[:-1], tau, np.ones((len(tau), 1))]))
+        targets.append(x[1:] - x[:-1])
+    matrix = np.linalg.lstsq(np.concatenate(inputs), np.concatenate(targets), rcond=None)[0]
+    spacing = motions[0].spacing
+
+    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        share = motion.spacing / spacing
+        d = motion.q.shape[1]
+        x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
+        tau = 0.5 * (motion.tau[1:] + motion.tau[:-1])
+        q = [x[:, :d]]
+        for k in range(count):
+            row = np.minimum(starts + k, len(tau) - 1)
+            x = x + share * np.hstack([x, tau[row], np.ones((len(x), 1))]) @ matrix
+            q.append(x[:, :d])
+        return np.stack(q, axis=1)
+    return predict
+
+
+def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
+          longest: float) -> Scores:
+    """
+    Predict from many measured states, and compare.
+
+    Parameters
+    ----------
+    predict : callable
+        What is judged.
+    motions : sequence of Motion
+        What was measured.
+    horizons : sequence of float
+        After which errors are taken [s].
+    every : float
+        Time from one start to the next [s].
+    longest : float
+        How long predictions last for the valid prediction time, at least the longest horizon [s].
+
+    Raises
+    ------
+    DataError
+        No motion lasts as long as the longest horizon.
+
+    """
+    variance = np.concatenate([motion.q for motion in motions]).var(axis=0)
+    longest = max(longest, *horizons)
+    errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
+    times, ended, failed = [], [], 0
+    for motion in motions:
+        n, spacing = len(motion.t), motion.spacing
+        count = round(longest / spacing)
+        shortest = round(min(horizons) / spacing)
+        starts = np.arange(0, n - shortest, max(1, round(every / spacing)))
+        if not len(starts):
+            continue
+        q = predict(motion, starts, count)
+        room = n - 1 - starts
+        at = np.minimum(starts[:, None] + np.arange(count + 1), n - 1)
+        error = q - motion.q[at]
+        failed += int((~np.isfinite(error).all(axis=2)
+                       & (np.arange(count + 1) <= room[:, None])).any(axis=1).sum())
+        error = np.where(np.isfinite(error), error, np.inf)
+        for horizon in horizons:
+            k = round(horizon / spacing)
+            errors[horizon].append(error[room >= k, k])
+        beyond = (error**2 / variance).sum(axis=2) >= _VALID
+        beyond &= np.arange(count + 1) <= room[:, None]
+        found = beyond.any(axis=1)
+        times.append(np.where(found, beyond.argmax(axis=1), np.minimum(count, room)) * spacing)
+        ended.append(~found)
+    for horizon, parts in errors.items():
+        if not sum(len(part) for part in parts):
+            raise DataError(f'no motion lasts {horizon:g} s, a horizon; give shorter --horizons')
+    with np.errstate(over='ignore'):
+        rms = {horizon: np.sqrt(np.mean(np.concatenate(parts)**2, axis=0))
+               for horizon, parts in errors.items()}
+    return Scores(rms, {horizon: sum(map(len, parts)) for horizon, parts in errors.items()},
+                  float(np.median(np.concatenate(times))),
+                  float(np.mean(np.concatenate(ended))), failed)
+
+
+def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
+    """Return the scores of several predictions as a Markdown table."""
+    first = next(iter(scores.values()))
+    head = [f'{horizon:g} s: {", ".join(names)}' for horizon in first.horizons]
+    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | failed |',
+             f'|---|{"---|" * (len(head) + 2)}']
+    for name, found in scores.items():
+        cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
+        least = '>= ' if found.censored >= 0.5 else ''
+        lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
+                     f'| {found.failed} |')
+    return '\n'.join(lines)

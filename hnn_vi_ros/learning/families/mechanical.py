@@ -1,0 +1,287 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The mechanical network: mass matrix, potential and friction, learned from (q, v, tau)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models.mechanical_card import (
+    CoulombTerm, FrictionCard, Kind, MechanicalCard, StribeckTerm)
+import numpy as np
+import torch
+
+# Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
+_NARROWEST, _WIDEST = 0.003, 1.0
+# Least eigenvalue of S^-1 M S^-1.
+_FLOOR = 1e-3
+
+
+@dataclass(frozen=True)
+class Structure:
+    """
+    What the networks see, and what friction there is.
+
+    Parameters
+    ----------
+    kinds : list of str
+        Of each coordinate.
+    features : list of list of float
+        Rows of the linear combinations that V sees.
+    mass_depends_on : list of int
+        Places of the coordinates that M sees.
+    diagonal_mass : bool
+        Whether M is diagonal.
+    viscous : bool
+        Whether there is friction -b v.
+    coulomb, stribeck : int
+        How many terms -c tanh(v / w), and how many that end with speed.
+
+    """
+
+    kinds: list[Kind]
+    features: list[list[float]]
+    mass_depends_on: list[int]
+    diagonal_mass: bool = False
+    viscous: bool = True
+    coulomb: int = 2
+    stribeck: int = 0
+
+
+@dataclass(frozen=True)
+class MotionScales:
+    """
+    How large what the data hold is, each array of shape (d,).
+
+    Parameters
+    ----------
+    q_centre, q_half : np.ndarray
+        Middle and half of the range of the coordinates.
+    v, a : np.ndarray
+        Root mean square of velocities and accelerations.
+    inertia : np.ndarray
+        Force per acceleration.
+
+    """
+
+    q_centre: np.ndarray
+    q_half: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    inertia: np.ndarray
+
+
+class MechanicalNetwork(torch.nn.Module):
+    """
+    M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = tau, in float64.
+
+    M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and friction are
+    those of MechanicalHamiltonian and LearnedFriction.
+
+    Parameters
+    ----------
+    structure : Structure
+        What the networks see.
+    hidden : sequence of int
+        Widths of the hidden layers of each.
+    scales : MotionScales
+        Of the data.
+    seed : int
+        Of the initial weights.
+
+    """
+
+    def __init__(self, structure: Structure, hidden: Sequence[int], scales: MotionScales,
+                 seed: int):
+        super().__init__()
+        d = len(structure.kinds)
+        self.structure, self.scales, self.d = structure, scales, d
+        card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d))
+        self.entries = card.entries
+        rows, columns = np.array(self.entries).T
+        self._rows, self._columns = rows.tolist(), columns.tolist()
+        place = np.zeros((len(rows), d * d))
+        place[np.arange(len(rows)), rows * d + columns] = 1.0
+        for name, values in (
+                ('place', place), ('on_diagonal', rows == columns),
+                ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
+            self.register_buffer(name, torch.tensor(values), persistent=False)
+        self._sees('mass', card, card.mass_features)
+        self._sees('potential', card, card.features)
+        mass_hidden = hidden if structure.mass_depends_on else [1]
+        self.mass = Perceptron(mass_hidden, *self._units('mass'), np.ones(len(rows)), seed)
+        with torch.no_grad():
+            # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
+            self.mass.linears[-1].weight.mul_(0.1)
+            self.mass.linears[-1].bias.copy_(0.54 * self.on_diagonal)
+        energy = float(np.mean(scales.inertia * scales.a))
+        self.potential = Perceptron(hidden, *self._units('potential'), np.array([energy]),
+                                    seed + 1)
+        self._make_friction(d)
+
+    def _make_friction(self, d: int) -> None:
+        structure, scales = self.structure, self.scales
+        terms = structure.coulomb + structure.stribeck
+        force = scales.inertia * scales.a
+        for name, values in (
+                ('viscous_unit', force / scales.v), ('force_unit', force),
+                ('speed_unit', scales.v)):
+            self.register_buffer(name, torch.tensor(values), persistent=False)
+        # log(1 + exp(-3)) is 0.05: little friction at first.
+        self.raw_viscous = torch.nn.Parameter(torch.full((d,), -3.0, dtype=torch.float64))
+        self.raw_force = torch.nn.Parameter(torch.full((terms, d), -3.0, dtype=torch.float64))
+        # Widths at first spread over their bounds.
+        spread = torch.linspace(-1.0, 1.0, terms + 2, dtype=torch.float64)[1:-1, None]
+        self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
+        self.raw_speed = torch.nn.Parameter(
+            torch.zeros((structure.stribeck, d), dtype=torch.float64))
+
+    def _sees(self, name: str, card: MechanicalCard, features: list[list[float]]) -> None:
+        """Keep rows G and phases of the inputs sin(G q + phase), or G q + phase."""
+        rows, phases, periodic = [], [], []
+        for row in features:
+            turns = card.is_periodic(row)
+            rows += [row, row] if turns else [row]
+            phases += [0.0, 0.5 * math.pi] if turns else [0.0]
+            periodic += [turns, turns] if turns else [turns]
+        if not features:
+            rows, phases, periodic = [[0.0] * self.d], [0.0], [False]
+        for key, values in (('rows', rows), ('phase', phases), ('periodic', periodic)):
+            self.register_buffer(f'{name}_{key}', torch.tensor(
+                values, dtype=torch.bool if key == 'periodic' else torch.float64),
+                persistent=False)
+
+    def _units(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return centre and scale of what a network sees."""
+        rows = getattr(self, f'{name}_rows').numpy()
+        periodic = getattr(self, f'{name}_periodic').numpy()
+        centre = np.where(periodic, 0.0, rows @ self.scales.q_centre)
+        half = np.where(periodic, 1.0, np.abs(rows) @ self.scales.q_half)
+        return centre, np.where(half > 0.0, half, 1.0)
+
+    def inputs(self, name: str, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what a network sees, shape (N, n), and its derivatives, shape (N, n, d)."""
+        rows, periodic = getattr(self, f'{name}_rows'), getattr(self, f'{name}_periodic')
+        y = q @ rows.T + getattr(self, f'{name}_phase')
+        slope = torch.where(periodic, torch.cos(y), 1.0)
+        return torch.where(periodic, torch.sin(y), y), slope[:, :, None] * rows
+
+    def roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the entries of L, shape (N, k), and their derivatives, shape (N, k, d)."""
+        x, x_q = self.inputs('mass', q)
+        y, y_q = _with_tangents(self.mass, x, x_q)
+        slope = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
+        y = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
+        return y, slope[:, :, None] * y_q
+
+    def masses(self, q: torch.Tensor) -> torch.Tensor:
+        """Return M, shape (N, d, d)."""
+        L = self._matrix(self.roots(q)[0])
+        return (self.root_inertia[:, None] * (L @ L.transpose(1, 2) + _FLOOR * self.identity)
+                * self.root_inertia)
+
+    def _matrix(self, entries: torch.Tensor) -> torch.Tensor:
+        return (entries @ self.place).reshape(-1, self.d, self.d)
+
+    def friction_coefficients(self) -> tuple[torch.Tensor, ...]:
+        """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
+        positive = torch.nn.functional.softplus
+        span = math.log(_WIDEST / _NARROWEST)
+        width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
+        return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
+                self.force_unit * positive(self.raw_force), width,
+                self.speed_unit * torch.sigmoid(self.raw_speed))
+
+    def friction(self, v: torch.Tensor) -> torch.Tensor:
+        """Return the friction that is taken from tau, shape (N, d)."""
+        b, c, w, s = self.friction_coefficients()
+        total = b * v
+        for k in range(len(c)):
+            term = c[k] * torch.tanh(v / w[k])
+            if k >= self.structure.coulomb:
+                term = term * torch.exp(-(v / s[k - self.structure.coulomb]).square())
+            total = total + term
+        return total
+
+    def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
+        """Return dv/dt, all of shape (N, d)."""
+        S = self.root_inertia
+        entries, entries_q = self.roots(q)
+        L, L_dot = self._matrix(entries), self._matrix((entries_q @ v[:, :, None])[:, :, 0])
+        u = (S * v)[:, :, None]
+        w = L.transpose(1, 2) @ u
+        c = (u[:, self._rows, 0] * w[:, self._columns, 0])[:, None, :]
+        inertial = S * (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
+        x, x_q = self.inputs('potential', q)
+        potential = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
+        force = tau - self.friction(v) - potential + (c @ entries_q)[:, 0] - inertial
+        gram = L @ L.transpose(1, 2) + _FLOOR * self.identity
+        return _solve(gram, force / S) / S
+
+    def scale_energy(self, factor: float) -> None:
+        """Multiply M, V and the friction by a factor, which changes no motion without tau."""
+        self.root_inertia *= math.sqrt(factor)
+        for unit in (self.potential.output_scale, self.viscous_unit, self.force_unit):
+            unit *= factor
+
+    def networks(self) -> dict[str, Layers]:
+        """Return the networks for the model file; V is zero in the middle of the data."""
+        centre = torch.tensor(self.scales.q_centre)[None]
+        x0 = self.inputs('potential', centre)[0][0].numpy()
+        return {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
+
+    def _card(self, friction: FrictionCard, scale: np.ndarray) -> MechanicalCard:
+        structure = self.structure
+        return MechanicalCard(
+            kinds=structure.kinds, features=structure.features, friction=friction, floor=_FLOOR,
+            mass_depends_on=structure.mass_depends_on, mass_scale=scale.tolist(),
+            diagonal_mass=structure.diagonal_mass)
+
+    def card(self) -> MechanicalCard:
+        """Return what else of the model card is known."""
+        b, c, w, s = (part.detach().tolist() for part in self.friction_coefficients())
+        n = self.structure.coulomb
+        friction = FrictionCard(
+            viscous=b, coulomb=[CoulombTerm(force=force, width=width)
+                                for force, width in zip(c[:n], w[:n], strict=True)],
+            stribeck=[StribeckTerm(force=force, width=width, speed=speed)
+                      for force, width, speed in zip(c[n:], w[n:], s, strict=True)])
+        return self._card(friction, self.root_inertia.numpy())
+
+
+def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor
+                   ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return outputs (N, k) and their derivatives (N, k, m) along m tangents (N, n, m) of x."""
+    a, tangent = (x - network.centre) / network.scale, tangents / network.scale[:, None]
+    *hidden, last = network.linears
+    for linear in hidden:
+        a = torch.tanh(linear(a))
+        tangent = (1.0 - a.square())[:, :, None] * (linear.weight @ tangent)
+    scale = network.output_scale
+    return scale * last(a), scale[:, None] * (last.weight @ tangent)
+
+
+def _slope(network: Perceptron, x: torch.Tensor) -> torch.Tensor:
+    """Return the gradient, shape (N, n), of a network of one output, by one backward pass."""
+    a, activations = (x - network.centre) / network.scale, []
+    *hidden, last = network.linears
+    for linear in hidden:
+        a = torch.tanh(linear(a))
+        activations.append(a)
+    g = network.output_scale[0] * last.weight
+    for linear, a in zip(hidden[::-1], activations[::-1], strict=True):
+        g = ((1.0 - a.square()) * g) @ linear.weight
+    return g / network.scale
+
+
+def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+    """Solve with positive definite matrices (N, d, d) for (N, d); small ones written out."""
+    if matrix.shape[1] > 2:
+        return torch.linalg.solve(matrix, right)
+    if matrix.shape[1] == 1:
+        return right / matrix[:, 0]
+    a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
+    x, y = right.T
+    return torch.stack([c * x - b * y, a * y - b * x], dim=1) / (a * c - b * b)[:, None]

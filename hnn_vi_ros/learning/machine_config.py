@@ -1,0 +1,138 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The schema of a training configuration of a machine: of the family mechanical."""
+
+from pathlib import Path
+import re
+from typing import Annotated, Literal
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
+from hnn_vi_ros.learning.families.mechanical import Structure
+from hnn_vi_ros.learning.motions import ArraysData
+from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.model_card import CoordinateCard
+from pydantic import Field, model_validator
+
+# A term of a linear combination: sign, number, name.
+_TERM = re.compile(r'\s*([+-]?)\s*(?:(\d+\.?\d*(?:e[+-]?\d+)?)\s*\*\s*)?([^\W\d]\w*)\s*')
+
+
+class MachineCoordinate(CoordinateCard):
+    """A joint."""
+
+    kind: Kind = Field('revolute', description=(
+        'revolute: an angle with ends; continuous: one that turns over, of period 2 pi; '
+        'prismatic: a length'))
+
+
+class MachineData(ArraysData):
+    """Measured motions, and which of them are not learned from."""
+
+    kind: Literal['arrays']
+    test_runs: list[str] = Field([], description=(
+        'runs to judge the model by; none: the last fifth of each run in time'))
+
+
+class FrictionChoice(StrictModel):
+    """What friction there is at each joint."""
+
+    viscous: bool = Field(True, description='-b v')
+    coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
+    stribeck: int = Field(0, ge=0, le=8, description=(
+        'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+
+
+class MechanicalChoice(StrictModel):
+    """Networks M(q) and V(q), and friction."""
+
+    kind: Literal['mechanical']
+    features: list[str] | None = Field(None, min_length=1, description=(
+        'what V sees: linear combinations of coordinates, such as a + b; each coordinate'))
+    mass: Literal['learned', 'diagonal', 'constant'] = Field('learned', description=(
+        'M(q), a diagonal one, or a matrix that depends on nothing'))
+    mass_depends_on: list[str] | None = Field(None, description=(
+        'the coordinates that M sees; all'))
+    friction: FrictionChoice = Field(default_factory=FrictionChoice)
+
+
+class Stage(StrictModel):
+    """Some steps of Adam on windows of one length."""
+
+    duration: float = Field(gt=0.0, description='of each window [s]')
+    steps: int = Field(ge=1, le=1_000_000)
+
+
+class Trajectory(StrictModel):
+    """Accelerations first; then windows that are simulated from their smoothed first state."""
+
+    kind: Literal['trajectory']
+    forward_steps: int = Field(400, ge=1, description='of Adam on accelerations')
+    forward_batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    step_size: float = Field(0.01, gt=0.0, description=(
+        'of the windows [s]; forces are averaged over it'))
+    windows: list[Stage] = Field(
+        [Stage(duration=0.1, steps=300), Stage(duration=0.25, steps=200)],
+        description='what follows, in this order')
+    batch: int = Field(256, ge=1, description='windows in each of their steps')
+    time_scale: float = Field(0.1, gt=0.0, description=(
+        'an error of q counts as one of v does that makes it in this time [s]'))
+
+
+class MachineConfig(StrictModel):
+    """One training run of the family mechanical; a file states what differs from the defaults."""
+
+    description: str = Field('', max_length=1000)
+    coordinates: list[MachineCoordinate] = Field(min_length=1, max_length=7)
+    data: MachineData
+    family: MechanicalChoice
+    loss: Trajectory = Field(Trajectory(kind='trajectory'), description='how')
+    hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
+        [32, 32], min_length=1, max_length=16, description=(
+            'widths of the hidden layers, of each network'))
+    seed: int = Field(0, ge=0, lt=2**63, description='of the initial weights and the batches')
+    learning_rate: float = Field(0.01, gt=0.0, le=1.0, description=(
+        'of Adam on accelerations; a fifth of it on windows'))
+
+    @model_validator(mode='after')
+    def _check(self) -> 'MachineConfig':
+        self.structure()
+        return self
+
+    def structure(self) -> Structure:
+        """Return what the networks see; ValueError for what names no coordinate."""
+        family, names = self.family, [coordinate.name for coordinate in self.coordinates]
+        seen = names if family.mass_depends_on is None else family.mass_depends_on
+        unknown = [name for name in seen if name not in names]
+        if unknown:
+            raise ValueError(f'mass_depends_on: no coordinate {unknown[0]!r}; valid coordinates: '
+                             f'{", ".join(names)}')
+        if family.mass == 'constant':
+            if family.mass_depends_on:
+                raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
+                                 'out')
+            seen = []
+        friction = family.friction
+        return Structure(
+            [coordinate.kind for coordinate in self.coordinates],
+            [combination(text, names) for text in family.features or names],
+            [names.index(name) for name in seen], family.mass == 'diagonal',
+            friction.viscous, friction.coulomb, friction.stribeck)
+
+
+def combination(text: str, names: list[str]) -> list[float]:
+    """Return the coefficients of a linear combination such as ``a - 2 * b``, or ValueError."""
+    row, at = [0.0] * len(names), 0
+    while at < len(text):
+        term = _TERM.match(text, at)
+        if term is None or (at > 0 and not term[1]) or term[3] not in names:
+            raise ValueError(f'features: {text!r} is no linear combination of the coordinates '
+                             f'{", ".join(names)}, such as {" + ".join(names[:2])}')
+        row[names.index(term[3])] += float(f'{term[1]}{term[2] or 1.0}')
+        at = term.end()
+    return row
+
+
+def load_machine(path: Path) -> MachineConfig:
+    """Read and validate a configuration; a DataError names file, line and key."""
+    return load_yaml(path, MachineConfig, DataError)

@@ -1,0 +1,129 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Train a model of a machine, and judge it by motions that it has not seen."""
+
+from argparse import Namespace
+import os
+from pathlib import Path
+import time
+
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.learning.evaluate import judge, prediction, verdict
+from hnn_vi_ros.learning.evaluation import linear_model, score, table
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
+from hnn_vi_ros.learning.machine_training import fit, split_motions
+from hnn_vi_ros.learning.motions import Motion, read_arrays, split_runs
+from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.version import __version__
+import numpy as np
+import torch
+
+# What a model is judged by: errors after these times, from states so far apart [s].
+_HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
+_FOREVER = 1e9
+
+
+def is_machine(source: Path) -> bool:
+    """Tell whether a configuration is of the family mechanical, whose schema is its own."""
+    try:
+        text = source.read_text(encoding='utf-8')
+    except (OSError, ValueError):
+        return False  # the other schema's reader tells what is wrong
+    data, _ = parse_mapping(text, source, DataError)
+    family = data.get('family')
+    return isinstance(family, dict) and family.get('kind') == 'mechanical'
+
+
+def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
+    """Train as a configuration and the command line say, and print what came of it."""
+    if arguments.resume or arguments.device != 'cpu':
+        raise ParameterError(f'{source}: a model of the family mechanical is trained in minutes, '
+                             'on the CPU; leave out --resume and --device')
+    config = load_machine(source)
+    if arguments.seed is not None:
+        config = config.model_copy(update={'seed': arguments.seed})
+    train, test, description = _read(source, config, arguments.data)
+    begun = time.perf_counter()
+    network, losses = fit(config, train)
+    seconds = time.perf_counter() - begun
+    if not any(motion.tau.any() for motion in train):
+        fix_scale(network, train)
+        description += ('; no forces, which leaves the scale of energy open: the mean inertia of '
+                        f'{config.coordinates[0].name} is 1')
+    checkpoint = describe(network, config, train, description, losses, out.stem, command)
+    save_checkpoint(out, checkpoint)
+    names = [coordinate.name for coordinate in config.coordinates]
+    effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(out))]
+    horizons = [horizon for horizon in _HORIZONS if any(
+        motion.t[-1] - motion.t[0] >= horizon for motion in test)]
+    scores = judge(prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
+                              test), test, horizons, _EVERY, _LONGEST)
+    scores['linear model'] = score(linear_model(train), test, horizons, _EVERY, _LONGEST)
+    report = out.with_suffix('.report.md')
+    text = (f'# {out.stem}\n\n{config.description}\n\nTrained on {description}, in '
+            f'{seconds:.0f} s, seed {config.seed}: `{command}`\n\nFree simulation of '
+            f'{", ".join(motion.name for motion in test)}, which training has not seen, from a '
+            f'state every {_EVERY:g} s, with the measured forces; root mean square of the error '
+            f'at the end of each horizon.\n\n{table(scores, names)}\n\n{verdict(scores)}\n')
+    report.write_text(text, encoding='utf-8')
+    print(f'model: {out}\nreport: {report}\n\n{table(scores, names)}\n\n{verdict(scores)}\n'
+          f'trained in {seconds:.1f} s')
+
+
+def fix_scale(network: MechanicalNetwork, motions: list[Motion]) -> None:
+    """Give the first coordinate a mean inertia of 1: motions without forces leave it open."""
+    q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
+    with torch.no_grad():
+        network.scale_energy(1.0 / float(network.masses(q)[:, 0, 0].mean()))
+
+
+def describe(network: MechanicalNetwork, config: MachineConfig, motions: list[Motion],
+             description: str, losses: dict[str, float], name: str, command: str) -> Checkpoint:
+    """Return a trained network with its card."""
+    q, v = (np.concatenate([getattr(motion, key) for motion in motions])
+            for key in ('q_smooth', 'v_smooth'))
+    networks, mechanical = network.networks(), network.card()
+    with torch.no_grad():
+        p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
+    card = ModelCard(
+        name=name, family='mechanical', mechanical=mechanical,
+        networks={key: [layers.weights[0].shape[1], *(len(bias) for bias in layers.biases)]
+                  for key, layers in networks.items()},
+        coordinates=[CoordinateCard(name=c.name, q_unit=c.q_unit, p_unit=c.p_unit)
+                     for c in config.coordinates],
+        box=Box(q=_bounds(q), p=_bounds(p)), dataset=description, seed=config.seed,
+        losses=losses, training_command=command, package_version=__version__)
+    return Checkpoint(card, networks)
+
+
+def _bounds(values: np.ndarray) -> list[list[float]]:
+    return np.stack([values.min(axis=0), values.max(axis=0)], axis=-1).tolist()
+
+
+def _read(source: Path, config: MachineConfig, given: list[str]
+          ) -> tuple[list[Motion], list[Motion], str]:
+    """Return motions to learn from, motions to judge by, and what they are."""
+    data, d = config.data, len(config.coordinates)
+    if len(given) > 1 or not (given or data.path):
+        raise DataError(f'{source}: expected one .npz file, in data.path or with --data FILE')
+    if given:
+        path, runs = split_runs(given[0])
+    else:
+        beside = source.parent / data.path
+        path, runs = (beside if os.path.exists(beside) else Path(data.path)), []
+    motions, description = read_arrays(path, data, d, runs)
+    names = [motion.name for motion in motions]
+    for run in data.test_runs:
+        if run not in names:
+            raise DataError(f'{source}: data.test_runs: no run {run!r} among {", ".join(names)}')
+    train, test = split_motions(motions, data.test_runs)
+    if not train:
+        raise DataError(f'{source}: data.test_runs leave nothing to learn from')
+    return train, test, description

@@ -1,0 +1,104 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a model of the family mechanical is, beside its networks."""
+
+from typing import Annotated, Literal
+
+from hnn_vi_ros.files.yaml_file import StrictModel
+from pydantic import Field, model_validator
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+Kind = Literal['revolute', 'continuous', 'prismatic']
+
+
+class CoulombTerm(StrictModel):
+    """A friction -c tanh(v / w) at each coordinate."""
+
+    force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
+    width: list[Positive] = Field(description='w, in the unit of the velocity')
+
+
+class StribeckTerm(StrictModel):
+    """A friction -c tanh(v / w) exp(-(v / s)^2) at each coordinate: what breaking away adds."""
+
+    force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
+    width: list[Positive] = Field(description='w, in the unit of the velocity')
+    speed: list[Positive] = Field(description='s, in the unit of the velocity')
+
+
+class FrictionCard(StrictModel):
+    """Friction at each coordinate, whose power is never positive."""
+
+    viscous: list[NotNegative] = Field(description='b of the friction -b v')
+    coulomb: list[CoulombTerm] = Field([], max_length=8)
+    stribeck: list[StribeckTerm] = Field([], max_length=8)
+
+    @model_validator(mode='after')
+    def _check(self) -> 'FrictionCard':
+        for term in (*self.coulomb, *self.stribeck):
+            for name, values in term.model_dump().items():
+                if len(values) != len(self.viscous):
+                    raise ValueError(f'friction: {name} has {len(values)} entries, expected '
+                                     f'{len(self.viscous)}, one for each coordinate')
+        return self
+
+
+class MechanicalCard(StrictModel):
+    """How the networks of the mass matrix M and of the potential V see the coordinates."""
+
+    kinds: list[Kind] = Field(description='of each coordinate')
+    features: list[list[float]] = Field(min_length=1, description=(
+        'what V sees: the rows of a matrix, each a linear combination of the coordinates'))
+    mass_depends_on: list[Annotated[int, Field(ge=0)]] = Field(description=(
+        'the places of the coordinates that M sees; none for a constant M'))
+    diagonal_mass: bool = Field(False, description='whether M is diagonal')
+    mass_scale: list[Positive] = Field(description=(
+        'S of M = S (L L^T + floor) S, the square roots of the inertias in play'))
+    floor: float = Field(gt=0.0, description='least eigenvalue of S^-1 M S^-1')
+    friction: FrictionCard
+
+    @model_validator(mode='after')
+    def _check(self) -> 'MechanicalCard':
+        d = len(self.kinds)
+        lengths = {'mass_scale': len(self.mass_scale), 'friction': len(self.friction.viscous)}
+        lengths |= {f'features[{k}]': len(row) for k, row in enumerate(self.features)}
+        for name, length in lengths.items():
+            if length != d:
+                raise ValueError(f'{name} has {length} entries, expected {d}, one for each '
+                                 'coordinate')
+        places = self.mass_depends_on
+        if len(set(places)) < len(places) or not all(i < d for i in places):
+            raise ValueError(f'mass_depends_on = {places} must name coordinates 0 to {d - 1}, '
+                             'each once')
+        for row in self.features:
+            if not any(row):
+                raise ValueError('features: a row of zeros sees nothing; leave it out')
+            turning = [x for x, kind in zip(row, self.kinds) if kind == 'continuous' and x]
+            if turning and (len(turning) < sum(x != 0.0 for x in row)
+                            or any(x != round(x) for x in turning)):
+                raise ValueError(f'features: {row} mixes a continuous coordinate with others, or '
+                                 'takes a part of it, which has no period of 2 pi; take whole '
+                                 'multiples of continuous coordinates')
+        return self
+
+    def is_periodic(self, row: list[float]) -> bool:
+        """Tell whether a network sees the sine and cosine of a combination of coordinates."""
+        return any(x and kind == 'continuous' for x, kind in zip(row, self.kinds, strict=True))
+
+    @property
+    def mass_features(self) -> list[list[float]]:
+        """Return what M sees, as ``features``: one row for each of its coordinates."""
+        d = len(self.kinds)
+        return [[1.0 * (i == place) for i in range(d)] for place in self.mass_depends_on]
+
+    def inputs(self, features: list[list[float]]) -> int:
+        """Return the inputs of a network that sees these; one that sees nothing has one, 0."""
+        return max(1, sum(2 if self.is_periodic(row) else 1 for row in features))
+
+    @property
+    def entries(self) -> list[tuple[int, int]]:
+        """Return the places in L of the outputs of the network of M."""
+        d = len(self.kinds)
+        return [(i, j) for i in range(d) for j in range(i + 1)
+                if i == j or not self.diagonal_mass]

@@ -1,0 +1,98 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random models of the family mechanical, and what they are, written in torch."""
+
+from pathlib import Path
+
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
+from hnn_vi_ros.models.mechanical_card import (
+    CoulombTerm, FrictionCard, MechanicalCard, StribeckTerm)
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+import numpy as np
+import torch
+
+# An arm of two joints that turn over, seen by absolute angles; a cart with a pole; a joint that
+# does not turn over, with a constant mass; three coordinates, all of M.
+SHAPES = {
+    'arm': {'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
+            'mass_depends_on': [1]},
+    'cart and pole': {'kinds': ['prismatic', 'continuous'], 'features': [[1.0, 0.0], [0.0, 1.0]],
+                      'mass_depends_on': [1], 'diagonal_mass': True},
+    'joint': {'kinds': ['revolute'], 'features': [[1.0]], 'mass_depends_on': []},
+    'three': {'kinds': ['revolute', 'continuous', 'prismatic'], 'features': [
+        [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.5, 0.0, -1.0]], 'mass_depends_on': [0, 1, 2]},
+}
+
+
+def random_friction(d: int) -> FrictionCard:
+    rng = np.random.default_rng(d)
+    force, width = rng.uniform(0.1, 0.5, d).tolist(), rng.uniform(0.3, 0.6, d).tolist()
+    return FrictionCard(viscous=rng.uniform(0.1, 0.5, d).tolist(),
+                        coulomb=[CoulombTerm(force=force, width=width)],
+                        stribeck=[StribeckTerm(force=width, width=force, speed=width)])
+
+
+def random_mechanical(shape: str, **changes) -> Checkpoint:
+    """Return a model of random networks of the usual size."""
+    settings = SHAPES[shape] | changes
+    d = len(settings['kinds'])
+    rng = np.random.default_rng(d)
+    mechanical = MechanicalCard(
+        **settings, mass_scale=rng.uniform(0.5, 1.5, d).tolist(), floor=0.05,
+        friction=random_friction(d))
+    networks = {}
+    for name, features, outputs in (
+            ('mass', mechanical.mass_features, len(mechanical.entries)),
+            ('potential', mechanical.features, 1)):
+        widths = [mechanical.inputs(features), 9, 6, outputs]
+        networks[name] = Layers(
+            tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(widths, widths[1:])),
+            tuple(0.3 * rng.normal(size=b) for b in widths[1:]))
+    card = ModelCard(
+        name='random', family='mechanical', dataset='none', seed=d, losses={},
+        training_command='', package_version='0', mechanical=mechanical,
+        networks={name: [layers.weights[0].shape[1], *(bias.size for bias in layers.biases)]
+                  for name, layers in networks.items()},
+        box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
+        coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)])
+    return Checkpoint(card, networks)
+
+
+def saved(folder: Path, shape: str) -> str:
+    path = folder / f'{shape.replace(" ", "_")}.safetensors'
+    save_checkpoint(path, random_mechanical(shape))
+    return str(path)
+
+
+def network(layers: Layers, x: torch.Tensor) -> torch.Tensor:
+    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers)]
+    for weight, bias in hidden:
+        x = torch.tanh(weight @ x + bias)
+    return last[0] @ x + last[1]
+
+
+def seen(card: MechanicalCard, features: list[list[float]], q: torch.Tensor) -> torch.Tensor:
+    inputs = []
+    for row in features:
+        y = torch.tensor(row, dtype=torch.float64) @ q
+        turns = any(x and kind == 'continuous' for x, kind in zip(row, card.kinds))
+        inputs += [torch.sin(y), torch.cos(y)] if turns else [y]
+    return torch.stack(inputs) if inputs else torch.zeros(1, dtype=torch.float64)
+
+
+def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
+    """Return H, written as the family defines it, with an inverse matrix."""
+    card, (q, p) = model.card.mechanical, z.chunk(2)
+    d = len(q)
+    entries = network(model.networks['mass'], seen(card, card.mass_features, q))
+    L = torch.zeros(d, d, dtype=torch.float64)
+    k = 0
+    for i in range(d):
+        for j in range(i + 1):
+            if i == j or not card.diagonal_mass:
+                L[i, j] = torch.log(1.0 + torch.exp(entries[k])) if i == j else entries[k]
+                k += 1
+    scale = torch.diag(torch.tensor(card.mass_scale, dtype=torch.float64))
+    mass = scale @ (L @ L.T + card.floor * torch.eye(d, dtype=torch.float64)) @ scale
+    potential = network(model.networks['potential'], seen(card, card.features, q))[0]
+    return 0.5 * p @ torch.linalg.inv(mass) @ p + potential

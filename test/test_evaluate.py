@@ -1,0 +1,143 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""From arrays to a verdict: the executables train and evaluate, on a machine that is known."""
+
+import json
+from pathlib import Path
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning import evaluate, train
+from hnn_vi_ros.learning.evaluation import constant_velocity, linear_model, momentum, score
+from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, smoothed
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+SCENE = {
+    'hamiltonian': {'kind': 'pendulum'}, 'integrator': {'kind': 'implicit_midpoint'},
+    'step_size': 0.01, 'initial_state': {'q': [0.5], 'p': [0.0]},
+    'effects': [{'kind': 'external_force', 'coordinates': ['angle']}]}
+CONFIG = {
+    'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
+    'data': {'kind': 'arrays', 'test_runs': ['c']},
+    'family': {'kind': 'mechanical', 'mass': 'constant'},
+    'loss': {'kind': 'trajectory', 'forward_steps': 100,
+             'windows': [{'duration': 0.1, 'steps': 5}]}}
+
+
+def write(path: Path, seconds: float = 4.0) -> Path:
+    """Write runs of a pendulum under forces, every 10 ms, by the rule that will judge them."""
+    simulation = Simulation(
+        HAMILTONIANS['pendulum'](), INTEGRATORS['implicit_midpoint'](), 0.01, [0.5], [0.0],
+        [EFFECTS['external_force'](['angle'], timeout=100.0)])
+    n, arrays = round(seconds / 0.01), {}
+    t = 0.01 * np.arange(n)
+    for name, start, rate in (('a', 0.5, 2.0), ('b', -1.0, 3.0), ('c', 1.5, 2.5)):
+        simulation.restart([start], [0.0])
+        tau, q, v = 2.0 * np.sin(rate * t), np.empty(n), np.empty(n)
+        for k in range(n):
+            q[k], v[k] = simulation.q[0], simulation.dH_dp[0]
+            if k + 1 < n:
+                simulation.set_command([0.5 * (tau[k] + tau[k + 1])])
+                simulation.advance(1)
+        arrays |= {f'{name}/t': t, f'{name}/q': q[:, None], f'{name}/dq': v[:, None],
+                   f'{name}/tau': tau[:, None]}
+    np.savez(path, **arrays)
+    return path
+
+
+def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
+    data = str(write(tmp_path / 'pendulum.npz'))
+    (tmp_path / 'machine.yaml').write_text(dump_yaml(CONFIG))
+    out = tmp_path / 'machine.safetensors'
+    train.main(['--config', str(tmp_path / 'machine.yaml'), '--data', data, '--out', str(out)])
+    said = capsys.readouterr().out
+    assert 'The model follows the machine for' in said and '| linear model |' in said
+    card = load_checkpoint(out).card
+    assert card.family == 'mechanical' and card.mechanical.kinds == ['continuous']
+    assert '| model |' in (tmp_path / 'machine.report.md').read_text()
+    evaluate.main([str(out), '--data', f'{data}:c', '--json', str(tmp_path / 'machine.json'),
+                   '--horizons', '0.1', '0.5', '--baselines', f'{data}:a,b'])
+    assert '| linear model |' in capsys.readouterr().out
+    written = json.loads((tmp_path / 'machine.json').read_text())
+    (motion,), _ = read_arrays(Path(data), ArraysData(), 1, ['c'])
+    still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)
+    # Hardly trained, it is far better than no model.
+    for horizon in ('0.1', '0.5'):
+        assert 0.0 < written['horizons'][horizon][0] < 0.5 * still.horizons[float(horizon)][0]
+
+
+def test_scene_that_made_the_motions_follows_them_to_their_end(tmp_path, capsys):
+    data = str(write(tmp_path / 'pendulum.npz'))
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(SCENE))
+    evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, '--json',
+                   str(tmp_path / 'scene.json')])
+    written = json.loads((tmp_path / 'scene.json').read_text())
+    # What is left is what the filter at 40 Hz does to the first states, near the ends of runs.
+    assert max(written['horizons']['0.1']) < 1e-2 and max(written['horizons']['0.5']) < 3e-2
+    assert written['failed'] == 0 and written['censored'] > 0.9
+    with pytest.raises(ParameterError, match='exists already'):
+        evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, '--json',
+                       str(tmp_path / 'scene.json')])
+    (tmp_path / 'free.yaml').write_text(dump_yaml(SCENE | {'effects': []}))
+    with pytest.raises(DataError, match='no effect external_force'):
+        evaluate.main([str(tmp_path / 'free.yaml'), '--data', data])
+
+
+@pytest.mark.parametrize('words, message', [
+    (['--data', 'arm.bag'], 'expected an .npz file'),
+    (['--data', 'nothing.npz'], 'cannot be read'),
+    (['--data', 'arm.npz', '--horizons', '-1'], 'expected positive numbers'),
+    (['--data', 'arm.npz', '--keys', 'q'], 'expected those of t, q, v, tau'),
+])
+def test_evaluate_refuses_in_one_line(words, message):
+    with pytest.raises((DataError, ParameterError), match=message) as problem:
+        evaluate.main(['pendulum', *words])
+    assert '\n' not in str(problem.value)
+
+
+def test_momentum_belongs_to_the_velocity():
+    hamiltonian = HAMILTONIANS['double_pendulum']()
+    q, v = np.array([0.3, -1.2]), np.array([2.0, -0.7])
+    p = momentum(hamiltonian, q, v, np.zeros(2))
+    assert np.abs(hamiltonian.gradient(q, p)[1] - v).max() < 1e-11
+
+
+def linear_motion(seed: int) -> Motion:
+    """Return q'' = -4 q + tau by its exact solution for tau = sin(t)."""
+    t = 0.01 * np.arange(400)
+    a, b = np.random.default_rng(seed).normal(size=2)
+    q = a * np.cos(2.0 * t) + b * np.sin(2.0 * t) + np.sin(t) / 3.0
+    v = -2.0 * a * np.sin(2.0 * t) + 2.0 * b * np.cos(2.0 * t) + np.cos(t) / 3.0
+    return smoothed('linear', t, q[:, None], v[:, None], np.sin(t)[:, None], 40.0)
+
+
+def test_linear_model_is_right_for_a_linear_system_and_errors_are_counted_at_the_horizon():
+    train_motions, test_motions = [linear_motion(1), linear_motion(2)], [linear_motion(3)]
+    linear = score(linear_model(train_motions), test_motions, [0.5], 0.1, 1.0)
+    still = score(constant_velocity, test_motions, [0.5], 0.1, 1.0)
+    assert linear.horizons[0.5] < 0.02 * still.horizons[0.5]
+    assert still.starts[0.5] == 35  # every 0.1 s of 3.99 s, with 0.5 s to come
+
+    def off_by_one_percent(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        at = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
+        return motion.q[at] + 0.01 * (np.arange(count + 1) >= 30)[:, None]
+    found = score(off_by_one_percent, test_motions, [0.2, 0.5], 0.1, 1.0)
+    assert found.horizons[0.2] == pytest.approx(0.0, abs=1e-15)
+    assert found.horizons[0.5] == pytest.approx(0.01, rel=1e-9)
+    assert found.censored == 1.0  # 0.01^2 is far below a hundredth of the variance
+
+
+def test_failed_simulations_are_counted_and_no_number_is_made_up_for_them():
+    def fails(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        q = constant_velocity(motion, starts, count)
+        q[0, 10:] = np.nan
+        return q
+    found = score(fails, [linear_motion(1)], [0.05, 0.5], 0.1, 1.0)
+    assert found.failed == 1
+    assert np.isfinite(found.horizons[0.05]).all() and np.isinf(found.horizons[0.5]).all()

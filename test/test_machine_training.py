@@ -1,0 +1,235 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The family mechanical in torch: what it is, how it is trained, and from which data."""
+
+from pathlib import Path
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning.evaluation import constant_velocity, score
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, Structure
+from hnn_vi_ros.learning.machine_config import combination, MachineConfig
+from hnn_vi_ros.learning.machine_train import describe, fix_scale
+from hnn_vi_ros.learning.machine_training import (
+    fit, mean_forces, runge_kutta, scales_of, split_motions)
+from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, smoothed, split_runs
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+import torch
+
+CONFIG = {
+    'coordinates': [{'name': 'a', 'kind': 'continuous'}, {'name': 'b', 'kind': 'continuous'}],
+    'data': {'kind': 'arrays'}, 'hidden': [8],
+    'family': {'kind': 'mechanical', 'features': ['a', 'a + b'], 'mass_depends_on': ['b'],
+               'friction': {'stribeck': 1}},
+}
+
+
+def random_motions(d: int, seed: int = 0) -> list[Motion]:
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(60)
+    rates = rng.uniform(1.0, 5.0, (3, d))
+    return [smoothed('random', t, np.sin(rates[0] * t[:, None]),
+                     rates[0] * np.cos(rates[0] * t[:, None]), np.sin(rates[1] * t[:, None]),
+                     40.0)]
+
+
+@pytest.mark.parametrize('structure', [
+    Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [1], stribeck=1),
+    Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]],
+              [0, 2], diagonal_mass=True),
+    Structure(['revolute'], [[1.0]], [], coulomb=0),
+])
+def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structure, tmp_path):
+    motions = random_motions(len(structure.kinds))
+    network = MechanicalNetwork(structure, [6, 5], scales_of(motions), 3)
+    with torch.no_grad():
+        # Away from the initial values, at which M and friction are near constants.
+        for parameter in network.parameters():
+            parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
+                                             generator=torch.Generator().manual_seed(1)))
+    d = network.d
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': f'x{i}', 'kind': kind}
+                        for i, kind in enumerate(structure.kinds)],
+        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical'}})
+    checkpoint = describe(network, config, motions, 'none', {}, 'random', '')
+    save_checkpoint(tmp_path / 'm.safetensors', checkpoint)
+    hamiltonian = MechanicalHamiltonian(checkpoint)
+    effect = EFFECTS['learned_friction'](str(tmp_path / 'm.safetensors'))
+    parameters = effect.resolve(hamiltonian.coordinates, None)
+    rng = np.random.default_rng(2)
+    q, v, tau = rng.uniform(-1.0, 1.0, (3, 4, d))
+    p = (hamiltonian.masses(q).astype(float) @ v[:, :, None])[:, :, 0]
+    with torch.no_grad():
+        found = network.accelerations(*map(torch.tensor, (q, v, tau))).numpy()
+    for i in range(len(q)):
+        dH_dq, dH_dp = hamiltonian.gradient(q[i], p[i])
+        force = tau[i].copy()
+        effect.add_force(parameters, 0.0, q[i], p[i], dH_dp, np.zeros(d), force)
+        expected = hamiltonian.hessian_vector(q[i], p[i], dH_dp, force - dH_dq)[1]
+        assert np.abs(dH_dp - v[i]).max() < 1e-12
+        assert np.abs(found[i] - expected).max() < 1e-11 * max(1.0, np.abs(expected).max())
+
+
+def test_scale_of_energy_is_fixed_by_a_norm_and_changes_no_motion():
+    motions = random_motions(2)
+    config = MachineConfig.model_validate(CONFIG)
+    network = MechanicalNetwork(config.structure(), [6], scales_of(motions), 0)
+    q, v = (torch.tensor(getattr(motions[0], name)) for name in ('q_smooth', 'v_smooth'))
+    with torch.no_grad():
+        before = network.accelerations(q, v, torch.zeros_like(q))
+        fix_scale(network, motions)
+        after = network.accelerations(q, v, torch.zeros_like(q))
+    assert float(network.masses(q).detach()[:, 0, 0].mean()) == pytest.approx(1.0, rel=1e-12)
+    assert torch.allclose(before, after, rtol=1e-11, atol=1e-11)
+
+
+def test_runge_kutta_converges_with_order_4():
+    def accelerations(q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
+        return -torch.sin(q) - 0.1 * v + tau
+
+    def end(steps: int) -> float:
+        q, v, tau = torch.tensor([1.0, 0.0, 0.3], dtype=torch.float64)[:, None]
+        for _ in range(steps):
+            q, v = runge_kutta(accelerations, q, v, tau, 1.0 / steps)
+        return float(q)
+    errors = [abs(end(steps) - end(256)) for steps in (8, 16)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
+
+
+def driven_pendulum(seed: int, seconds: float = 12.0) -> Motion:
+    """Return a pendulum with Coulomb friction under random forces, every 10 ms."""
+    simulation = Simulation(
+        HAMILTONIANS['pendulum'](), INTEGRATORS['implicit_midpoint'](), 0.01, [0.5], [0.0],
+        [EFFECTS['external_force'](['angle'], timeout=100.0),
+         EFFECTS['dry_friction']('angle', 0.3, 0.1)])
+    rng = np.random.default_rng(seed)
+    n = round(seconds / 0.01)
+    amplitude, phase = rng.uniform(-1.5, 1.5, 3), rng.uniform(0.0, 6.0, 3)
+    t = 0.01 * np.arange(n)
+    tau = (amplitude * np.sin(np.array([1.0, 2.3, 4.1]) * t[:, None] + phase)).sum(axis=1)
+    q, v = np.empty((2, n, 1))
+    for k in range(n):
+        q[k], v[k] = simulation.q, simulation.dH_dp
+        if k + 1 < n:
+            simulation.set_command([0.5 * (tau[k] + tau[k + 1])])
+            simulation.advance(1)
+    return smoothed(f'run{seed}', t, q, v, tau[:, None], 40.0)
+
+
+def test_driven_pendulum_with_friction_is_learned_from_positions_velocities_and_forces():
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
+        'family': {'kind': 'mechanical', 'mass': 'constant', 'friction': {'coulomb': 1}},
+        'hidden': [12], 'loss': {
+            'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
+            'windows': [{'duration': 0.2, 'steps': 100}]}})
+    train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
+    network, losses = fit(config, train)
+    assert losses.keys() == {'forward', 'windows_0.2'}
+
+    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        q, v = (torch.tensor(getattr(motion, name)[starts]) for name in ('q_smooth', 'v_smooth'))
+        mean, path = mean_forces(motion.tau, 1), [q]
+        with torch.no_grad():
+            for k in range(count):
+                tau = torch.tensor(mean[np.minimum(starts + k, len(mean) - 1)])
+                q, v = runge_kutta(network.accelerations, q, v, tau, motion.spacing)
+                path.append(q)
+        return torch.stack(path, dim=1).numpy()
+    learned = score(predict, test, [0.5], 0.25, 1.0)
+    still = score(constant_velocity, test, [0.5], 0.25, 1.0)
+    # Starts at the ends of a run, whose states the filter knows less of, are among them.
+    assert learned.horizons[0.5] < 0.1 * still.horizons[0.5]
+    # The pendulum of 1 kg and 1 m, and its friction of 0.3 N m, in their own units.
+    assert float(network.masses(torch.zeros(1, 1, dtype=torch.float64)).detach()[0, 0, 0]
+                 ) == pytest.approx(1.0, abs=0.05)
+    friction = network.friction(torch.tensor([[1.0]], dtype=torch.float64))
+    assert float(friction.detach()) == pytest.approx(0.3, abs=0.05)
+
+
+@pytest.mark.parametrize('text, row', [
+    ('a', [1.0, 0.0]), ('a + b', [1.0, 1.0]), ('-2*a+0.5 * b', [-2.0, 0.5]), ('a - b', [1.0, -1.0])
+])
+def test_linear_combinations_are_read(text, row):
+    assert combination(text, ['a', 'b']) == row
+
+
+@pytest.mark.parametrize('text', ['', 'c', 'a b', 'a * b', 'a +', '2'])
+def test_what_is_no_linear_combination_is_refused(text):
+    if not text:
+        assert combination(text, ['a', 'b']) == [0.0, 0.0]  # which the card refuses
+        return
+    with pytest.raises(ValueError, match='no linear combination'):
+        combination(text, ['a', 'b'])
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'features': ['c']}, 'no linear combination'),
+    ({'mass_depends_on': ['c']}, 'valid coordinates: a, b'),
+    ({'mass': 'constant'}, 'depends on nothing'),
+])
+def test_configuration_refuses_what_makes_no_sense(changes, message):
+    with pytest.raises(ValueError, match=message):
+        MachineConfig.model_validate(CONFIG | {'family': CONFIG['family'] | changes})
+
+
+def write(path: Path, **changes) -> Path:
+    t = 0.01 * np.arange(40)
+    arrays = {'t': t, 'q': np.sin(t)[:, None], 'dq': np.cos(t)[:, None],
+              'tau': np.zeros((40, 1))} | changes
+    np.savez(path, **{f'one/{key}': value for key, value in arrays.items() if value is not None})
+    return path
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'t': np.zeros(40)}, 'times that increase'),
+    ({'t': 0.01 * np.arange(40) + (np.arange(40) > 20)}, 'cut the run in two'),
+    ({'tau': None}, 'no key one/tau; it has one/t'),
+    ({'q': np.zeros((40, 2))}, r'shape \(40, 2\)'),
+    ({'dq': np.full((40, 1), np.nan)}, 'no finite number'),
+    ({'q': np.array([['x']] * 40)}, 'expected numbers'),
+])
+def test_arrays_that_cannot_be_used_are_refused_in_one_line(tmp_path, changes, message):
+    path = write(tmp_path / 'arm.npz', **changes)
+    with pytest.raises(DataError, match=message) as problem:
+        read_arrays(path, ArraysData(), 1)
+    assert '\n' not in str(problem.value)
+
+
+def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
+    path = write(tmp_path / 'arm.npz')
+    with pytest.raises(DataError, match="no run 'two'.*its runs: one"):
+        read_arrays(path, ArraysData(), 1, ['two'])
+    (tmp_path / 'text.npz').write_text('hello')
+    for name in ('text.npz', 'nothing.npz'):
+        with pytest.raises(DataError, match='cannot be read|not an .npz file'):
+            read_arrays(tmp_path / name, ArraysData(), 1)
+    assert split_runs(f'{path}:a,b') == (path, ['a', 'b'])
+    assert split_runs(str(path)) == (path, [])
+
+
+def test_late_samples_are_put_on_even_times(tmp_path):
+    t = 0.01 * np.arange(400)
+    late = t + 0.004 * (np.arange(400) % 7 == 3)
+    path = write(tmp_path / 'arm.npz', t=late, q=np.sin(late)[:, None], dq=np.cos(late)[:, None],
+                 tau=np.zeros((400, 1)))
+    (motion,), _ = read_arrays(path, ArraysData(), 1)
+    assert np.ptp(np.diff(motion.t)) < 1e-9
+    # A cubic between samples 14 ms apart at most: (0.014)^4 / 384.
+    assert np.abs(motion.q[:, 0] - np.sin(motion.t)).max() < 1e-9
+    assert np.abs(motion.a_smooth[50:-50, 0] + np.sin(motion.t[50:-50])).max() < 1e-3
+
+
+def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():
+    motions = random_motions(1) + random_motions(1, 1)
+    train, test = split_motions(motions, [])
+    assert [len(motion.t) for motion in (*train, *test)] == [48, 48, 12, 12]
+    assert test[0].t[0] == motions[0].t[48]
+    assert mean_forces(np.arange(5.0)[:, None], 2).T.tolist() == [[1.0, 2.0, 3.0, 3.5, 4.0]]

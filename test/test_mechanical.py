@@ -1,0 +1,130 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The family mechanical as a Hamiltonian, and its friction."""
+
+from pathlib import Path
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
+from hnn_vi_ros.simulation import Simulation
+from mechanical_models import random_mechanical, saved, SHAPES, torch_energy
+import numpy as np
+import pytest
+import torch
+
+# Hessians of networks as large as these are of the order of ten; see test_neural.
+ROUND_OFF = 1e-12
+
+
+def states(d: int, n: int = 5) -> np.ndarray:
+    return np.random.default_rng(3).uniform(-1.5, 1.5, (n, 2 * d))
+
+
+@pytest.mark.parametrize('shape', SHAPES)
+def test_kernel_agrees_with_torch_autograd(shape: str):
+    hamiltonian = FAMILIES['mechanical'].hamiltonian(random_mechanical(shape))
+    d = hamiltonian.dimension
+    z, v = states(d), states(d)[::-1]
+    gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
+    product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
+    energies = hamiltonian.energy(z[:, :d], z[:, d:])
+    for i in range(len(z)):
+        state = torch.tensor(z[i], requires_grad=True)
+        energy = torch_energy(hamiltonian.checkpoint, state)
+        (slope,) = torch.autograd.grad(energy, state, create_graph=True)
+        (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
+        assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
+        assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
+        # Twice the slopes: second derivatives of M^-1, of condition 1 / floor, are larger.
+        assert np.abs(product[i] - curved.numpy()).max() <= 10 * ROUND_OFF
+    # The gradient in extended precision is the same, so the measured rounding is rounding.
+    assert np.abs(hamiltonian._extended_gradient(z) - gradient).max() <= ROUND_OFF
+
+
+def test_continuous_coordinate_is_periodic_and_a_revolute_one_is_not():
+    for shape, periodic in (('arm', True), ('joint', False)):
+        hamiltonian = FAMILIES['mechanical'].hamiltonian(random_mechanical(shape))
+        z = states(hamiltonian.dimension)
+        q, p = np.split(z, 2, axis=1)
+        turned = hamiltonian.energy(q + 2.0 * np.pi, p)
+        # sin(q + 2 pi) differs from sin(q) by the rounding of q + 2 pi.
+        assert np.allclose(turned, hamiltonian.energy(q, p), rtol=0.0, atol=1e-13) == periodic
+
+
+def test_model_file_keeps_family_and_friction(tmp_path: Path):
+    written = random_mechanical('three')
+    read = load_checkpoint(saved(tmp_path, 'three'))
+    assert read.card == written.card
+    z = states(3)
+    before, after = (FAMILIES['mechanical'].hamiltonian(model).energy(*np.split(z, 2, axis=1))
+                     for model in (written, read))
+    assert (before == after).all()
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'kinds': ['continuous', 'prismatic']}, 'mixes a continuous coordinate'),
+    ({'features': [[0.5, 0.0]]}, 'no period'),
+    ({'features': [[0.0, 0.0]]}, 'a row of zeros'),
+    ({'features': [[1.0]]}, r'features\[0\] has 1 entries'),
+    ({'mass_depends_on': [2]}, 'mass_depends_on'),
+])
+def test_card_refuses_features_that_make_no_sense(changes: dict, message: str):
+    settings = SHAPES['arm'] | {'mass_scale': [1.0, 1.0], 'floor': 0.1,
+                                'friction': FrictionCard(viscous=[0.0, 0.0])} | changes
+    with pytest.raises(ValueError, match=message):
+        MechanicalCard(**settings)
+
+
+@pytest.mark.parametrize('method, bound', [
+    ('generalized_leapfrog', 1e-4), ('implicit_midpoint', 1e-4), ('gauss4', 1e-8)])
+def test_energy_budget_closes_with_learned_friction_and_commands(tmp_path, method, bound):
+    model = saved(tmp_path, 'arm')
+    hamiltonian = FAMILIES['mechanical'].hamiltonian(load_checkpoint(model))
+    effects = [EFFECTS['learned_friction'](model),
+               EFFECTS['external_force'](['x0', 'x1'], timeout=100.0)]
+    simulation = Simulation(hamiltonian, INTEGRATORS[method](), 1e-3, [0.5, -0.8], [1.0, -0.6],
+                            effects)
+    simulation.set_command([0.3, -0.2])
+    initial = simulation.energy
+    simulation.advance(1000)
+    friction, command = simulation.works.values()
+    # All three are far from zero, and what is left is of the method's order in h.
+    assert friction < -0.05 and abs(command) > 0.01
+    assert abs(simulation.energy - initial - friction - command) < bound
+
+
+def test_learned_friction_takes_energy_in_every_state(tmp_path):
+    model = saved(tmp_path, 'three')
+    hamiltonian = FAMILIES['mechanical'].hamiltonian(load_checkpoint(model))
+    effect = EFFECTS['learned_friction'](model)
+    parameters = effect.resolve(hamiltonian.coordinates, None)
+    for v in np.random.default_rng(0).normal(size=(100, 3)) * 3.0:
+        force = np.zeros(3)
+        effect.add_force(parameters, 0.0, v, v, v, np.zeros(3), force)
+        assert (force * v < 0.0).all()
+
+
+def test_energy_keeps_its_band_without_friction():
+    hamiltonian = FAMILIES['mechanical'].hamiltonian(random_mechanical('arm'))
+    simulation = Simulation(hamiltonian, INTEGRATORS['implicit_midpoint'](), 0.005,
+                            [0.5, -0.8], [1.0, -0.6])
+    energies = []
+    for _ in range(1000):
+        energies.append(simulation.energy)
+        simulation.advance(200)
+    bands = [np.ptp(part) for part in np.split(np.array(energies), 2)]
+    # Symplectic: T = 1000 s, and the band of the second half is that of the first. It is of the
+    # order of h^2, times derivatives of H of the order of a hundred.
+    assert max(bands) < 100.0 * 0.005**2 and bands[1] < 1.5 * bands[0]
+
+
+def test_learned_friction_names_the_family_that_has_none(tmp_path):
+    from helpers import random_checkpoint
+    from hnn_vi_ros.models.checkpoint import save_checkpoint
+    save_checkpoint(tmp_path / 'hnn.safetensors', random_checkpoint([2, 8, 1], 0))
+    with pytest.raises(ModelError, match='take one of the family mechanical'):
+        EFFECTS['learned_friction'](str(tmp_path / 'hnn.safetensors'))
