@@ -19,7 +19,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.evaluation import (
-    constant_velocity, linear_model, Predict, score, Scores, simulated, table)
+    constant_velocity, linear_model, Predict, score, Scores, simulated, table, variance_of)
 from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, split_runs
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene import load_scene
@@ -49,7 +49,7 @@ def main(argv: Sequence[str]) -> None:
         raise DataError(f'{arguments.data}: the motions were driven, but {arguments.model} has '
                         'no effect external_force; add it with all coordinates, or leave the '
                         'forces out with --keys t,q,dq')
-    predict = prediction(hamiltonian, integrator, effects, motions, step_size)
+    predict = prediction(hamiltonian, integrator, effects, motions, arguments.horizons, step_size)
     scores = judge(predict, motions, arguments.horizons, arguments.every, arguments.longest)
     if arguments.baselines is not None:
         known, _ = _motions(arguments.baselines, arguments, len(names))
@@ -83,9 +83,10 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
 
 
 def prediction(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
-               motions: Sequence[Motion], step_size: float | None = None) -> Predict:
+               motions: Sequence[Motion], horizons: Sequence[float],
+               step_size: float | None = None) -> Predict:
     """
-    Return what H predicts.
+    Return what H predicts, as long as it is valid and to the longest horizon.
 
     Steps are the data's interval, or the largest whole part of it that is no longer than
     ``step_size``. All motions share one interval.
@@ -95,7 +96,7 @@ def prediction(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequen
     zero = np.zeros(hamiltonian.dimension)
     simulation = Simulation(hamiltonian, integrator, spacing / steps, motions[0].q_smooth[0], zero,
                             effects)
-    return simulated(simulation, spacing)
+    return simulated(simulation, spacing, max(horizons), variance_of(motions))
 
 
 def judge(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,

@@ -18,7 +18,7 @@ _VALID = 0.01
 _ITERATIONS = 20
 
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
-# start on; not a number from where a simulation fails.
+# start on: not a number from where a simulation fails, infinite from where one is given up.
 Predict = Callable[[Motion, np.ndarray, int], np.ndarray]
 
 
@@ -65,7 +65,8 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
                      'H_p(q, p) = v has no solution; the state is outside what the model learned')
 
 
-def simulated(simulation: Simulation, spacing: float) -> Predict:
+def simulated(simulation: Simulation, spacing: float, least: float, variance: np.ndarray
+              ) -> Predict:
     """
     Return what a simulation predicts, with the measured forces as its commands.
 
@@ -76,9 +77,14 @@ def simulated(simulation: Simulation, spacing: float) -> Predict:
         coordinate, if the motions have forces.
     spacing : float
         The samples' interval [s].
+    least : float
+        How long each prediction lasts at least, the longest horizon [s]; it is given up as soon
+        as it is valid no more.
+    variance : np.ndarray, shape (d,)
+        In units of which errors are judged for that.
 
     """
-    steps = round(spacing / simulation.step_size)
+    steps, needed = round(spacing / simulation.step_size), round(least / spacing)
 
     def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
         q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
@@ -90,12 +96,18 @@ def simulated(simulation: Simulation, spacing: float) -> Predict:
             p = momentum(simulation.hamiltonian, motion.q_smooth[start], motion.v_smooth[start],
                          p)
             simulation.restart(motion.q_smooth[start], p)
+            valid = True
             try:
                 for k in range(min(count, len(tau) - start)):
+                    if k >= needed and not valid:
+                        row[k + 1:] = np.inf
+                        break
                     if simulation.takes_commands:
                         simulation.set_command(tau[start + k])
                     simulation.advance(steps)
                     row[k + 1] = simulation.q
+                    error = row[k + 1] - motion.q[start + k + 1]
+                    valid = valid and bool((error**2 / variance).sum() < _VALID)
             except StepFailure:
                 continue  # the row stays no number from here on, which the scores count
         return q
@@ -133,6 +145,11 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
     return predict
 
 
+def variance_of(motions: Sequence[Motion]) -> np.ndarray:
+    """Return the variance of each coordinate over motions, shape (d,)."""
+    return np.concatenate([motion.q for motion in motions]).var(axis=0)
+
+
 def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
           longest: float) -> Scores:
     """
@@ -157,7 +174,7 @@ def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float]
         No motion lasts as long as the longest horizon.
 
     """
-    variance = np.concatenate([motion.q for motion in motions]).var(axis=0)
+    variance = variance_of(motions)
     longest = max(longest, *horizons)
     errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
     times, ended, failed = [], [], 0
@@ -172,7 +189,7 @@ def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float]
         room = n - 1 - starts
         at = np.minimum(starts[:, None] + np.arange(count + 1), n - 1)
         error = q - motion.q[at]
-        failed += int((~np.isfinite(error).all(axis=2)
+        failed += int((np.isnan(error).any(axis=2)
                        & (np.arange(count + 1) <= room[:, None])).any(axis=1).sum())
         error = np.where(np.isfinite(error), error, np.inf)
         for horizon in horizons:

@@ -63,8 +63,9 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
     effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(out))]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
-    scores = judge(prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
-                              test), test, horizons, _EVERY, _LONGEST)
+    predict = prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects, test,
+                         horizons)
+    scores = judge(predict, test, horizons, _EVERY, _LONGEST)
     scores['linear model'] = score(linear_model(train), test, horizons, _EVERY, _LONGEST)
     report = out.with_suffix('.report.md')
     text = (f'# {out.stem}\n\n{config.description}\n\nTrained on {description}, in '
