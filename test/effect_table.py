@@ -150,7 +150,8 @@ COMPILED = {
         ('quadratic_drag', {'coordinates': ['x', 'y'], 'coefficient': 0.2}),
         ('periodic_drive', {'coordinate': 'y', 'amplitude': 0.5, 'frequency': 0.7}),
         ('external_force', {'coordinates': ['y'], 'timeout': 0.25}),
-        ('learned_dissipation', {'model': 2})]),
+        ('learned_dissipation', {'model': 2}),
+        ('learned_friction', {'model': 'arm'})]),
     'bath and wall': ('stormer_verlet', 'pendulum', (), (1.0,), (0.0,), [
         ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),
         ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7})]),

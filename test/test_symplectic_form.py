@@ -208,7 +208,8 @@ def test_two_step_midpoint_rule_is_lost_in_its_alternating_solutions():
 @pytest.mark.parametrize('name', CANONICAL)
 def test_canonical_methods_refuse_coordinates_that_are_not(name: str):
     arguments = ('helpers:midpoint_lagrangian',) if name == 'discrete_euler_lagrange' else ()
-    with pytest.raises(UnsupportedSystem, match=f'{name}.* needs canonical .*variational_midpoint'):
+    refusal = f'{name}.* needs canonical .*variational_midpoint'
+    with pytest.raises(UnsupportedSystem, match=refusal):
         Simulation(SymplecticFormHamiltonian(random_form()), INTEGRATORS[name](*arguments), 0.1,
                    [0.0, 0.0], [0.0, 0.0])
 

@@ -44,8 +44,8 @@ def train() -> Parser:
 def evaluate() -> Parser:
     """Return the parser of ``evaluate``."""
     parser = Parser('evaluate', (
-        'Simulate a model or a scene freely from many measured states, with the measured forces, '
-        'and tell how far it follows the machine.'), [
+        'Simulate freely from many measured states, with the measured forces,\n'
+        'and tell how far a model or a scene follows the machine.'), [
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data arm.npz',
             'ros2 run hnn_vi_ros evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
             '--baselines arm.npz:run1,run2 --json arm.json'])
