@@ -9,6 +9,7 @@ from pathlib import Path
 import socket
 import subprocess
 import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -19,6 +20,7 @@ from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_sink
 from hnn_vi_ros.viewer.rerun_layout import series_labels
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
+from hnn_vi_ros.viewer.rerun_stream import RerunStream
 import numpy as np
 from ports import free_port
 import pytest
@@ -359,6 +361,19 @@ def test_recordings_that_follow_each_other_leave_no_thread_behind(tmp_path, targ
         counts.append(threads())
     # The first one starts those that serve all, of which some come and go.
     assert max(counts[2:]) < max(counts[:2]) + 4
+
+
+def test_port_is_free_once_the_recording_served_there_is_closed(monkeypatch):
+    """As a reset needs it: the SDK's server ends a little after its disconnect has returned."""
+    port = free_port()
+    stream = RerunStream('test', port)
+    end = stream.recording.disconnect
+    monkeypatch.setattr(stream.recording, 'disconnect',
+                        lambda: threading.Timer(0.1, end).start())
+    stream.close()
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(('', port))
 
 
 def test_blueprints_of_one_scene_have_the_same_paths(tmp_path):

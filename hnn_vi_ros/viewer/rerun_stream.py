@@ -5,6 +5,7 @@
 from pathlib import Path
 import socket
 import threading
+import time
 from typing import final
 from urllib.parse import urlsplit
 from uuid import NAMESPACE_OID, uuid5
@@ -18,6 +19,8 @@ Target = Path | str | int
 # What closing may take [s]: for the last samples to leave, for a connection to end, for a server
 # or the index of a file.
 FLUSH, HANG_UP, FINISH = 0.5, 0.3, 10.0
+# How long a server may keep its port after that [s]; milliseconds on an idle machine.
+RELEASE = 2.0
 # Those that wait for a target that may never answer.
 _waiting: list[threading.Thread] = []
 
@@ -128,6 +131,8 @@ class RerunStream:
         if thread.is_alive():
             _waiting.append(thread)
             rr.unregister_shutdown()
+        if isinstance(self._target, int):
+            _wait_for_port(self._target)
 
 
 def _number(part: rrb.Container | rrb.View, place: str) -> None:
@@ -191,6 +196,16 @@ def _check_port(port: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(('', port))
+
+
+def _wait_for_port(port: int) -> None:
+    """Wait until the SDK's server, which ends in a thread of its own, has let go of its port."""
+    until = time.monotonic() + RELEASE
+    while time.monotonic() < until:
+        try:
+            return _check_port(port)
+        except OSError:
+            time.sleep(0.001)
 
 
 def _reason(problem: OSError | RuntimeError) -> str:
