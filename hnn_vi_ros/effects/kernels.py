@@ -1,12 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of a Hamiltonian together with effects: potentials, a magnetic field, forces."""
+"""
+Kernels of a Hamiltonian together with effects: potentials, a magnetic field, forces.
+
+They call the Hamiltonian by address: what is joined is compiled once, for all Hamiltonians.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.base import Effect, Force, Live, Potential
 from hnn_vi_ros.integrators.arithmetic import largest
+from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.compilation import composed, functions_of
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -17,6 +22,7 @@ _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 def join_potential(kernel: Kernel, potential: type[Potential], parameters: tuple) -> Kernel:
     """Return the kernel of H(q, p) + V(q)."""
+    kernel = by_address(kernel)
     functions = _with_potential(*functions_of(kernel), potential)
     return composed(kernel, functions, (potential,),
                     (kernel.parameters, parameters, kernel.dimension))
@@ -25,6 +31,7 @@ def join_potential(kernel: Kernel, potential: type[Potential], parameters: tuple
 def join_magnetic_field(kernel: Kernel, kind: type[Effect], parameters: tuple[int, int, float]
                         ) -> Kernel:
     """Return the kernel of H(q, p - c A(q)); see MagneticField."""
+    kernel = by_address(kernel)
     functions = _with_magnetic_field(*functions_of(kernel))
     return composed(kernel, functions, (kind,),
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
@@ -39,6 +46,7 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[tup
     since the start of the step, t' = 1, the momentum is the work of the force, w' = power. So
     every method integrates both at its own nodes, at its own order.
     """
+    kernel = by_address(kernel)
     d, channels = kernel.dimension, len(forces)
     nested: tuple = ()
     for own in reversed(parameters):

@@ -90,8 +90,16 @@ def by_address(kernel: Kernel) -> Kernel:
 
 
 def provide(kernel: Kernel, *which: int) -> None:
-    """Compile functions of a kernel by address now: 0 energy, 1 gradient, 2 hessian_vector."""
+    """
+    Compile functions of a kernel by address now: 0 energy, 1 gradient, 2 hessian_vector.
+
+    Those that they call by address as well; of forces that are joined there are no second
+    derivatives but differences of gradients.
+    """
     memory = _memory_of(kernel.parameters)
+    inner = memory.kernel.parameters
+    if isinstance(inner, tuple) and inner and isinstance(inner[0], Target):
+        provide(kernel._replace(parameters=inner[0]), *{*which, 1} if 2 in which else which)
     for k in which:
         if k not in memory.entries:
             function = functions_of(memory.kernel)[k]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.compilation import composed, functions_of
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -95,7 +96,7 @@ class ConfinedHamiltonian(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        base = self.base.kernel
+        base = by_address(self.base.kernel)
         walls = np.column_stack([np.concatenate(self.box), np.tile(self.energies, 2)])
         return composed(base, _confined(*functions_of(base)), (ConfinedHamiltonian,),
                         (base.parameters, walls))
