@@ -27,6 +27,7 @@ from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.viewer import rerun_sink
 import rclpy
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -68,6 +69,7 @@ def _reset(count: int) -> tuple[int, float]:
     rclpy.init(context=context)
     node = rclpy.create_node('bench_client', context=context)
     client = node.create_client(Trigger, '/hnn_simulator/reset')
+    executor = SingleThreadedExecutor(context=context)
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(
             [simulator(), '--ros-args', '-p', f'scene:={_SCENE}'], cwd=folder,
@@ -80,7 +82,7 @@ def _reset(count: int) -> tuple[int, float]:
             for repetitions in (_WARM, count):
                 for _ in range(repetitions):
                     future = client.call_async(Trigger.Request())
-                    rclpy.spin_until_future_complete(node, future)
+                    rclpy.spin_until_future_complete(node, future, executor)
                 seen.append((len(os.listdir(f'/proc/{process.pid}/task')),
                              _resident(process.pid)))
         finally:
