@@ -5,7 +5,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from copy import copy
-from functools import cache, cached_property
+from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -77,8 +77,16 @@ class Hamiltonian(ABC):
     def twin(self) -> 'Hamiltonian':
         """Return the same function with working memory of its own, for use in another thread."""
         twin = copy(self)
-        twin.__dict__.pop('kernel', None)
+        for name in ('kernel', '_called'):
+            twin.__dict__.pop(name, None)
         return twin
+
+    @cached_property
+    def _called(self) -> Kernel:
+        """Return the kernel by address: what is called from Python is what simulations call."""
+        # Imported here: who only reads a scene compiles nothing.
+        from hnn_vi_ros.kernels.addresses import by_address
+        return by_address(self.kernel)
 
     def energy(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """
@@ -91,9 +99,14 @@ class Hamiltonian(ABC):
 
         """
         flat_q, flat_p = self._flat(q, p)
-        energies = np.empty(flat_q.size // self.dimension)
-        loop = _energies_compiled() if self.kernel.compiled else _energies
-        loop(self.kernel.energy, self.kernel.parameters, flat_q, flat_p, energies)
+        energies, kernel = np.empty(flat_q.size // self.dimension), self._called
+        if kernel.compiled:
+            from hnn_vi_ros.kernels.addresses import fill_energies
+            fill_energies(kernel.parameters, flat_q, flat_p, energies)
+        else:
+            states = (x.reshape(-1, self.dimension) for x in (flat_q, flat_p))
+            for i, (one_q, one_p) in enumerate(zip(*states, strict=True)):
+                energies[i] = kernel.energy(kernel.parameters, one_q, one_p)
         return energies.reshape(np.shape(q)[:-1])
 
     def gradient(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +121,7 @@ class Hamiltonian(ABC):
         """
         flat_q, flat_p = self._flat(q, p)
         dH_dq, dH_dp = np.empty_like(flat_q), np.empty_like(flat_p)
-        self.kernel.gradient(self.kernel.parameters, flat_q, flat_p, dH_dq, dH_dp)
+        self._called.gradient(self._called.parameters, flat_q, flat_p, dH_dq, dH_dp)
         return dH_dq.reshape(np.shape(q)), dH_dp.reshape(np.shape(q))
 
     def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
@@ -124,7 +137,7 @@ class Hamiltonian(ABC):
         """
         flat = (*self._flat(q, p), *self._flat(v_q, v_p))
         product_q, product_p = np.empty_like(flat[0]), np.empty_like(flat[0])
-        self.kernel.hessian_vector(self.kernel.parameters, *flat, product_q, product_p)
+        self._called.hessian_vector(self._called.parameters, *flat, product_q, product_p)
         return product_q.reshape(np.shape(q)), product_p.reshape(np.shape(q))
 
     def _flat(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,20 +146,6 @@ class Hamiltonian(ABC):
                              f'expected (..., {self.dimension}) twice')
         return (np.ascontiguousarray(q, dtype=np.float64).ravel(),
                 np.ascontiguousarray(p, dtype=np.float64).ravel())
-
-
-def _energies(energy: Callable, parameters: tuple, q: np.ndarray, p: np.ndarray,
-              energies: np.ndarray) -> None:
-    d = q.size // energies.size if energies.size else 1
-    for i in range(energies.size):
-        energies[i] = energy(parameters, q[i * d:(i + 1) * d], p[i * d:(i + 1) * d])
-
-
-@cache
-def _energies_compiled() -> Callable:
-    # Imported here: who only reads a scene compiles nothing.
-    import numba
-    return numba.njit(_energies)
 
 
 def compiled_kernel(functions: tuple[Callable, Callable, Callable], parameters: tuple,

@@ -327,3 +327,11 @@ def hessian_vector(target: Target, q: np.ndarray, p: np.ndarray, v_q: np.ndarray
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the last two with H''(q, p) (v_q, v_p); see Kernel."""
     _call_hessian_vector(target, (q, p, v_q, v_p, product_q, product_p))
+
+
+@kept(error_model='numpy')
+def fill_energies(target: Target, q: np.ndarray, p: np.ndarray, energies: np.ndarray) -> None:
+    """Fill H [J] at m states, of shape (m,), for q and p of shape (m d,)."""
+    d = q.size // energies.size if energies.size else 1
+    for i in range(energies.size):
+        energies[i] = energy(target, q[i * d:(i + 1) * d], p[i * d:(i + 1) * d])
