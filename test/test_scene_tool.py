@@ -4,8 +4,12 @@
 
 import json
 import math
+import os
 from pathlib import Path
 import re
+import shutil
+import subprocess
+import sys
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
@@ -174,3 +178,37 @@ def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effe
 
 def test_scene_schema_holds_every_field_of_the_scene():
     assert list(SCHEMA['properties']) == list(Scene.model_fields)
+
+
+def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
+    """In later processes: the loop, H, and what guards and samples take of it."""
+    scene = tmp_path / 'mine.yaml'
+    scene.write_text(shipped_file('scene', 'exact_pendulum').read_text(encoding='utf-8').replace(
+        'variational_euler', 'stormer_verlet'), encoding='utf-8')
+    environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
+
+    def run(code: str) -> str:
+        return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                              check=True, timeout=300, env=environment).stdout
+
+    start = ('from numba.core.event import RecordingListener, install_listener\n'
+             'from hnn_vi_ros import simulate\n'
+             'from hnn_vi_ros.kernels.announcing import announced\n'
+             "with announced(print), install_listener('numba:compile', RecordingListener()) as "
+             f'heard:\n    simulate({str(scene)!r}, 1.0)\n'
+             "print(*(event.data['dispatcher'] for _, event in heard.buffer))")
+    cold = run(start)
+    assert re.search(r'compiling the loop over steps, once: about \d+ s\n', cold)
+    assert 'advance' in cold.splitlines()[-1]
+    code = ('import sys; from hnn_vi_ros.studies.scene_tool import main\n'
+            f"sys.exit(main(['--compile', {str(scene)!r}]))")
+    shutil.rmtree(tmp_path / 'cache')
+    assert re.fullmatch(r'.+: compiled in [\d.]+ s\n', run(code))
+    assert run(start) == '\n'
+
+
+def test_compile_says_what_is_wrong_with_a_scene_and_compiles_the_others(capsys):
+    assert main(['--compile', 'nothing', 'exact_pendulum']) == 1
+    captured = capsys.readouterr()
+    assert captured.out.startswith('exact_pendulum: compiled in ')
+    assert captured.err.startswith("scene: no scene 'nothing'")

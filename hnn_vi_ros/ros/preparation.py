@@ -10,6 +10,7 @@ import warnings
 from hnn_vi_ros.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.parameters import Settings
@@ -100,7 +101,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('choosing the integrator')
     scene, chosen, events = choose(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
-    simulation = _compile(scene, logger)
+    simulation = _compile(scene, logger, begin)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
@@ -154,8 +155,12 @@ def check_pace(real_time_factor: float, tick: float) -> None:
                              f'{_LONGEST_WAIT:.0e} s would pass between two samples')
 
 
-def _compile(scene: Scene, logger: RcutilsLogger) -> Simulation:
-    with warnings.catch_warnings(record=True) as caught:
+def _compile(scene: Scene, logger: RcutilsLogger, begin: Callable[[str], None]) -> Simulation:
+    def tell(line: str) -> None:
+        begin(line)
+        logger.info(line)
+
+    with warnings.catch_warnings(record=True) as caught, announced(tell):
         warnings.simplefilter('always')
         simulation = build(scene)
         seconds = simulation.compile()

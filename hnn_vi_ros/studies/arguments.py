@@ -111,16 +111,21 @@ def hard_cases() -> Parser:
 
 def scene() -> Parser:
     """Return the parser of ``scene``."""
-    parser = Parser('scene', 'Check, list and explain scenes, and print their JSON schema.', [
+    parser = Parser('scene', (
+        'Check, list, explain and compile scenes; print their JSON schema.'), [
         'ros2 run hnn_vi_ros scene --list',
         'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
-        'ros2 run hnn_vi_ros scene --explain double_pendulum'])
+        'ros2 run hnn_vi_ros scene --explain double_pendulum',
+        'ros2 run hnn_vi_ros scene --compile my_scene.yaml'])
     task = parser.add_mutually_exclusive_group(required=True)
-    task.add_argument('--check', nargs='+', metavar='SCENE', help=(
+    task.add_argument('--check', nargs='+', metavar='NAME', help=(
         'say of each scene, a shipped name or a file, whether it is valid'))
     task.add_argument('--list', action='store_true', help='name the shipped scenes')
     task.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check scenes'))
-    task.add_argument('--explain', metavar='SCENE', help=(
+    task.add_argument('--explain', metavar='NAME', help=(
         'tell what a scene simulates, and measure what each of its effects adds to a step'))
+    task.add_argument('--compile', nargs='*', metavar='NAME', help=(
+        'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
+        'first start need not'))
     return parser

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check, list and explain scenes, and print their JSON schema."""
+"""Check, list, explain and compile scenes, and print their JSON schema."""
 
 from collections.abc import Iterator, Sequence
 import json
@@ -27,10 +27,12 @@ _STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
 
 
 def main(argv: list[str]) -> int:
-    """Do what the one option asks for; return 1 if a scene that is checked is not valid."""
+    """Do what the one option asks for; return 1 if a scene is not valid."""
     options = arguments.scene().parse_args(argv)
     if options.check:
         return check(options.check)
+    if options.compile is not None:
+        return compile_all(options.compile)
     if options.list:
         lines = list_scenes()
     elif options.schema:
@@ -55,6 +57,21 @@ def check(names: Sequence[str]) -> int:
         except HnnViRosError as problem:
             print(f'scene: {problem}', file=sys.stderr)
             status = 1
+    return status
+
+
+def compile_all(names: Sequence[str]) -> int:
+    """Compile scenes, all shipped ones by default, and print a line for each."""
+    from hnn_vi_ros.run.compiled_scenes import compile_scenes
+    status = 0
+    names = names or [
+        name for name in shipped_names('scene') if not _lacks_a_model(load_scene(name))]
+    for scene in compile_scenes(names):
+        if scene.problem:
+            print(f'scene: {scene.problem}', file=sys.stderr)
+            status = 1
+        else:
+            print(f'{scene.name}: compiled in {scene.seconds:.1f} s', flush=True)
     return status
 
 
