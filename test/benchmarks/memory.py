@@ -80,9 +80,12 @@ def _reset(count: int) -> tuple[int, float]:
                     raise RuntimeError('the simulator has ended')
             seen = []
             for repetitions in (_WARM, count):
-                for _ in range(repetitions):
+                done = 0
+                while done < repetitions:
                     future = client.call_async(Trigger.Request())
                     rclpy.spin_until_future_complete(node, future, executor)
+                    # Refused until the node has loaded and opened everything.
+                    done += future.result().success
                 seen.append((len(os.listdir(f'/proc/{process.pid}/task')),
                              _resident(process.pid)))
         finally:
