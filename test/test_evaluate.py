@@ -12,7 +12,8 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.evaluation import constant_velocity, linear_model, momentum, score
-from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, smoothed
+from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
+from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -90,7 +91,7 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(tmp_path, capsys)
 
 
 @pytest.mark.parametrize('words, message', [
-    (['--data', 'arm.bag'], 'expected an .npz file'),
+    (['--data', 'arm.txt'], 'expected a bag, or an .npz file'),
     (['--data', 'nothing.npz'], 'cannot be read'),
     (['--data', 'arm.npz', '--horizons', '-1'], 'expected positive numbers'),
     (['--data', 'arm.npz', '--keys', 'q'], 'expected those of t, q, v, tau'),

@@ -14,7 +14,8 @@ from hnn_vi_ros.learning.machine_config import combination, MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
 from hnn_vi_ros.learning.machine_training import (
     fit, mean_forces, runge_kutta, scales_of, split_motions)
-from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, smoothed, split_runs
+from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -189,11 +190,11 @@ def write(path: Path, **changes) -> Path:
 
 
 @pytest.mark.parametrize('changes, message', [
-    ({'t': np.zeros(40)}, 'times that increase'),
-    ({'t': 0.01 * np.arange(40) + (np.arange(40) > 20)}, 'cut the run in two'),
+    ({'t': np.zeros(40)}, 'are not after the one before'),
+    ({'t': 0.01 * np.arange(40) + (np.arange(40) % 15 == 0)}, 'no 20 samples in a row|lack'),
     ({'tau': None}, 'no key one/tau; it has one/t'),
     ({'q': np.zeros((40, 2))}, r'shape \(40, 2\)'),
-    ({'dq': np.full((40, 1), np.nan)}, 'no finite number'),
+    ({'tau': np.full((40, 1), np.nan)}, '40 lack a number of tau'),
     ({'q': np.array([['x']] * 40)}, 'expected numbers'),
 ])
 def test_arrays_that_cannot_be_used_are_refused_in_one_line(tmp_path, changes, message):

@@ -47,24 +47,30 @@ def evaluate() -> Parser:
         'Simulate freely from many measured states, with the measured forces,\n'
         'and tell how far a model or a scene follows the machine.'), [
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data arm.npz',
+            'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data bags/run7 --joints a,b',
             'ros2 run hnn_vi_ros evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
             '--baselines arm.npz:run1,run2 --json arm.json'])
     parser.add_argument('model', metavar='MODEL|SCENE', help=(
         'a .safetensors file, with its friction and a force on each coordinate; or the name or '
         'the YAML file of a scene'))
-    parser.add_argument('--data', required=True, metavar='NPZ[:RUN,...]', help=(
-        'arrays of t [s], q, dq/dt and the forces of the motors, or RUN/t, ... of several runs'))
-    parser.add_argument('--keys', default='t,q,dq,tau', metavar='T,Q,V[,TAU]', help=(
+    parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
+        'bags with joint states; or NPZ[:RUN,...], arrays of t [s], q, dq/dt and the forces of '
+        'the motors, or RUN/t, ... of several runs'))
+    parser.add_argument('--config', type=Path, metavar='FILE', help=(
+        'a training configuration whose data section says how --data is read'))
+    parser.add_argument('--keys', metavar='T,Q,V[,TAU]', help=(
         'names of the arrays; without the last, no forces act (default: t,q,dq,tau)'))
+    parser.add_argument('--joints', metavar='NAME,...', help=(
+        'joints of a bag, one a coordinate (default: the names of the coordinates)'))
     parser.add_argument('--horizons', type=float, nargs='+', default=[0.1, 0.5],
                         metavar='S', help='after which errors are taken [s] (default: 0.1 0.5)')
     parser.add_argument('--every', type=float, default=0.05, metavar='S', help=(
         'from one start to the next [s] (default: 0.05)'))
     parser.add_argument('--longest', type=float, default=2.0, metavar='S', help=(
         'how long predictions last for the valid prediction time [s] (default: 2)'))
-    parser.add_argument('--smoothing', type=float, default=40.0, metavar='HZ', help=(
+    parser.add_argument('--smoothing', type=float, metavar='HZ', help=(
         'cut-off of the zero-phase filter of the initial states (default: 40)'))
-    parser.add_argument('--baselines', metavar='NPZ[:RUN,...]', help=(
+    parser.add_argument('--baselines', nargs='+', metavar='FILE', help=(
         'compare with a linear model that is fitted to these motions as well'))
     parser.add_argument('--json', type=Path, metavar='FILE', help='write the numbers here')
     return parser

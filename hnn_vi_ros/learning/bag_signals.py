@@ -186,6 +186,50 @@ class SignalReader:
             raise DataError(f'{self.path}: {name}: its messages have different lengths')
         return self._checked(name, np.array(stamps), np.array(rows))
 
+    def states(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the messages of a topic of joint states that hold a joint, whatever they lack.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+
+        Returns
+        -------
+        t : np.ndarray, shape (N,)
+            Since the first [s], as they were recorded: late ones come late.
+        values : np.ndarray, shape (N, 3, d)
+            Positions, velocities and efforts; not a number where a message has none of a joint.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be read.
+
+        """
+        channels = self._channels(topic)
+        name, kind = channels[0].topic, self._schema(channels[0])
+        if kind != JOINT_STATE:
+            raise DataError(f'{self.path}: {name} has the type {kind}, expected {JOINT_STATE}; '
+                            f'the bag holds: {self._contents()}')
+        stamps, rows, seen = [], [], set()
+        for message in self._reader.messages([channel.id for channel in channels]):
+            state = self._joint_state(name, message)
+            seen.update(state.names)
+            if not set(self._joints) & set(state.names):
+                continue  # of another driver
+            stamps.append(state.stamp if self._stamps == 'header' else message.time)
+            rows.append([_by_name(state, values, self._joints) for values in (
+                state.position, state.velocity, state.effort)])
+        if not set(self._joints) <= seen:
+            raise DataError(f'{self.path}: {name} has no joint '
+                            f'{next(joint for joint in self._joints if joint not in seen)!r}; '
+                            f'its joints: {", ".join(sorted(seen)) or "none"}')
+        if self._origin is None:
+            self._origin = stamps[0]
+        return (np.array(stamps) - self._origin) * 1e-9, np.array(rows)
+
     def _checked(self, name: str, stamps: np.ndarray, values: np.ndarray) -> Signal:
         backward = np.flatnonzero(np.diff(stamps) <= 0)
         if backward.size:
@@ -270,3 +314,11 @@ class SignalReader:
         except (ValueError, UnicodeDecodeError) as problem:
             raise DataError(f'{self.path}: {topic}: the message at {message.time} ns cannot be '
                             f'read: {problem}') from problem
+
+
+def _by_name(state: JointStates, values: np.ndarray, joints: Sequence[str]) -> list[float]:
+    """Return the values of joints, not a number for what is not there."""
+    if len(values) != len(state.names):
+        return [np.nan] * len(joints)
+    return [values[state.names.index(joint)] if joint in state.names else np.nan
+            for joint in joints]

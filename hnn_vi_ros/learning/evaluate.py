@@ -20,7 +20,11 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.evaluation import (
     constant_velocity, linear_model, Predict, score, Scores, simulated, table, variance_of)
-from hnn_vi_ros.learning.motions import ArraysData, Motion, read_arrays, split_runs
+from hnn_vi_ros.learning.machine_config import load_machine
+from hnn_vi_ros.learning.motion_arrays import ArraysData
+from hnn_vi_ros.learning.motion_bags import BagMotions
+from hnn_vi_ros.learning.motion_sources import guessed, read_motions
+from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
@@ -36,23 +40,24 @@ def main(argv: Sequence[str]) -> None:
     arguments = command_lines.evaluate().parse_args(argv)
     for name in ('horizons', 'every', 'longest', 'smoothing'):
         value = getattr(arguments, name)
-        if not all(math.isfinite(number) and number > 0.0
-                   for number in (value if isinstance(value, list) else [value])):
+        values = value if isinstance(value, list) else [value]
+        if value is not None and not all(
+                math.isfinite(number) and number > 0.0 for number in values):
             raise ParameterError(f'--{name} {value}: expected positive numbers')
     if arguments.json is not None and arguments.json.exists():
         raise ParameterError(f'--json {arguments.json} exists already and is not overwritten')
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
-    motions, description = _motions(arguments.data, arguments, len(names))
+    motions, description = _motions(arguments, arguments.data, names)
     if any(motion.tau.any() for motion in motions) and not any(
             isinstance(effect, ExternalForce) for effect in effects):
-        raise DataError(f'{arguments.data}: the motions were driven, but {arguments.model} has '
+        raise DataError(f'{arguments.data[0]}: the motions were driven, but {arguments.model} has '
                         'no effect external_force; add it with all coordinates, or leave the '
                         'forces out with --keys t,q,dq')
     predict = prediction(hamiltonian, integrator, effects, motions, arguments.horizons, step_size)
     scores = judge(predict, motions, arguments.horizons, arguments.every, arguments.longest)
     if arguments.baselines is not None:
-        known, _ = _motions(arguments.baselines, arguments, len(names))
+        known, _ = _motions(arguments, arguments.baselines, names)
         for name, other in (('constant velocity', constant_velocity),
                             ('linear model', linear_model(known))):
             scores[name] = score(other, motions, arguments.horizons, arguments.every,
@@ -121,20 +126,25 @@ def as_json(scores: Scores) -> dict:
             'censored': scores.censored, 'failed': scores.failed}
 
 
-def _motions(data: str, arguments: Namespace, d: int) -> tuple[list[Motion], str]:
-    keys = arguments.keys.split(',')
-    if len(keys) not in (3, 4):
-        raise ParameterError(f'--keys {arguments.keys}: expected those of {", ".join(_KEYS)}')
-    path, runs = split_runs(data)
-    if path.suffix != '.npz':
-        raise ParameterError(f'{path}: expected an .npz file of arrays; write t, q, dq and tau '
-                             'with numpy.savez')
-    schema = ArraysData(time=keys[0], q=keys[1], v=keys[2], smoothing=arguments.smoothing,
-                        tau=keys[3] if len(keys) == 4 else None)
-    motions, description = read_arrays(path, schema, d, runs)
-    spacing = motions[0].spacing
-    for motion in motions:
-        if abs(motion.spacing - spacing) > 0.01 * spacing:
-            raise DataError(f'{path}: {motion.name} is sampled every {motion.spacing:.4g} s, '
-                            f'{motions[0].name} every {spacing:.4g} s; judge them one by one')
-    return motions, description
+def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
+             ) -> tuple[list[Motion], str]:
+    """Return measured motions, read as the options or a training configuration say."""
+    if arguments.config is not None:
+        config = load_machine(arguments.config)
+        source, data = arguments.config, config.data
+    else:
+        source, data = Path(given[0]), guessed(given[0])
+    changes: dict[str, object] = {} if arguments.smoothing is None else {
+        'smoothing': arguments.smoothing}
+    if arguments.keys is not None:
+        keys = arguments.keys.split(',')
+        if len(keys) not in (3, 4) or not isinstance(data, ArraysData):
+            raise ParameterError(f'--keys {arguments.keys}: expected those of {", ".join(_KEYS)} '
+                                 'in an .npz file')
+        changes |= {'time': keys[0], 'q': keys[1], 'v': keys[2],
+                    'tau': keys[3] if len(keys) == 4 else None}
+    if arguments.joints is not None:
+        if not isinstance(data, BagMotions):
+            raise ParameterError(f'--joints {arguments.joints}: only a bag has joints')
+        changes['joints'] = arguments.joints.split(',')
+    return read_motions(source, data.model_copy(update=changes), names, given)

@@ -9,7 +9,9 @@ from typing import Annotated, Literal
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.families.mechanical import Structure
-from hnn_vi_ros.learning.motions import ArraysData
+from hnn_vi_ros.learning.motion_arrays import ArraysData
+from hnn_vi_ros.learning.motion_bags import BagMotions
+from hnn_vi_ros.learning.motion_logs import LogMotions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from pydantic import Field, model_validator
@@ -26,12 +28,30 @@ class MachineCoordinate(CoordinateCard):
         'prismatic: a length'))
 
 
-class MachineData(ArraysData):
-    """Measured motions, and which of them are not learned from."""
-
-    kind: Literal['arrays']
+class _TestRuns(StrictModel):
     test_runs: list[str] = Field([], description=(
         'runs to judge the model by; none: the last fifth of each run in time'))
+
+
+class MachineArrays(ArraysData, _TestRuns):
+    """Measured motions in an .npz file."""
+
+    kind: Literal['arrays']
+
+
+class MachineBags(BagMotions, _TestRuns):
+    """Measured motions in bags."""
+
+    kind: Literal['bag']
+
+
+class MachineLog(LogMotions, _TestRuns):
+    """Measured motions in a text file."""
+
+    kind: Literal['log']
+
+
+MachineData = Annotated[MachineArrays | MachineBags | MachineLog, Field(discriminator='kind')]
 
 
 class FrictionChoice(StrictModel):

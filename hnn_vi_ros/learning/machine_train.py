@@ -3,7 +3,6 @@
 """Train a model of a machine, and judge it by motions that it has not seen."""
 
 from argparse import Namespace
-import os
 from pathlib import Path
 import time
 
@@ -17,7 +16,8 @@ from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
 from hnn_vi_ros.learning.machine_training import fit, split_motions
-from hnn_vi_ros.learning.motions import Motion, read_arrays, split_runs
+from hnn_vi_ros.learning.motion_sources import read_motions
+from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -111,16 +111,10 @@ def _bounds(values: np.ndarray) -> list[list[float]]:
 def _read(source: Path, config: MachineConfig, given: list[str]
           ) -> tuple[list[Motion], list[Motion], str]:
     """Return motions to learn from, motions to judge by, and what they are."""
-    data, d = config.data, len(config.coordinates)
-    if len(given) > 1 or not (given or data.path):
-        raise DataError(f'{source}: expected one .npz file, in data.path or with --data FILE')
-    if given:
-        path, runs = split_runs(given[0])
-    else:
-        beside = source.parent / data.path
-        path, runs = (beside if os.path.exists(beside) else Path(data.path)), []
-    motions, description = read_arrays(path, data, d, runs)
-    names = [motion.name for motion in motions]
+    data = config.data
+    motions, description = read_motions(
+        source, data, [coordinate.name for coordinate in config.coordinates], given)
+    names = list(dict.fromkeys(run_of(motion) for motion in motions))
     for run in data.test_runs:
         if run not in names:
             raise DataError(f'{source}: data.test_runs: no run {run!r} among {", ".join(names)}')

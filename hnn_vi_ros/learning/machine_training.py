@@ -15,7 +15,7 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, MotionScales
 from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.motions import Motion, run_of
 import numpy as np
 import torch
 from tqdm import tqdm
@@ -208,8 +208,8 @@ def split_motions(motions: Sequence[Motion], test_runs: Sequence[str]
                   ) -> tuple[list[Motion], list[Motion]]:
     """Return what to learn from, and what to judge by: runs, or the last fifth of each."""
     if test_runs:
-        return ([motion for motion in motions if motion.name not in test_runs],
-                [motion for motion in motions if motion.name in test_runs])
+        return ([motion for motion in motions if run_of(motion) not in test_runs],
+                [motion for motion in motions if run_of(motion) in test_runs])
     ends = [4 * len(motion.t) // 5 for motion in motions]
     return ([_part(motion, slice(None, end)) for motion, end in zip(motions, ends)],
             [_part(motion, slice(end, None)) for motion, end in zip(motions, ends)])

@@ -5,7 +5,7 @@
 from hashlib import sha256
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -21,6 +21,14 @@ MAX_VALUE = 1e100  # whose square is still a number
 BLOCKS = 20
 
 _SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
+
+
+class Columns(Protocol):
+    """How the rows of a log are read."""
+
+    columns: Names
+    delimiter: str
+    comment: str
 
 
 class MeasuredData(StrictModel):
@@ -83,8 +91,8 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
         expected.
 
     """
-    raw = _read(path)
-    table, lines = _parse(path, raw, data)
+    raw = read_log(path)
+    table, lines = parse_log(path, raw, data)
     column = {name: table[:, i] for i, name in enumerate(data.columns)}
     trials = column[data.trial] if data.trial else np.zeros(len(table))
     parts, start = [], 0
@@ -99,7 +107,8 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
     return Dataset(*states, block, description, t, trajectory).checked()
 
 
-def _read(path: Path) -> bytes:
+def read_log(path: Path) -> bytes:
+    """Return the bytes of a log of at most 256 MiB, or raise DataError."""
     if not os.path.isfile(path):
         raise DataError(f'{path}: no such data file; pass the log with --data FILE')
     try:
@@ -112,8 +121,13 @@ def _read(path: Path) -> bytes:
     return raw
 
 
-def _parse(path: Path, raw: bytes, data: MeasuredData) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers, shape (N, columns), and the line of each row."""
+def parse_log(path: Path, raw: bytes, data: Columns, lacking: bool = False
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the numbers, shape (N, columns), and the line of each row; or raise DataError.
+
+    Where numbers may be lacking, a field that is empty or ``nan`` is not a number.
+    """
     try:
         text = raw.decode('utf-8-sig')
     except UnicodeDecodeError as problem:
@@ -129,7 +143,8 @@ def _parse(path: Path, raw: bytes, data: MeasuredData) -> tuple[np.ndarray, np.n
         if len(fields) != len(data.columns):
             raise DataError(f'{path}:{number}: {len(fields)} columns, expected '
                             f'{len(data.columns)}: {", ".join(data.columns)}')
-        rows.append([_number(path, number, i, fields[i], name)
+        rows.append([np.nan if lacking and fields[i].lower() in ('', 'nan') else
+                     _number(path, number, i, fields[i], name)
                      for i, name in enumerate(data.columns)])
         lines.append(number)
     if len(rows) < 2:

@@ -1,41 +1,88 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured motions of a mechanism, (t, q, v, tau), from arrays in an .npz file."""
+"""
+Measured motions of a mechanism, (t, q, v, tau), at even times.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from hashlib import sha256
-from pathlib import Path
-import zipfile
+Runs come from arrays, bags or logs; what is bad in them is left out, counted and told.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-MAX_BYTES = 1 << 30
 MIN_SAMPLES = 20
 # Order of the low-pass; run forth and back it counts twice and shifts no phase.
 _ORDER = 2
 # Samples further apart than this many usual intervals are a gap, over which nothing is known.
 _GAP = 10.0
+# With more bad samples than this share the data are not what they are taken for.
+_MOST_BAD = 0.5
 
 
-class ArraysData(StrictModel):
-    """Arrays of an .npz file: of one run, or of several, each with its name before the key."""
+class MotionData(StrictModel):
+    """What is done with measured motions, wherever they come from."""
 
-    path: str = Field('', description='the file; or given on the command line')
-    runs: list[str] = Field([], description=(
-        'the runs to take, RUN of the keys RUN/t, RUN/q, ...; none for all'))
-    time: str = Field('t', description='key of the times [s], shape (N,)')
-    q: str = Field('q', description='key of the coordinates, shape (N, d)')
-    v: str = Field('dq', description='key of the velocities, shape (N, d)')
-    tau: str | None = Field('tau', description=(
-        'key of the generalised forces of the motors, shape (N, d); null: there are none'))
     smoothing: float = Field(40.0, gt=0.0, description=(
         'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]'))
+    on_bad: Literal['drop', 'split', 'fail'] = Field('drop', description=(
+        'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
+        'split the motion there; or fail. At a gap of more than ten intervals a new motion '
+        'begins, or it fails'))
+
+
+class Run(NamedTuple):
+    """
+    One run as it was measured.
+
+    Parameters
+    ----------
+    name : str
+        Of the run.
+    where : str
+        File and run, for messages.
+    t : np.ndarray, shape (N,)
+        Times [s].
+    q : np.ndarray, shape (N, d)
+        Coordinates; here and below, what a sample lacks is not a number.
+    v, tau : np.ndarray, shape (N, d), or None
+        Velocities, None or not a number throughout where they are to be estimated; and forces of
+        the motors, None for none.
+
+    """
+
+    name: str
+    where: str
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray | None
+    tau: np.ndarray | None
+
+
+@dataclass
+class Bad:
+    """How many samples could not be used, by the reason, and where motions were cut."""
+
+    lacking: int = 0
+    late: int = 0
+    short: int = 0
+    cuts: int = 0
+    estimated: set[str] = field(default_factory=set)
+
+    def __str__(self) -> str:
+        parts = [f'{count} {what}' for count, what in (
+            (self.lacking, 'that lack a number'), (self.late, 'that are late or come twice'),
+            (self.short, f'in pieces of less than {MIN_SAMPLES}')) if count]
+        told = [f'left out {" and ".join(parts)} of the samples'] if parts else []
+        told += [f'cut at {self.cuts} places'] if self.cuts else []
+        told += [f'{what} estimated' for what in sorted(self.estimated)]
+        return '; '.join(told)
 
 
 @dataclass(frozen=True)
@@ -71,117 +118,113 @@ class Motion:
         return float(self.t[1] - self.t[0])
 
 
-def split_runs(data: str) -> tuple[Path, list[str]]:
-    """Return the file and the runs of ``FILE:RUN,RUN``; of ``FILE``, no runs, which is all."""
-    file, colon, runs = data.rpartition(':')
-    if not colon or Path(data).exists():
-        return Path(data), []
-    return Path(file), runs.split(',')
+def as_motions(runs: Sequence[Run], data: MotionData, name: str, digest: str
+               ) -> tuple[list[Motion], str]:
+    """Return runs as motions at even times, and what they are and lack, for the model card."""
+    bad = Bad()
+    motions = [motion for run in runs for motion in motions_of(run, data, bad)]
+    told = f'; {bad}' if str(bad) else ''
+    samples = sum(len(motion.t) for motion in motions)
+    return motions, f'{name} ({samples} samples, sha256 {digest}{told})'
 
 
-def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
-                ) -> tuple[list[Motion], str]:
+def motions_of(run: Run, data: MotionData, bad: Bad) -> Iterator[Motion]:
     """
-    Read runs from an .npz file, and put each on even times.
+    Yield a run as motions at even times, without what is bad in it.
 
     Parameters
     ----------
-    path : Path
-        A file that np.savez wrote, of at most 1 GiB. Nothing in it is unpickled.
-    data : ArraysData
-        Its keys.
-    d : int
-        Number of coordinates.
-    runs : sequence of str
-        The runs to take, instead of ``data.runs``.
-
-    Returns
-    -------
-    list of Motion and str
-        The runs, and what they are, for the model card.
+    run : Run
+        As measured.
+    data : MotionData
+        What to do with what is bad.
+    bad : Bad
+        Counts it.
 
     Raises
     ------
     DataError
-        The file cannot be read, lacks a run or a key, or an array cannot be used.
+        Something is bad and ``on_bad`` is fail, or too much is.
 
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
-        digest = sha256(path.read_bytes()).hexdigest()
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except OSError as problem:
-        raise DataError(f'{path}: cannot be read: {problem.strerror or problem}') from problem
-    except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
-        raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
-                        'numpy.savez') from problem
-    found = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == data.time]
-    wanted = [*(runs or data.runs)] or found
-    for run in wanted:
-        if run not in found:
-            raise DataError(f'{path}: no run {run!r} with a key {data.time}; its runs: '
-                            f'{", ".join(found) or "none"}; name the keys in data')
-    if not wanted:
-        raise DataError(f'{path}: no key {data.time}, nor any RUN/{data.time}; it has '
-                        f'{", ".join([*arrays][:8])}; name the keys in data')
-    motions = [_motion(path, run, arrays, data, d) for run in wanted]
-    samples = sum(len(motion.t) for motion in motions)
-    return motions, (f'{path.name} ({", ".join(run for run in wanted if run) or "one run"}; '
-                     f'{samples} samples, sha256 {digest[:16]})')
+    if run.v is not None and not np.isfinite(run.v).any():
+        run = run._replace(v=None)
+    if run.v is None:
+        bad.estimated.add('velocities')
+    lacks = {name: ~np.isfinite(part).reshape(len(run.t), -1).all(axis=1)
+             for name, part in run._asdict().items() if isinstance(part, np.ndarray)}
+    lacking = np.any([*lacks.values()], axis=0)
+    latest = np.maximum.accumulate(np.where(lacking, -np.inf, run.t))
+    late = ~lacking & np.concatenate([[False], run.t[1:] <= latest[:-1]])
+    wrong = np.flatnonzero(lacking | late)
+    if wrong.size and data.on_bad == 'fail':
+        what = 'lacks a number' if lacking[wrong[0]] else 'is not after the one before'
+        raise DataError(f'{run.where}: sample {wrong[0] + 1} {what}; leave it out, or take '
+                        'data.on_bad: drop or split')
+    if wrong.size > _MOST_BAD * len(run.t):
+        told = ', '.join(f'{part.sum()} lack a number of {name}'
+                         for name, part in lacks.items() if part.any())
+        raise DataError(f'{run.where}: of {len(run.t)} samples {told or "none lacks a number"}, '
+                        f'and {late.sum()} are not after the one before: these are no states of '
+                        'one motion; look at what is taken for them')
+    bad.lacking, bad.late = bad.lacking + int(lacking.sum()), bad.late + int(late.sum())
+    kept = np.flatnonzero(~(lacking | late))
+    if len(kept) < MIN_SAMPLES:
+        raise DataError(f'{run.where}: {len(kept)} samples, expected at least {MIN_SAMPLES}')
+    intervals = np.diff(run.t[kept])
+    spacing = float(np.median(intervals))
+    gap = intervals > _GAP * spacing
+    if gap.any() and data.on_bad == 'fail':
+        raise DataError(f'{run.where}: {intervals.max():.3g} s without a sample, {spacing:.3g} s '
+                        'as a rule; cut the run in two there, or take data.on_bad: split')
+    if data.on_bad == 'split':
+        gap |= np.diff(kept) > 1
+    pieces = np.split(kept, np.flatnonzero(gap) + 1)
+    bad.cuts += len(pieces) - 1
+    long = [piece for piece in pieces if len(piece) >= MIN_SAMPLES]
+    bad.short += len(kept) - sum(map(len, long))
+    if not long:
+        raise DataError(f'{run.where}: no {MIN_SAMPLES} samples in a row without a gap; record '
+                        'for longer, or take data.on_bad: drop')
+    for number, piece in enumerate(long):
+        name = run.name if len(long) == 1 else f'{run.name}#{number}'
+        yield _motion(name, run, piece, spacing, data.smoothing)
 
 
-def _motion(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, d: int
-            ) -> Motion:
-    def array(key: str, shape: tuple[int, ...]) -> np.ndarray:
-        name = f'{run}/{key}' if run else key
-        if name not in arrays:
-            raise DataError(f'{path}: no key {name}; it has {", ".join([*arrays][:8])}; name the '
-                            'keys in data')
-        values = arrays[name]
-        if values.shape != shape or values.dtype.kind not in 'fiu':
-            raise DataError(f'{path}: {name} has shape {values.shape} of {values.dtype}, expected '
-                            f'numbers of shape {shape}')
-        if not np.isfinite(values).all():
-            raise DataError(f'{path}: {name}[{np.argwhere(~np.isfinite(values))[0][0]}] is no '
-                            'finite number; leave such samples out')
-        return values.astype(np.float64)
-
-    name = f'{run}/{data.time}' if run else data.time
-    n = arrays[name].size
-    t = array(data.time, (n,))
-    if n < MIN_SAMPLES or not (np.diff(t) > 0.0).all():
-        raise DataError(f'{path}: {name}: expected at least {MIN_SAMPLES} times that increase; '
-                        'leave out samples that come twice or late')
-    q, v = array(data.q, (n, d)), array(data.v, (n, d))
-    tau = np.zeros((n, d)) if data.tau is None else array(data.tau, (n, d))
-    spacing, widest = float(np.median(np.diff(t))), float(np.diff(t).max())
-    if widest > _GAP * spacing:
-        raise DataError(f'{path}: {name}: {widest:.3g} s without a sample, {spacing:.3g} s as a '
-                        'rule; cut the run in two there')
-    return smoothed(run or path.stem, *_even(t, q, v, tau, spacing), data.smoothing)
+def run_of(motion: 'Motion') -> str:
+    """Return the name of the run that a motion is a piece of."""
+    return motion.name.rpartition('#')[0] or motion.name
 
 
-def _even(t: np.ndarray, q: np.ndarray, v: np.ndarray, tau: np.ndarray, spacing: float
-          ) -> tuple[np.ndarray, ...]:
-    """Return the same at times that are ``spacing`` apart, from the first on."""
+def _motion(name: str, run: Run, rows: np.ndarray, spacing: float, cutoff: float) -> Motion:
+    t, q = run.t[rows], run.q[rows]
+    tau = np.zeros_like(q) if run.tau is None else run.tau[rows]
     times = t[0] + spacing * np.arange(int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1)
     times = np.minimum(times, t[-1])
+    tau = _linear(times, t, tau)
+    if run.v is None:
+        return smoothed(name, times, CubicSpline(t, q)(times), None, tau, cutoff)
     # q by its slope v as well: clocks of drivers jitter by a large part of the interval.
-    return (times, CubicHermiteSpline(t, q, v)(times), *(
-        np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
-        for values in (v, tau)))
+    v = run.v[rows]
+    return smoothed(name, times, CubicHermiteSpline(t, q, v)(times), _linear(times, t, v), tau,
+                    cutoff)
 
 
-def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray, tau: np.ndarray,
+def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
+
+
+def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
              cutoff: float) -> Motion:
-    """Return a motion with its smoothed states and accelerations; at even times."""
+    """Return a motion at even times with its smoothed states, and velocities if it has none."""
     spacing = t[1] - t[0]
     # At most nine tenths of what the sampling can hold: then there is nothing to take away.
     share = min(2.0 * spacing * cutoff, 0.9)
     filtered = butter(_ORDER, share, output='sos')
-    q_smooth, v_smooth = (np.ascontiguousarray(sosfiltfilt(filtered, values, axis=0))
-                          for values in (q, v))
+    q_smooth = np.ascontiguousarray(sosfiltfilt(filtered, q, axis=0))
+    if v is None:
+        v = v_smooth = np.gradient(q_smooth, spacing, axis=0)
+    else:
+        v_smooth = np.ascontiguousarray(sosfiltfilt(filtered, v, axis=0))
     return Motion(name, t, q, v, tau, q_smooth, v_smooth,
                   np.gradient(v_smooth, spacing, axis=0))

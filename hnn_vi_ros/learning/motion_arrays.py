@@ -1,0 +1,109 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured motions from arrays in an .npz file."""
+
+from collections.abc import Sequence
+from hashlib import sha256
+from pathlib import Path
+import zipfile
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.motions import as_motions, Motion, MotionData, Run
+import numpy as np
+from pydantic import Field
+
+MAX_BYTES = 1 << 30
+
+
+class ArraysData(MotionData):
+    """Arrays of an .npz file: of one run, or of several, each with its name before the key."""
+
+    path: str = Field('', description='the file; or given on the command line')
+    runs: list[str] = Field([], description=(
+        'the runs to take, RUN of the keys RUN/t, RUN/q, ...; none for all'))
+    time: str = Field('t', description='key of the times [s], shape (N,)')
+    q: str = Field('q', description='key of the coordinates, shape (N, d)')
+    v: str | None = Field('dq', description=(
+        'key of the velocities, shape (N, d); null: they are estimated from q'))
+    tau: str | None = Field('tau', description=(
+        'key of the generalised forces of the motors, shape (N, d); null: there are none'))
+
+
+def split_runs(data: str) -> tuple[Path, list[str]]:
+    """Return the file and the runs of ``FILE:RUN,RUN``; of ``FILE``, no runs, which is all."""
+    file, colon, runs = data.rpartition(':')
+    if not colon or Path(data).exists():
+        return Path(data), []
+    return Path(file), runs.split(',')
+
+
+def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
+                ) -> tuple[list[Motion], str]:
+    """
+    Read runs from an .npz file, and put each on even times.
+
+    Parameters
+    ----------
+    path : Path
+        A file that np.savez wrote, of at most 1 GiB. Nothing in it is unpickled.
+    data : ArraysData
+        Its keys.
+    d : int
+        Number of coordinates.
+    runs : sequence of str
+        The runs to take, instead of ``data.runs``.
+
+    Returns
+    -------
+    list of Motion and str
+        The runs, and what they are, for the model card.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, lacks a run or a key, or an array cannot be used.
+
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
+        digest = sha256(path.read_bytes()).hexdigest()
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    except OSError as problem:
+        raise DataError(f'{path}: cannot be read: {problem.strerror or problem}') from problem
+    except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
+        raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
+                        'numpy.savez') from problem
+    found = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == data.time]
+    wanted = [*(runs or data.runs)] or found
+    for run in wanted:
+        if run not in found:
+            raise DataError(f'{path}: no run {run!r} with a key {data.time}; its runs: '
+                            f'{", ".join(found) or "none"}; name the keys in data')
+    if not wanted:
+        raise DataError(f'{path}: no key {data.time}, nor any RUN/{data.time}; it has '
+                        f'{", ".join([*arrays][:8])}; name the keys in data')
+    found_runs = [_run(path, run, arrays, data, d) for run in wanted]
+    named = ', '.join(run for run in wanted if run)
+    return as_motions(found_runs, data, f'{path.name}: {named}' if named else path.name,
+                      digest[:16])
+
+
+def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, d: int) -> Run:
+    def array(key: str, shape: tuple[int, ...]) -> np.ndarray:
+        name = f'{run}/{key}' if run else key
+        if name not in arrays:
+            raise DataError(f'{path}: no key {name}; it has {", ".join([*arrays][:8])}; name the '
+                            'keys in data')
+        values = arrays[name]
+        if values.shape != shape or values.dtype.kind not in 'fiu':
+            raise DataError(f'{path}: {name} has shape {values.shape} of {values.dtype}, expected '
+                            f'numbers of shape {shape}')
+        return values.astype(np.float64)
+
+    name = f'{run}/{data.time}' if run else data.time
+    n = arrays[name].size
+    return Run(run or path.stem, f'{path}: {name}', array(data.time, (n,)),
+               array(data.q, (n, d)), None if data.v is None else array(data.v, (n, d)),
+               None if data.tau is None else array(data.tau, (n, d)))
