@@ -12,15 +12,16 @@ import numpy as np
 import torch
 
 # An arm of two joints that turn over, seen by absolute angles; a cart with a pole; a joint that
-# does not turn over, with a constant mass; three coordinates, all of M.
+# does not turn over, with a constant mass; three coordinates, combined.
 SHAPES = {
     'arm': {'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
-            'mass_depends_on': [1]},
+            'mass_features': [[0.0, 1.0]]},
     'cart and pole': {'kinds': ['prismatic', 'continuous'], 'features': [[1.0, 0.0], [0.0, 1.0]],
-                      'mass_depends_on': [1], 'diagonal_mass': True},
-    'joint': {'kinds': ['revolute'], 'features': [[1.0]], 'mass_depends_on': []},
+                      'mass_features': [[0.0, 1.0]], 'diagonal_mass': True},
+    'joint': {'kinds': ['revolute'], 'features': [[1.0]], 'mass_features': []},
     'three': {'kinds': ['revolute', 'continuous', 'prismatic'], 'features': [
-        [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.5, 0.0, -1.0]], 'mass_depends_on': [0, 1, 2]},
+        [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.5, 0.0, -1.0]], 'mass_features': [
+            [1.0, 0.0, -0.5], [0.0, 1.0, 0.0]]},
 }
 
 

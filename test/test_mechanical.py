@@ -70,7 +70,7 @@ def test_model_file_keeps_family_and_friction(tmp_path: Path):
     ({'features': [[0.5, 0.0]]}, 'no period'),
     ({'features': [[0.0, 0.0]]}, 'a row of zeros'),
     ({'features': [[1.0]]}, r'features\[0\] has 1 entries'),
-    ({'mass_depends_on': [2]}, 'mass_depends_on'),
+    ({'mass_features': [[1.0]]}, r'mass_features\[0\] has 1 entries'),
 ])
 def test_card_refuses_features_that_make_no_sense(changes: dict, message: str):
     settings = SHAPES['arm'] | {'mass_scale': [1.0, 1.0], 'floor': 0.1,

@@ -72,7 +72,7 @@ class MechanicalChoice(StrictModel):
     mass: Literal['learned', 'diagonal', 'constant'] = Field('learned', description=(
         'M(q), a diagonal one, or a matrix that depends on nothing'))
     mass_depends_on: list[str] | None = Field(None, description=(
-        'the coordinates that M sees; all'))
+        'what M sees, in the same way; each coordinate'))
     friction: FrictionChoice = Field(default_factory=FrictionChoice)
 
 
@@ -89,8 +89,9 @@ class Trajectory(StrictModel):
     kind: Literal['trajectory']
     forward_steps: int = Field(400, ge=1, description='of Adam on accelerations')
     forward_batch: int = Field(1024, ge=1, description='samples in each of those steps')
-    step_size: float = Field(0.01, gt=0.0, description=(
-        'of the windows [s]; forces are averaged over it'))
+    step_size: float | None = Field(None, gt=0.0, description=(
+        'of the windows, a multiple of the interval of the samples [s]; forces are averaged over '
+        'it; default: the multiple that is next to 0.01 s'))
     windows: list[Stage] = Field(
         [Stage(duration=0.1, steps=300), Stage(duration=0.25, steps=200)],
         description='what follows, in this order')
@@ -123,10 +124,6 @@ class MachineConfig(StrictModel):
         """Return what the networks see; ValueError for what names no coordinate."""
         family, names = self.family, [coordinate.name for coordinate in self.coordinates]
         seen = names if family.mass_depends_on is None else family.mass_depends_on
-        unknown = [name for name in seen if name not in names]
-        if unknown:
-            raise ValueError(f'mass_depends_on: no coordinate {unknown[0]!r}; valid coordinates: '
-                             f'{", ".join(names)}')
         if family.mass == 'constant':
             if family.mass_depends_on:
                 raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
@@ -135,18 +132,19 @@ class MachineConfig(StrictModel):
         friction = family.friction
         return Structure(
             [coordinate.kind for coordinate in self.coordinates],
-            [combination(text, names) for text in family.features or names],
-            [names.index(name) for name in seen], family.mass == 'diagonal',
+            [combination(text, names, 'features') for text in family.features or names],
+            [combination(text, names, 'mass_depends_on') for text in seen],
+            family.mass == 'diagonal',
             friction.viscous, friction.coulomb, friction.stribeck)
 
 
-def combination(text: str, names: list[str]) -> list[float]:
+def combination(text: str, names: list[str], key: str) -> list[float]:
     """Return the coefficients of a linear combination such as ``a - 2 * b``, or ValueError."""
     row, at = [0.0] * len(names), 0
     while at < len(text):
         term = _TERM.match(text, at)
         if term is None or (at > 0 and not term[1]) or term[3] not in names:
-            raise ValueError(f'features: {text!r} is no linear combination of the coordinates '
+            raise ValueError(f'{key}: {text!r} is no linear combination of the coordinates '
                              f'{", ".join(names)}, such as {" + ".join(names[:2])}')
         row[names.index(term[3])] += float(f'{term[1]}{term[2] or 1.0}')
         at = term.end()

@@ -22,6 +22,8 @@ from tqdm import tqdm
 
 # Errors beyond this share of the usual size count by their size, no longer by their square.
 _USUAL_ERROR = 0.25
+# Step size of windows, unless it is given, and samples come as often [s].
+_STEP = 0.01
 
 
 class Samples(NamedTuple):
@@ -53,8 +55,10 @@ class Samples(NamedTuple):
     step_size: float
 
 
-def samples_of(motions: Sequence[Motion], step_size: float) -> Samples:
+def samples_of(motions: Sequence[Motion], step_size: float | None) -> Samples:
     """Return the samples of motions, for windows of this step size [s], or DataError."""
+    if step_size is None:
+        step_size = max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
     every = round(step_size / motions[0].spacing)
     for motion in motions:
         if every < 1 or abs(every * motion.spacing - step_size) > 0.05 * step_size:
@@ -130,7 +134,7 @@ def fit(config: MachineConfig, motions: Sequence[Motion]
     losses['forward'] = _descend(network, forward, loss.forward_steps, config.learning_rate,
                                  'accelerations')
     for stage in loss.windows:
-        count = round(stage.duration / loss.step_size)
+        count = round(stage.duration / samples.step_size)
         starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
         if count < 1 or not len(starts):
             raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '

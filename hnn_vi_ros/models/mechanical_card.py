@@ -50,8 +50,8 @@ class MechanicalCard(StrictModel):
     kinds: list[Kind] = Field(description='of each coordinate')
     features: list[list[float]] = Field(min_length=1, description=(
         'what V sees: the rows of a matrix, each a linear combination of the coordinates'))
-    mass_depends_on: list[Annotated[int, Field(ge=0)]] = Field(description=(
-        'the places of the coordinates that M sees; none for a constant M'))
+    mass_features: list[list[float]] = Field(description=(
+        'what M sees, in the same way; none for a constant M'))
     diagonal_mass: bool = Field(False, description='whether M is diagonal')
     mass_scale: list[Positive] = Field(description=(
         'S of M = S (L L^T + floor) S, the square roots of the inertias in play'))
@@ -62,16 +62,13 @@ class MechanicalCard(StrictModel):
     def _check(self) -> 'MechanicalCard':
         d = len(self.kinds)
         lengths = {'mass_scale': len(self.mass_scale), 'friction': len(self.friction.viscous)}
-        lengths |= {f'features[{k}]': len(row) for k, row in enumerate(self.features)}
+        for name in ('features', 'mass_features'):
+            lengths |= {f'{name}[{k}]': len(row) for k, row in enumerate(getattr(self, name))}
         for name, length in lengths.items():
             if length != d:
                 raise ValueError(f'{name} has {length} entries, expected {d}, one for each '
                                  'coordinate')
-        places = self.mass_depends_on
-        if len(set(places)) < len(places) or not all(i < d for i in places):
-            raise ValueError(f'mass_depends_on = {places} must name coordinates 0 to {d - 1}, '
-                             'each once')
-        for row in self.features:
+        for row in (*self.features, *self.mass_features):
             if not any(row):
                 raise ValueError('features: a row of zeros sees nothing; leave it out')
             turning = [x for x, kind in zip(row, self.kinds) if kind == 'continuous' and x]
@@ -85,12 +82,6 @@ class MechanicalCard(StrictModel):
     def is_periodic(self, row: list[float]) -> bool:
         """Tell whether a network sees the sine and cosine of a combination of coordinates."""
         return any(x and kind == 'continuous' for x, kind in zip(row, self.kinds, strict=True))
-
-    @property
-    def mass_features(self) -> list[list[float]]:
-        """Return what M sees, as ``features``: one row for each of its coordinates."""
-        d = len(self.kinds)
-        return [[1.0 * (i == place) for i in range(d)] for place in self.mass_depends_on]
 
     def inputs(self, features: list[list[float]]) -> int:
         """Return the inputs of a network that sees these; one that sees nothing has one, 0."""

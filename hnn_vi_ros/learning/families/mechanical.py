@@ -30,8 +30,8 @@ class Structure:
         Of each coordinate.
     features : list of list of float
         Rows of the linear combinations that V sees.
-    mass_depends_on : list of int
-        Places of the coordinates that M sees.
+    mass_features : list of list of float
+        The same that M sees; none for a constant M.
     diagonal_mass : bool
         Whether M is diagonal.
     viscous : bool
@@ -43,7 +43,7 @@ class Structure:
 
     kinds: list[Kind]
     features: list[list[float]]
-    mass_depends_on: list[int]
+    mass_features: list[list[float]]
     diagonal_mass: bool = False
     viscous: bool = True
     coulomb: int = 2
@@ -110,7 +110,7 @@ class MechanicalNetwork(torch.nn.Module):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self._sees('mass', card, card.mass_features)
         self._sees('potential', card, card.features)
-        mass_hidden = hidden if structure.mass_depends_on else [1]
+        mass_hidden = hidden if structure.mass_features else [1]
         self.mass = Perceptron(mass_hidden, *self._units('mass'), np.ones(len(rows)), seed)
         with torch.no_grad():
             # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
@@ -236,7 +236,7 @@ class MechanicalNetwork(torch.nn.Module):
         structure = self.structure
         return MechanicalCard(
             kinds=structure.kinds, features=structure.features, friction=friction, floor=_FLOOR,
-            mass_depends_on=structure.mass_depends_on, mass_scale=scale.tolist(),
+            mass_features=structure.mass_features, mass_scale=scale.tolist(),
             diagonal_mass=structure.diagonal_mass)
 
     def card(self) -> MechanicalCard:
