@@ -38,7 +38,8 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
 
-    def parse_args(self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
+    def parse_args(  # type: ignore[override]  # nothing is added to a namespace of others
+            self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
         """Return what the arguments say, or exit with one line if they are not understood."""
         # Before argparse misses what is required, of which this may be a misspelling. It has no
         # public list of the options, which groups add as well.

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """States and trajectories in the phase space of (q, p)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,18 @@ class Trajectory:
     q: np.ndarray
     p: np.ndarray
     energy: np.ndarray
-    alarms: tuple = ()
+    alarms: tuple[Any, ...] = ()
     events: tuple[Event, ...] = ()
 
 
-def check_state(q: Sequence[float], p: Sequence[float], dimension: int
+def check_state(q: ArrayLike, p: ArrayLike, dimension: int
                 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return fresh float64 arrays of a state, or of several, in the shape given, or raise.
 
     Parameters
     ----------
-    q, p : sequence of float, shape (d,) or (m, d)
+    q, p : array_like, shape (d,) or (m, d)
         Generalised coordinates and conjugate momenta.
     dimension : int
         The number d of degrees of freedom that the Hamiltonian has.

@@ -6,7 +6,7 @@ import io
 import os
 import signal
 import sys
-from typing import TextIO
+from typing import Any, TextIO
 
 # By which a user or the system ends a process in good order; the last when its terminal closes.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -30,7 +30,7 @@ class _Lossy(io.FileIO):
     problem: OSError | None = None
     matters = True
 
-    def write(self, data: bytes) -> int | None:
+    def write(self, data: Any) -> int:
         """Write, as long as that works."""
         if self.problem is None:
             try:
@@ -61,8 +61,8 @@ def spare_output() -> None:
 def lost_output() -> tuple[OSError | None, bool]:
     """Return why something that was printed has not arrived, None if all has; if it matters."""
     sys.stdout.flush()
-    raw = sys.stdout.buffer.raw
-    return raw.problem, raw.matters
+    buffer: Any = sys.stdout.buffer
+    return buffer.raw.problem, buffer.raw.matters
 
 
 def _guarded(number: int, stream: TextIO | None) -> TextIO:
@@ -74,4 +74,4 @@ def _guarded(number: int, stream: TextIO | None) -> TextIO:
         # A letter that a terminal cannot show, or a name that is no text, is to end nothing.
         errors='backslashreplace',
         line_buffering=terminal or number == 2,
-        write_through=stream.write_through if stream else False)
+        write_through=isinstance(stream, io.TextIOWrapper) and stream.write_through)

@@ -105,7 +105,7 @@ def _describe(places: Places, schema: type[BaseModel], problem: ValidationError)
     return f'{place}: {one_line(message)}'
 
 
-def _schemas_at(schema: type[BaseModel], loc: tuple) -> list[type[BaseModel]]:
+def _schemas_at(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
     """Return the schemas, more than one for a union, to which a pydantic location leads."""
     owners = [schema]
     for part in loc:

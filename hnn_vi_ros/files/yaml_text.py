@@ -158,7 +158,7 @@ if yaml.__with_libyaml__:
 
         __init__ = yaml.CSafeLoader.__init__
 else:
-    _Base = yaml.SafeLoader
+    _Base = yaml.SafeLoader  # type: ignore[misc]  # the same without the C library
 
 
 class _Loader(_Base):

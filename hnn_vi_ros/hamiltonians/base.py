@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -24,7 +24,7 @@ class Hamiltonian(ABC):
     """
 
     coordinates: tuple[Coordinate, ...]
-    separable: ClassVar[bool] = False
+    separable: bool = False
     canonical: ClassVar[bool] = True
     # What is watched of them, by name: functions of q and p, of shape (d,). A scene sets them.
     invariants: Mapping[str, Callable[[np.ndarray, np.ndarray], float]] = MappingProxyType({})
@@ -102,7 +102,8 @@ class Hamiltonian(ABC):
         energies, kernel = np.empty(flat_q.size // self.dimension), self._called
         if kernel.compiled:
             from hnn_vi_ros.kernels.addresses import fill_energies
-            fill_energies(kernel.parameters, flat_q, flat_p, energies)
+            target: Any = kernel.parameters
+            fill_energies(target, flat_q, flat_p, energies)
         else:
             states = (x.reshape(-1, self.dimension) for x in (flat_q, flat_p))
             for i, (one_q, one_p) in enumerate(zip(*states, strict=True)):
@@ -148,7 +149,7 @@ class Hamiltonian(ABC):
                 np.ascontiguousarray(p, dtype=np.float64).ravel())
 
 
-def compiled_kernel(functions: tuple[Callable, Callable, Callable], parameters: tuple,
+def compiled_kernel(functions: Functions, parameters: Parameters,
                     dimension: int, gradient_scale: tuple[float, float] = (0.0, 0.0)) -> Kernel:
     """
     Return the kernel of an exact system.
@@ -168,6 +169,6 @@ def compiled_kernel(functions: tuple[Callable, Callable, Callable], parameters: 
     """
     # Imported here: who only reads a scene compiles nothing.
     from hnn_vi_ros.kernels.compilation import dispatcher
-    energy, gradient, hessian_vector = (dispatcher(function) for function in functions)
-    return Kernel(energy, gradient, hessian_vector, parameters, dimension, gradient_scale,
-                  compiled=True)
+    energy, gradient, hessian_vector = functions
+    return Kernel(dispatcher(energy), dispatcher(gradient), dispatcher(hessian_vector), parameters,
+                  dimension, gradient_scale, compiled=True)

@@ -74,7 +74,8 @@ class DoublePendulum(Hamiltonian):
 
 
 @inlined
-def _rates(parameters: tuple, difference: float, p1: float, p2: float) -> tuple[float, float]:
+def _rates(parameters: tuple[float, ...], difference: float, p1: float, p2: float
+           ) -> tuple[float, float]:
     """Return H_p for the difference q1 - q2 and the momenta."""
     m1, m2, l1, l2, _ = parameters
     sine, cosine = np.sin(difference), np.cos(difference)
@@ -83,7 +84,7 @@ def _rates(parameters: tuple, difference: float, p1: float, p2: float) -> tuple[
             ((m1 + m2) * l1 * p2 - m2 * l2 * cosine * p1) / (m2 * l2 * common))
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     m1, m2, l1, l2, gravity = parameters
     v1, v2 = _rates(parameters, q[0] - q[1], p[0], p[1])
     # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
@@ -93,7 +94,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
             + gravity * ((m1 + m2) * height1 + m2 * height2))
 
 
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     m1, m2, l1, l2, gravity = parameters
     for i in range(0, q.size, 2):
@@ -105,7 +106,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i + 1] = v2
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     m1, m2, l1, l2, gravity = parameters
     for i in range(0, q.size, 2):

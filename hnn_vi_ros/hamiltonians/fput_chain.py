@@ -82,7 +82,7 @@ def _extension(m: int, q: np.ndarray, i: int) -> float:
     return q[i] - q[m + i] - q[i - 1] - q[m + i - 1]
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[int, float], q: np.ndarray, p: np.ndarray) -> float:
     m, omega = parameters
     energy = 0.5 * p[0] * p[0]
     for i in range(1, 2 * m):
@@ -95,7 +95,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
     return energy
 
 
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[int, float], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     m, omega = parameters
     for start in range(0, q.size, 2 * m):
@@ -109,7 +109,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i]
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[int, float], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     m, omega = parameters
     for start in range(0, q.size, 2 * m):

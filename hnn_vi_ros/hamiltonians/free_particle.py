@@ -55,7 +55,7 @@ class FreeParticle(Hamiltonian):
         return compiled_kernel((_energy, _gradient, _hessian_vector), (self.mass,), self.dimension)
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     (mass,) = parameters
     energy = 0.5 * p[0] * p[0] / mass
     for i in range(1, p.size):
@@ -64,7 +64,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @inlined
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     (mass,) = parameters
     for i in range(q.size):
@@ -72,7 +72,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i] / mass
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     # The gradient is linear.
     _gradient(parameters, v_q, v_p, product_q, product_p)

@@ -44,13 +44,13 @@ class HarmonicOscillator(Hamiltonian):
                                self.dimension)
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     mass, stiffness = parameters
     return 0.5 * p[0] * p[0] / mass + 0.5 * stiffness * q[0] * q[0]
 
 
 @inlined
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     mass, stiffness = parameters
     for i in range(q.size):
@@ -58,7 +58,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i] / mass
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     # The gradient is linear.
     _gradient(parameters, v_q, v_p, product_q, product_p)

@@ -42,13 +42,13 @@ class HenonHeiles(Hamiltonian):
                                self.dimension, (1.0, 0.0))
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     x, y = q[0], q[1]
     return (0.5 * (p[0] * p[0] + p[1] * p[1] + x * x + y * y)
             + x * x * y - y * y * y / 3.0)
 
 
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     for i in range(0, q.size, 2):
         x, y = q[i], q[i + 1]
@@ -58,7 +58,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i + 1] = p[i + 1]
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     for i in range(0, q.size, 2):
         x, y = q[i], q[i + 1]

@@ -57,13 +57,13 @@ class Kepler(Hamiltonian):
 
 # numpy's rules for division: the centre gives infinity or NaN, which the checks for non-finite
 # states find, rather than an exception out of compiled code.
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     (mu,) = parameters
     distance = np.sqrt(q[0] * q[0] + q[1] * q[1])
     return 0.5 * (p[0] * p[0] + p[1] * p[1]) - mu / distance
 
 
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     (mu,) = parameters
     for i in range(0, q.size, 2):
@@ -75,7 +75,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i + 1] = p[i + 1]
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     (mu,) = parameters
     for i in range(0, q.size, 2):

@@ -61,14 +61,14 @@ class Pendulum(Hamiltonian):
                                self.dimension)
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     inertia, torque = parameters
     # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
     half = np.sin(0.5 * q[0])
     return 0.5 * p[0] * p[0] / inertia + 2.0 * torque * half * half
 
 
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inertia, torque = parameters
     for i in range(q.size):
@@ -76,7 +76,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
         dH_dp[i] = p[i] / inertia
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     inertia, torque = parameters
     for i in range(q.size):

@@ -32,18 +32,18 @@ class Tao(Hamiltonian):
         return compiled_kernel((_energy, _gradient, _hessian_vector), (), self.dimension)
 
 
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
     return 0.5 * (q[0] * q[0] + 1.0) * (p[0] * p[0] + 1.0)
 
 
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     for i in range(q.size):
         dH_dq[i] = q[i] * (p[i] * p[i] + 1.0)
         dH_dp[i] = (q[i] * q[i] + 1.0) * p[i]
 
 
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     for i in range(q.size):
         mixed = 2.0 * q[i] * p[i]

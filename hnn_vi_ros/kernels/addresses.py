@@ -19,15 +19,14 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.kernels.compilation import functions_of, identify, kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
 from llvmlite import ir
 import numba
-from numba import carray
 from numba.core import types
-from numba.core.base import BaseContext
+from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 import numpy as np
@@ -37,7 +36,7 @@ _ARRAYS = (2, 4, 6)
 # What entries find under these names is their own; see _entry.
 function: Any = None
 kind: Any = None
-_ENTRY = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model': 'numpy'}
+_ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model': 'numpy'}
 
 
 class Target(NamedTuple):
@@ -60,8 +59,8 @@ class _Memory(bytearray):
 
     kernel: Kernel
     # What stands in for the entries stays: machine code may be inside of it.
-    late: list
-    entries: dict
+    late: list[Any]
+    entries: 'dict[int, _Entry]'
 
 
 def by_address(kernel: Kernel) -> Kernel:
@@ -96,7 +95,8 @@ def provide(kernel: Kernel, *which: int) -> None:
     Those that they call by address as well; of forces that are joined there are no second
     derivatives but differences of gradients.
     """
-    memory = _memory_of(kernel.parameters)
+    target: Any = kernel.parameters
+    memory = _memory_of(target)
     inner = memory.kernel.parameters
     if isinstance(inner, tuple) and inner and isinstance(inner[0], Target):
         provide(kernel._replace(parameters=inner[0]), *{*which, 1} if 2 in which else which)
@@ -109,7 +109,7 @@ def provide(kernel: Kernel, *which: int) -> None:
                 raise TypeError('parameters of a kernel that are no whole words: truth values '
                                 'beside each other; give them as int')
             memory.entries[k] = _entry(function, kind, _name(memory.kernel, kind, k), k)
-            kernel.parameters.words[k] = memory.entries[k].address
+            target.words[k] = memory.entries[k].address
 
 
 def original(kernel: Kernel) -> Kernel:
@@ -118,7 +118,7 @@ def original(kernel: Kernel) -> Kernel:
         else kernel
 
 
-def provide_for(kernel: Kernel, step: Callable, options: tuple) -> None:
+def provide_for(kernel: Kernel, step: Callable[..., Any], options: Parameters) -> None:
     """
     Compile now what a step will call of a kernel by address.
 
@@ -135,8 +135,10 @@ def provide_for(kernel: Kernel, step: Callable, options: tuple) -> None:
 
 
 def _memory_of(target: Target) -> _Memory:
-    memory = target.words.base
-    return memory.obj if isinstance(memory, memoryview) else memory
+    base: Any = target.words.base
+    memory: Any = base.obj if isinstance(base, memoryview) else base
+    assert isinstance(memory, _Memory)
+    return memory
 
 
 def _late(memory: _Memory, k: int) -> Any:
@@ -158,7 +160,7 @@ def _prototype(k: int) -> Any:
 class _Entry:
     """The compiled entry of a function, for callers in machine code and in Python."""
 
-    def __init__(self, dispatcher: Callable, k: int):
+    def __init__(self, dispatcher: Dispatcher, k: int):
         (result,) = dispatcher.overloads.values()
         self.call, self._library = result.entry_point, result.library
         self.address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
@@ -166,7 +168,7 @@ class _Entry:
 
 
 @cache
-def _entry(function: Callable, kind: types.Type, name: str, k: int) -> _Entry:
+def _entry(function: Dispatcher, kind: types.Type, name: str, k: int) -> _Entry:
     """Return the entry of a kernel's function for one type of parameters, compiled."""
     code = (_energy_entry, _gradient_entry, _hessian_vector_entry)[k].__code__
     options = {name: value for name, value in function.targetoptions.items()
@@ -176,7 +178,7 @@ def _entry(function: Callable, kind: types.Type, name: str, k: int) -> _Entry:
     entry = FunctionType(code, {**globals(), 'function': copy, 'kind': kind}, code.co_name)
     entry.__qualname__ = name
     compile_ = kept(**_ENTRY) if is_own(function.py_func.__module__) else numba.njit(**_ENTRY)
-    dispatcher = compile_(entry)
+    dispatcher: Dispatcher = compile_(entry)
     dispatcher.compile((types.int64,) * (_ARRAYS[k] + 2))
     return _Entry(dispatcher, k)
 
@@ -222,9 +224,9 @@ def _hessian_vector_entry(block: int, q: int, p: int, v_q: int, v_p: int, produc
 
 
 @intrinsic
-def _load(_context, block, kind):
+def _load(_context: Any, block: Any, kind: Any) -> Any:
     """Return the parameters that stand at an address."""
-    def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
         model = context.data_model_manager[signature.return_type]
         pointer = builder.inttoptr(arguments[0], model.get_data_type().as_pointer())
@@ -234,29 +236,29 @@ def _load(_context, block, kind):
 
 @Part
 def _array(address: int, n: int) -> np.ndarray:
-    return carray(_pointer(address), (n,))
+    return numba.carray(_pointer(address), (n,))
 
 
 @intrinsic
-def _pointer(_context, address):
-    def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+def _pointer(_context: Any, address: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
         return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
     return types.CPointer(types.float64)(address), generate
 
 
-def _caller(k: int) -> Callable:
+def _caller(k: int) -> Any:
     """Return what calls the k-th entry of a target with arrays."""
     result = types.float64 if k == 0 else types.none
     kinds = (types.int64,) * (_ARRAYS[k] + 2)
 
     @intrinsic
-    def call(_context, target, arrays):
+    def call(_context: Any, target: Any, arrays: Any) -> Any:
         for array in arrays:
             if array.ndim != 1 or array.dtype != types.float64:
                 raise numba.TypingError(f'{array} by address; expected float64 and shape (n,)')
 
-        def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+        def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                      ) -> ir.Value:
             word = context.get_value_type(types.int64)
             words = context.make_array(signature.args[0].types[0])(
@@ -305,7 +307,7 @@ class _Linked(Part):
                                       *(array.ctypes.data for array in arrays), arrays[0].size)
 
 
-def _linked(function: Callable) -> _Linked:
+def _linked(function: Callable[..., Any]) -> _Linked:
     return _Linked(function, targetoptions={'forceinline': True, 'error_model': 'numpy'})
 
 

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from hnn_vi_ros.kernels.sources import reached
 from numba.core import types
@@ -55,7 +56,7 @@ def announced(tell: Callable[[str], None]) -> Iterator[None]:
         yield
 
 
-def _functions_in(kinds: tuple) -> Iterator[Callable]:
+def _functions_in(kinds: tuple[types.Type, ...]) -> Iterator[Callable[..., Any]]:
     """Yield the compiled functions among types of arguments, in tuples too."""
     for kind in kinds:
         if isinstance(kind, types.Dispatcher):

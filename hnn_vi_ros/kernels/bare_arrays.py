@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arrays without owners: inside a compiled loop nothing counts who uses them."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.linking import LINK_ONLY
 from llvmlite import ir
@@ -33,15 +33,16 @@ def bare(value: _Value) -> _Value:
 
 
 @overload(bare, jit_options={'forceinline': True, **LINK_ONLY})
-def _bare(value):
-    def without_owners(value):
+def _bare(value: Any) -> Any:
+    def without_owners(value: Any) -> Any:
         return _replace_owners(value)
     return without_owners
 
 
 @intrinsic
-def _replace_owners(_context, value):
-    def generate(context, builder, signature, arguments):
+def _replace_owners(_context: Any, value: Any) -> Any:
+    def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
+                 ) -> ir.Value:
         return _replaced(context, builder, signature.return_type, arguments[0], ())
     return value(value), generate
 

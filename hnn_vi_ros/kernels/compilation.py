@@ -7,19 +7,22 @@ from functools import cache
 from hashlib import sha256
 from threading import Lock
 from types import FunctionType
+from typing import Any, TypeVar
 
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
 from hnn_vi_ros.kernels.linking import keep, Part, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 import numba
+from numba.core.dispatcher import Dispatcher
 
 # Of loops, which only Python calls.
-_LOOP = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
+_Function = TypeVar('_Function', bound=Callable[..., Any])
+_LOOP: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 _naming = Lock()
 
 
-def kept(**options: object) -> Callable[[Callable], Callable]:
+def kept(**options: Any) -> Callable[[_Function], _Function]:
     """
     Return a decorator that compiles a function of this package, for callers in Python as well.
 
@@ -32,11 +35,13 @@ def kept(**options: object) -> Callable[[Callable], Callable]:
         Of numba.njit.
 
     """
-    return lambda function: keep(numba.njit(**options)(function))
+    def compile_(function: _Function) -> _Function:
+        return keep(numba.njit(**options)(function))
+    return compile_
 
 
 @cache
-def compiled(function: Callable, name: str) -> Callable:
+def compiled(function: Callable[..., Any], name: str) -> Part:
     """
     Return a function compiled by numba, the same dispatcher each time.
 
@@ -54,12 +59,12 @@ def compiled(function: Callable, name: str) -> Callable:
 
 
 @cache
-def dispatcher(function: Callable) -> Callable:
+def dispatcher(function: _Function) -> _Function:
     """Return a function of a Hamiltonian's kernel compiled, for Python and for other code."""
     return kept(error_model='numpy')(function)
 
 
-def entry_point(function: Callable, *arguments: object) -> Callable:
+def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..., Any]:
     """
     Return what calls a function with arguments of these very types and no others.
 
@@ -67,14 +72,14 @@ def entry_point(function: Callable, *arguments: object) -> Callable:
     arguments of many arrays takes ten times as long as the call; anything else is returned as it
     is.
     """
-    if not isinstance(function, numba.core.dispatcher.Dispatcher):
+    if not isinstance(function, Dispatcher):
         return function
     signature = tuple(numba.typeof(argument) for argument in arguments)
     function.compile(signature)
     return function.overloads[signature].entry_point
 
 
-def compiled_options(options: tuple) -> tuple:
+def compiled_options(options: Parameters) -> Parameters:
     """Return options of a step with each function in them, however deep, compiled."""
     parts = []
     for part in options:
@@ -86,8 +91,8 @@ def compiled_options(options: tuple) -> tuple:
     return type(options)(*parts) if hasattr(options, '_fields') else tuple(parts)
 
 
-def compiled_loop(loop: Callable, kernel: Kernel, method: str, parts: tuple = (),
-                  own: bool = True) -> Callable:
+def compiled_loop(loop: Callable[..., Any], kernel: Kernel, method: str,
+                  parts: Parameters = (), own: bool = True) -> Callable[..., Any]:
     """
     Return a loop over steps, to be compiled over one Hamiltonian and one method.
 
@@ -114,12 +119,12 @@ def compiled_loop(loop: Callable, kernel: Kernel, method: str, parts: tuple = ()
 
 
 @cache
-def _uncached(loop: Callable) -> Callable:
+def _uncached(loop: _Function) -> _Function:
     return numba.njit(loop, **_LOOP)
 
 
 @cache
-def _cached(loop: Callable, *names: str) -> Callable:
+def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
     # Under a name of its own it has an index of its own on disk. In one index for all, reading
     # any kernel would build the functions of every other one anew, those of older sources too.
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
@@ -128,7 +133,7 @@ def _cached(loop: Callable, *names: str) -> Callable:
     return numba.njit(copy, cache=True, **_LOOP)
 
 
-def identify(dispatcher: Callable) -> str:
+def identify(dispatcher: Dispatcher) -> str:
     """Give a compiled function the name that it has in every process, and return it."""
     # A name is given once, also where threads ask for it at the same time.
     with _naming:
@@ -136,18 +141,18 @@ def identify(dispatcher: Callable) -> str:
 
 
 @cache
-def _identify(dispatcher: Callable) -> str:
+def _identify(dispatcher: Dispatcher) -> str:
     function = dispatcher.py_func
     return _give_identity(dispatcher, f'{function.__module__}.{function.__qualname__}')
 
 
-def functions_of(kernel: Kernel) -> tuple[Callable, Callable, Callable]:
+def functions_of(kernel: Kernel) -> tuple[Dispatcher, Dispatcher, Dispatcher]:
     """Return energy, gradient and hessian_vector."""
     return kernel.energy, kernel.gradient, kernel.hessian_vector
 
 
-def composed(kernel: Kernel, functions: tuple[Callable, ...], kinds: tuple[type, ...],
-             parameters: tuple) -> Kernel:
+def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
+             parameters: Parameters) -> Kernel:
     """
     Return a kernel whose functions call those of another.
 
@@ -168,15 +173,18 @@ def composed(kernel: Kernel, functions: tuple[Callable, ...], kinds: tuple[type,
         for function in functions_of(kernel):
             # Before it is compiled into others, when numba names what has no name yet.
             identify(function)
-        functions = tuple(_compile(function, base, kinds)
-                          for function, base in zip(functions, functions_of(kernel), strict=True))
-    energy, gradient, hessian_vector = functions
+        energy, gradient, hessian_vector = (
+            _compile(function, base, kinds)
+            for function, base in zip(functions, functions_of(kernel), strict=True))
+    else:
+        energy, gradient, hessian_vector = functions
     return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
                            parameters=parameters)
 
 
 @cache
-def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Callable:
+def _compile(function: Callable[..., Any], base: Dispatcher, kinds: tuple[type, ...]
+             ) -> Callable[..., Any]:
     # The name tells what is composed, and the module where any of it comes from elsewhere; see
     # identify and compiled_loop.
     names = ','.join(kind.__qualname__ for kind in kinds)
@@ -188,7 +196,7 @@ def _compile(function: Callable, base: Callable, kinds: tuple[type, ...]) -> Cal
     return numba.njit(function, error_model='numpy', forceinline=inline, no_cfunc_wrapper=True)
 
 
-def _give_identity(dispatcher: Callable, name: str) -> str:
+def _give_identity(dispatcher: Dispatcher, name: str) -> str:
     # A function that is passed to a compiled one is part of its signature, by which numba looks
     # up its cache on disk. Numba knows such a function by a random number, new in each process;
     # a name that changes with our sources makes the look-up succeed.

@@ -3,7 +3,19 @@
 """A Hamiltonian as functions that are compiled."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# What the functions of a Hamiltonian, an effect or a network take first: numbers, arrays and
+# tuples of such, each its own.
+Parameters = tuple[Any, ...]
+# The functions of a Kernel, which see.
+Energy = Callable[[Any, np.ndarray, np.ndarray], float]
+Gradient = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
+HessianVector = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray,
+                          np.ndarray], None]
+Functions = tuple[Energy, Gradient, HessianVector]
 
 
 class Kernel(NamedTuple):
@@ -37,10 +49,10 @@ class Kernel(NamedTuple):
 
     """
 
-    energy: Callable
-    gradient: Callable
-    hessian_vector: Callable
-    parameters: tuple
+    energy: Energy
+    gradient: Gradient
+    hessian_vector: HessianVector
+    parameters: Parameters
     dimension: int
     gradient_scale: tuple[float, float]
     compiled: bool

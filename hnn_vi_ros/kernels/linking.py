@@ -79,7 +79,7 @@ class _Lowering(NativeLowering):
         """Return what translates a function."""
         return _Lower
 
-    def run_pass(self, state: dict) -> bool:
+    def run_pass(self, state: Any) -> bool:
         """Translate a function, and register it for those that call it."""
         context = state.targetctx
         state.library = library = _Library(context.codegen(), state.func_id.func_qualname)
@@ -124,11 +124,11 @@ class _WholeLowering(NativeLowering):
 
     _name = 'whole_lowering'
 
-    def run_pass(self, state: dict) -> bool:
+    def run_pass(self, state: Any) -> bool:
         """Translate and load a function with all that it calls."""
         state.library = _WholeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
-        return super().run_pass(state)
+        return bool(super().run_pass(state))
 
 
 class _Compiler(CompilerBase):
@@ -175,8 +175,10 @@ class Part(CPUDispatcher):
 
     """
 
-    def __init__(self, py_func: Callable, locals: dict | None = None,  # noqa: A002
-                 targetoptions: dict | None = None, pipeline_class: type = LinkOnly):
+    def __init__(self, py_func: Callable[..., Any],
+                 locals: dict[str, Any] | None = None,  # noqa: A002
+                 targetoptions: dict[str, Any] | None = None,
+                 pipeline_class: type[CompilerBase] = LinkOnly):
         super().__init__(py_func, locals, {**_OPTIONS, **(targetoptions or {})}, pipeline_class)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -184,18 +186,18 @@ class Part(CPUDispatcher):
         return self.py_func(*arguments)
 
 
-def part(**options: Any) -> Callable[[Callable], Part]:
+def part(**options: Any) -> Callable[[Callable[..., Any]], Part]:
     """Return a decorator that makes a function a Part, with these options of numba.njit."""
     return lambda function: Part(function, targetoptions=options)
 
 
-_OPTIONS = {'nopython': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
+_OPTIONS: dict[str, Any] = {'nopython': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
 # The same for what numba makes of a decorator such as register_jitable, once for each set of
 # options that a caller has.
-LINK_ONLY = {'pipeline_class': LinkOnly, **_OPTIONS}
+LINK_ONLY: dict[str, Any] = {'pipeline_class': LinkOnly, **_OPTIONS}
 
 
-def _register(function: Callable, inline: bool) -> None:
+def _register(function: Callable[..., Any], inline: bool) -> None:
     """Let compiled code call a marked function."""
     register_jitable(**({'forceinline': True} if inline else {}), **LINK_ONLY)(function)
 
@@ -206,7 +208,7 @@ register_by(_register)
 class _Cache(FunctionCache):
     """Numba's cache on disk, that looks at all sources which a function comes from."""
 
-    def _index_key(self, signature: Any, codegen: Any) -> tuple:
+    def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         digest = digest_of(frozenset([self._py_func.__module__]))
         return (*super()._index_key(signature, codegen), digest)
 

@@ -10,16 +10,17 @@ integrators can be read, as a scene does for its schema, in a process without nu
 
 from collections.abc import Callable
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
-_Function = TypeVar('_Function', bound=Callable)
+_Function = TypeVar('_Function', bound=Callable[..., Any])
+_Registrar = Callable[[Callable[..., Any], bool], None]
 
 _PACKAGE = __name__.partition('.')[0]
 
 _lock = Lock()
 # What is marked and not registered yet, and who registers it, once there is one.
-_waiting: list[tuple[Callable, bool]] = []
-_registrars: list[Callable[[Callable, bool], None]] = []
+_waiting: list[tuple[Callable[..., Any], bool]] = []
+_registrars: list[_Registrar] = []
 
 
 def inlined(function: _Function) -> _Function:
@@ -43,7 +44,7 @@ def _mark(function: _Function, inline: bool) -> _Function:
     return function
 
 
-def register_by(registrar: Callable[[Callable, bool], None]) -> None:
+def register_by(registrar: _Registrar) -> None:
     """
     Register all marked functions, those of later marks too.
 

@@ -17,7 +17,7 @@ import json
 import os
 from pathlib import Path
 import stat
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.lfs_pointer import refuse_pointer
@@ -222,7 +222,7 @@ def _expected_layers(card: ModelCard, network: str
         yield (f'{name}.weight', (outputs, inputs)), (f'{name}.bias', (outputs,))
 
 
-def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict | None
+def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict[str, Any] | None
             ) -> np.ndarray:
     if found is None:
         raise ModelError(f'{path}: {name} is missing; {_ANEW}')

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian that holds its states near the box that it was trained in."""
 
-from collections.abc import Callable
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -10,7 +9,8 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.compilation import composed, functions_of
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import (
+    Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
@@ -67,12 +67,13 @@ class ConfinedHamiltonian(Hamiltonian):
             raise ModelError('confine: a wall holds states by forces on canonical momenta, which '
                              'this model has not; leave confine out')
         self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
+        self._box = base.box
         self.energies = self._wall_energies()
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the box of the base."""
-        return self.base.box
+        return self._box
 
     @property
     def smooth(self) -> bool:
@@ -137,9 +138,9 @@ def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
 
 # Parameters are not unpacked into names: each array that gets one is counted in every call.
 @cache
-def _confined(base_energy: Callable, base_gradient: Callable, base_hessian_vector: Callable
-              ) -> tuple[Callable, Callable, Callable]:
-    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector
+              ) -> Functions:
+    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         total, walls, d = base_energy(parameters[0], q, p), parameters[1], q.size
         for i in range(d):
             if not walls[i, 0] <= q[i] <= walls[i, 1]:
@@ -148,7 +149,7 @@ def _confined(base_energy: Callable, base_gradient: Callable, base_hessian_vecto
                 total += _wall(walls, d + i, p[i])[0]
         return total
 
-    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
         base_gradient(parameters[0], q, p, dH_dq, dH_dp)
         walls = parameters[1]
@@ -160,7 +161,7 @@ def _confined(base_energy: Callable, base_gradient: Callable, base_hessian_vecto
             if not walls[d + i, 0] <= p[k] <= walls[d + i, 1]:
                 dH_dp[k] += _wall(walls, d + i, p[k])[1]
 
-    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
         base_hessian_vector(parameters[0], q, p, v_q, v_p, product_q, product_p)
         walls = parameters[1]

@@ -3,7 +3,7 @@
 """A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
 
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import (
@@ -57,7 +57,7 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     root, potential, entries, space = parameters
     evaluate_outputs(root, q, p, entries[0])
     u = space[0]
@@ -69,7 +69,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     root, potential, entries, space = parameters
     d = space.shape[1]
@@ -85,7 +85,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
     root, potential, entries, space = parameters
@@ -120,7 +120,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
 
 
 @part(error_model='numpy', forceinline=True)
-def _first_order(root: tuple, entries: np.ndarray, space: np.ndarray, q: np.ndarray,
+def _first_order(root: Parameters, entries: np.ndarray, space: np.ndarray, q: np.ndarray,
                  p: np.ndarray) -> None:
     """Fill A in the first row of entries, p_i u_j in the second, u in the first of space."""
     evaluate_outputs(root, q, p, entries[0])

@@ -63,7 +63,8 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int) -> Ene
                   float(np.std(means[numbers])), seed)
 
 
-def _error(errors: np.ndarray, groups: np.ndarray | None, against: str, spread: float, seed: int
+def _error(errors: np.ndarray, groups: np.ndarray | None,
+           against: Literal['true energy', 'mean along each trajectory'], spread: float, seed: int
            ) -> EnergyError:
     """Return the statistics of errors; groups are resampled as a whole."""
     rng, n = np.random.default_rng(seed), len(errors)

@@ -7,13 +7,14 @@ Each row of F gives one input y_k, or the two inputs (sin y_k, cos y_k) if it is
 are padded with zeros to an even number n, since the loops of perceptron.py take two halves.
 """
 
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 import numpy as np
 
 
-def pack_features(card: MechanicalCard, features: list[list[float]]) -> tuple:
+def pack_features(card: MechanicalCard, features: list[list[float]]) -> Parameters:
     """
     Return the parameters of the functions here.
 
@@ -64,7 +65,7 @@ def inputs_of(card: MechanicalCard, features: list[list[float]], q: np.ndarray
 
 
 @part(error_model='numpy')
-def see(seen: tuple, q: np.ndarray) -> None:
+def see(seen: Parameters, q: np.ndarray) -> None:
     """Fill the inputs, the first row of the space, at one state."""
     rows, periodic, space = seen
     at = 0
@@ -81,7 +82,7 @@ def see(seen: tuple, q: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def see_change(seen: tuple, v_q: np.ndarray) -> None:
+def see_change(seen: Parameters, v_q: np.ndarray) -> None:
     """Fill the change of the inputs, the second row, along v_q; after ``see``."""
     rows, periodic, space = seen
     at = 0
@@ -98,7 +99,7 @@ def see_change(seen: tuple, v_q: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def add_covector(seen: tuple, sign: float, row: int, covector: np.ndarray) -> None:
+def add_covector(seen: Parameters, sign: float, row: int, covector: np.ndarray) -> None:
     """Add sign times what a cotangent of the inputs, that row of the space, is for q."""
     rows, periodic, space = seen
     at = 0
@@ -114,7 +115,7 @@ def add_covector(seen: tuple, sign: float, row: int, covector: np.ndarray) -> No
 
 
 @part(error_model='numpy')
-def add_covector_change(seen: tuple, sign: float, row: int, covector: np.ndarray) -> None:
+def add_covector_change(seen: Parameters, sign: float, row: int, covector: np.ndarray) -> None:
     """Add sign times what that covector changes by with the inputs, at a held cotangent."""
     rows, periodic, space = seen
     at = 0

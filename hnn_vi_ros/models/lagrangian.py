@@ -4,10 +4,11 @@
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
@@ -56,6 +57,7 @@ class LagrangianHamiltonian(LearnedHamiltonian):
         super().__init__(checkpoint)
         card = checkpoint.card
         self._mass = np.array(card.mass)
+        assert card.velocities is not None, 'checked with the card'
         low, high = np.array([*card.box.q, *card.velocities]).T
         x = np.random.default_rng(0).uniform(low, high, (_SAMPLES, low.size))
         x[0] = 0.5 * (low + high)
@@ -72,7 +74,7 @@ class LagrangianHamiltonian(LearnedHamiltonian):
                 f'{masses[worst, 0]:.3g}, expected positive ones; train it longer or on more data')
 
     @cached_property
-    def _network(self) -> tuple:
+    def _network(self) -> Parameters:
         return self._packed('lagrangian')
 
     def _masses(self, x: np.ndarray) -> np.ndarray:
@@ -115,7 +117,7 @@ class LagrangianHamiltonian(LearnedHamiltonian):
         return np.hstack([-np.split(self._slope(np.hstack([q, v])), 2, axis=1)[0], v])
 
 
-def midpoint_action(checkpoint: Checkpoint) -> Callable:
+def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:
     """
     Return the midpoint rule for the action of a learned Lagrangian, in torch.
 
@@ -140,8 +142,9 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable:
         raise ModelError(f'{checkpoint.card.name}: a model of the family {family} has no '
                          'Lagrangian, as the family lagrangian has; take another integrator')
     import torch  # where it is needed: shipped scenes run without it
-    activate = {'tanh': torch.tanh, 'sine': torch.sin,
-                'softplus': torch.nn.functional.softplus}[checkpoint.card.activation]
+    activate: Callable[[torch.Tensor], torch.Tensor] = {
+        'tanh': torch.tanh, 'sine': torch.sin,
+        'softplus': torch.nn.functional.softplus}[checkpoint.card.activation]
     mass = torch.tensor(checkpoint.card.mass, dtype=torch.float64)
     layers = [tuple(torch.tensor(part) for part in parts)
               for parts in zip(*checkpoint.networks['lagrangian'], strict=True)]
@@ -157,7 +160,7 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable:
 
 
 @kept(error_model='numpy')
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     network, mass, _, space, _ = parameters
     _solve(parameters, q, p)
     v = space[0]
@@ -170,7 +173,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     space = parameters[3]
     d = space.shape[1]
@@ -181,7 +184,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     network, _, _, space, matrices = parameters
     d = space.shape[1]
@@ -202,7 +205,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
 
 
 @part(error_model='numpy')
-def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
+def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill v, L_q and L_v in the first rows of the space by Newton's method for L_v(q, v) = p."""
     network, mass, start, space, matrices = parameters
     v, L_q, L_v, change, inverse = space[0], space[1], space[2], space[6], matrices[1]
@@ -237,7 +240,7 @@ def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def _invert_mass(parameters: tuple, q: np.ndarray, v: np.ndarray) -> None:
+def _invert_mass(parameters: Parameters, q: np.ndarray, v: np.ndarray) -> None:
     """Fill the second matrix with L_vv^-1 at (q, v)."""
     network, mass, _, space, matrices = parameters
     zero, unit, along_v = space[3], space[4], space[5]

@@ -3,12 +3,13 @@
 """A learned Hamiltonian of a mechanism: a mass matrix and a potential that are networks of q."""
 
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, even_layers, inputs_of, pack_features, see, see_change)
 from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.outputs import (
     evaluate_outputs, output_tangents, pack_layers, part_gradient, weigh)
 from hnn_vi_ros.networks import perceptron
@@ -41,9 +42,15 @@ class MechanicalHamiltonian(LearnedHamiltonian):
 
     """
 
+    @property
+    def _mechanical(self) -> MechanicalCard:
+        card = self.checkpoint.card.mechanical
+        assert card is not None, 'checked with the card: the family has one'
+        return card
+
     def _kernel(self) -> Kernel:
         card, d = self.checkpoint.card, self.dimension
-        mechanical, networks = card.mechanical, self.checkpoint.networks
+        mechanical, networks = self._mechanical, self.checkpoint.networks
         mass = (pack_layers(even_layers(networks['mass']), card.activation),
                 pack_features(mechanical, mechanical.mass_features),
                 np.array(mechanical.entries), np.array(mechanical.mass_scale), mechanical.floor)
@@ -60,7 +67,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
 
     def _roots(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return M, L, and the derivatives of L by q, shape (m, d, d, d)."""
-        card, d = self.checkpoint.card.mechanical, self.dimension
+        card, d = self._mechanical, self.dimension
         x, x_q = inputs_of(card, card.mass_features, q)
         y, y_x = self._evaluated('mass', x)
         y_q = y_x @ x_q
@@ -75,7 +82,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         return S[:, None] * (gram + card.floor * np.eye(d)) * S, L, L_q
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        card, (q, p) = self.checkpoint.card.mechanical, np.split(z, 2, axis=1)
+        card, (q, p) = self._mechanical, np.split(z, 2, axis=1)
         masses, L, L_q = self._roots(q)
         v = p.astype(np.longdouble)
         for mass, right in zip(masses, v, strict=True):
@@ -91,7 +98,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     network, seen = parameters[1]
     _solve(parameters, q, p)
     v = parameters[4][0]
@@ -105,7 +112,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     mass, (network, seen), entries, _, space = parameters
     d = space.shape[1]
@@ -128,7 +135,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
     d = parameters[4].shape[1]
@@ -142,7 +149,7 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
 
 
 @part(error_model='numpy')
-def _differentiate_potential(potential: tuple, q: np.ndarray, v_q: np.ndarray,
+def _differentiate_potential(potential: Parameters, q: np.ndarray, v_q: np.ndarray,
                              product_q: np.ndarray) -> None:
     """Add V''(q) v_q."""
     network, seen = potential
@@ -158,7 +165,7 @@ def _differentiate_potential(potential: tuple, q: np.ndarray, v_q: np.ndarray,
 
 
 @part(error_model='numpy')
-def _differentiate_mass(parameters: tuple, v_q: np.ndarray, v_p: np.ndarray,
+def _differentiate_mass(parameters: Parameters, v_q: np.ndarray, v_p: np.ndarray,
                         product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the change of v, and add that of -sum_ij u_i w_j L_ij'; after _weigh_entries."""
     (network, seen, places, scale, floor), _, entries, matrices, space = parameters
@@ -206,7 +213,7 @@ def _differentiate_mass(parameters: tuple, v_q: np.ndarray, v_p: np.ndarray,
 
 
 @part(error_model='numpy')
-def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
+def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill y, L, the Cholesky factor of L L^T + floor, and v, u, w; NaN where there is none."""
     (network, seen, places, scale, floor), _, entries, matrices, space = parameters
     L, C = matrices[0], matrices[1]
@@ -239,7 +246,7 @@ def _solve(parameters: tuple, q: np.ndarray, p: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def _weigh_entries(parameters: tuple) -> None:
+def _weigh_entries(parameters: Parameters) -> None:
     """Fill the cotangent of y, u_i w_j times the slope of the diagonal's softplus."""
     places, entries, space = parameters[0][2], parameters[2], parameters[4]
     for k in range(places.shape[0]):

@@ -93,8 +93,11 @@ class ModelCard(StrictModel):
     @property
     def layout(self) -> dict[str, list[int]]:
         """Return the widths of each network."""
+        if self.networks is not None:
+            return self.networks
+        assert self.widths is not None, 'checked: one of the two is there'
         (first, *_) = FAMILIES[self.family].networks
-        return {first: self.widths} if self.networks is None else self.networks
+        return {first: self.widths}
 
     @model_validator(mode='after')
     def _check(self) -> 'ModelCard':

@@ -7,6 +7,7 @@ A network y = Y a_K + b of k outputs is packed as the network w . a_K of one, wh
 are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradient included.
 """
 
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import padded
@@ -15,7 +16,7 @@ from hnn_vi_ros.networks.perceptron_memory import pack
 import numpy as np
 
 
-def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple:
+def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> Parameters:
     """
     Return the parameters of the functions here: those of the loops, and Y and b.
 
@@ -32,7 +33,7 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> tuple
     return pack_layers(padded(checkpoint.networks[network], part), checkpoint.card.activation)
 
 
-def pack_layers(layers: Layers, activation: str) -> tuple:
+def pack_layers(layers: Layers, activation: str) -> Parameters:
     """Return the same of a network of an even number of inputs."""
     weights, biases = layers
     one = np.zeros((1, weights[-1].shape[1]))
@@ -41,14 +42,14 @@ def pack_layers(layers: Layers, activation: str) -> tuple:
 
 
 @part(error_model='numpy')
-def part_gradient(network: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+def part_gradient(network: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                   dH_dp: np.ndarray) -> None:
     """Fill the gradient of one network: a call, since inlining several compiles for long."""
     perceptron.gradient(network, q, p, dH_dq, dH_dp)
 
 
 @part(error_model='numpy')
-def evaluate_outputs(parameters: tuple, q: np.ndarray, p: np.ndarray, y: np.ndarray) -> None:
+def evaluate_outputs(parameters: Parameters, q: np.ndarray, p: np.ndarray, y: np.ndarray) -> None:
     """Fill the outputs, shape (k,), at a state, q and p of shape (d,)."""
     network, last, bias = parameters
     perceptron.energy(network, q, p)
@@ -60,7 +61,7 @@ def evaluate_outputs(parameters: tuple, q: np.ndarray, p: np.ndarray, y: np.ndar
 
 
 @part(error_model='numpy')
-def output_tangents(parameters: tuple, y: np.ndarray) -> None:
+def output_tangents(parameters: Parameters, y: np.ndarray) -> None:
     """Fill the change of the outputs along the direction of the last Hessian-vector product."""
     network, last, _ = parameters
     sizes, nodes = network[0], network[3]
@@ -71,7 +72,7 @@ def output_tangents(parameters: tuple, y: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def weigh(parameters: tuple, c: np.ndarray) -> None:
+def weigh(parameters: Parameters, c: np.ndarray) -> None:
     """Make the network of one output c . y."""
     network, last, _ = parameters
     sizes, rows = network[0], network[1]

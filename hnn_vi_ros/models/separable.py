@@ -3,7 +3,7 @@
 """A learned Hamiltonian whose kinetic and potential energies are networks of their own."""
 
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
@@ -41,13 +41,13 @@ class SeparableHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     kinetic, potential, _ = parameters
     return perceptron.energy(kinetic, q, p) + perceptron.energy(potential, q, p)
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     kinetic, potential, space = parameters
     for a in range(0, q.size, space.size):
@@ -58,7 +58,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     kinetic, potential, space = parameters
     for a in range(0, q.size, space.size):

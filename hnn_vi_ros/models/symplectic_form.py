@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned one-form and energy, whose motions follow in coordinates that are not canonical."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
@@ -85,7 +85,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
         return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension,
                       (0.0, 0.0), compiled=True)
 
-    def _rounding(self, energy: tuple) -> tuple[float, float]:
+    def _rounding(self, energy: Parameters) -> tuple[float, float]:
         """Return the rounding error of H in units of the unit round-off, and norm(W^-1)."""
         z, d = self._states(), self.dimension
         computed = np.array([perceptron.energy(energy, x[:d], x[d:]) for x in z])
@@ -166,8 +166,8 @@ class FormParameters(NamedTuple):
 
     """
 
-    energy: tuple
-    form: tuple
+    energy: Parameters
+    form: Parameters
     mass: np.ndarray
     rows: np.ndarray
     two_form: np.ndarray
@@ -209,7 +209,7 @@ def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covect
 
 
 @_compiled
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: Any, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     d = parameters.mass.shape[0]
     rates = np.empty(2 * d)
@@ -221,7 +221,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @_compiled
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the derivative of what stands for the gradient, by a central difference."""
     size = max(np.abs(v_q).max(), np.abs(v_p).max())

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -57,20 +57,21 @@ class TorchHamiltonian(Hamiltonian):
         q_out[:] = both[:, :self.dimension].ravel()
         p_out[:] = both[:, self.dimension:].ravel()
 
-    def _energy(self, parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    def _energy(self, parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         import torch
         with torch.no_grad():
             return float(self.module(self._input(q, p)).reshape(()))
 
-    def _gradient(self, parameters: tuple, q: np.ndarray, p: np.ndarray,
+    def _gradient(self, parameters: Parameters, q: np.ndarray, p: np.ndarray,
                   dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
         import torch
         x = self._input(q, p).requires_grad_(True)
         (gradient,) = torch.autograd.grad(self.module(x).sum(), x)
         self._split(gradient, dH_dq, dH_dp)
 
-    def _hessian_vector(self, parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    def _hessian_vector(self, parameters: Parameters, q: np.ndarray, p: np.ndarray,
+                        v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                        product_p: np.ndarray) -> None:
         import torch
         x = self._input(q, p).requires_grad_(True)
         (gradient,) = torch.autograd.grad(self.module(x).sum(), x, create_graph=True)

@@ -3,7 +3,7 @@
 """A learned Hamiltonian of a constant mass matrix and a potential network."""
 
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
@@ -49,7 +49,7 @@ class VariationalHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     inverse, potential = parameters
     energy = perceptron.energy(potential, q, p)
     for i in range(p.size):
@@ -59,7 +59,7 @@ def _energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inverse, potential = parameters
     # Fills dH_dp with zeros.
@@ -68,7 +68,7 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     inverse, potential = parameters
     perceptron.hessian_vector(potential, q, p, v_q, v_p, product_q, product_p)

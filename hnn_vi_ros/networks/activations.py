@@ -10,8 +10,9 @@ rows of ``nodes``, and in a sixth its derivative along a_0' = v.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import LINK_ONLY, part
 from hnn_vi_ros.networks.perceptron_memory import Relu, Sine, Softplus, TILE
 from hnn_vi_ros.networks.vector_sine import sine_and_cosine
@@ -23,15 +24,15 @@ import numpy as np
 # Sums may be reordered to vectorise; NaN and infinity keep their meaning, or the checks for
 # non-finite states would be optimised away.
 FASTMATH = {'contract', 'reassoc', 'nsz', 'arcp'}
-_OPTIONS = {'fastmath': FASTMATH, 'error_model': 'numpy', 'forceinline': True}
+_OPTIONS: dict[str, Any] = {'fastmath': FASTMATH, 'error_model': 'numpy', 'forceinline': True}
 _inlined = part(**_OPTIONS)
 
 
 class Reference(NamedTuple):
     """An activation in numpy, for any precision: value and slope of z."""
 
-    value: Callable
-    slope: Callable
+    value: Callable[[np.ndarray], np.ndarray]
+    slope: Callable[[np.ndarray], np.ndarray]
     smooth: bool = True
 
 
@@ -65,27 +66,28 @@ def _relu_curvature(value: float, slope: float) -> float:
     return 0.0
 
 
-_FUNCTIONS = {Sine: (sine_and_cosine, _sine_curvature),
-              Softplus: (softplus_and_slope, _softplus_curvature),
-              Relu: (_relu, _relu_curvature)}
+_FUNCTIONS: dict[type, tuple[Any, Any]] = {
+    Sine: (sine_and_cosine, _sine_curvature),
+    Softplus: (softplus_and_slope, _softplus_curvature),
+    Relu: (_relu, _relu_curvature)}
 
 
-def activate(parameters: tuple, s: int, layer: int, first: int, last: int) -> None:
+def activate(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
     """Replace z by the activation of z + b_l, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
-def scale(parameters: tuple, s: int, layer: int, row: int, first: int, last: int) -> None:
+def scale(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int) -> None:
     """Multiply row + layer by the slope at z_l, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
-def scale_forth(parameters: tuple, s: int, layer: int, first: int, last: int) -> None:
+def scale_forth(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
     """Replace z_l' by a_l', and keep the derivative of the slope, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
-def scale_tangent(parameters: tuple, s: int, layer: int, first: int, last: int) -> None:
+def scale_tangent(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
     """Replace g_l' by delta_l' = slope g_l' + slope' g_l, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
@@ -93,35 +95,37 @@ def scale_tangent(parameters: tuple, s: int, layer: int, first: int, last: int) 
 # In the loops below, an index without a sign cannot count from the end of an array, the check of
 # which would keep them from vectorising.
 @overload(activate, jit_options={**_OPTIONS, **LINK_ONLY})
-def _activate(parameters, s, layer, first, last):
-    def of_tanh(parameters, s, layer, first, last):
+def _activate(parameters: Parameters, s: int, layer: int, first: int, last: int) -> Any:
+    def of_tanh(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
         sizes, rows, _, nodes, _ = parameters
         bias = sizes[0] + layer - 1
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, layer, i] = tanh(nodes[s, layer, i] + rows[bias, i])
 
-    def of_others(parameters, s, layer, first, last):
+    def of_others(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
         sizes, rows, _, nodes, _ = parameters
         bias, slope = sizes[0] + layer - 1, 4 * sizes.size + layer
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
-            value, derivative = function(nodes[s, layer, i] + rows[bias, i])
+            value, derivative = value_and_slope(nodes[s, layer, i] + rows[bias, i])
             nodes[s, layer, i] = value
             nodes[s, slope, i] = derivative
 
     if not hasattr(parameters, 'instance_class'):
         return of_tanh
-    function, _ = _FUNCTIONS[parameters.instance_class]
+    value_and_slope, _ = _FUNCTIONS[parameters.instance_class]
     return of_others
 
 
 @overload(scale, jit_options={**_OPTIONS, **LINK_ONLY})
-def _scale(parameters, s, layer, row, first, last):
-    def of_tanh(parameters, s, layer, row, first, last):
+def _scale(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int) -> Any:
+    def of_tanh(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int
+                ) -> None:
         nodes = parameters[3]
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, row + layer, i] *= 1.0 - nodes[s, layer, i] * nodes[s, layer, i]
 
-    def of_others(parameters, s, layer, row, first, last):
+    def of_others(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int
+                  ) -> None:
         nodes, slope = parameters[3], 4 * parameters[0].size + layer
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, row + layer, i] *= nodes[s, slope, i]
@@ -130,11 +134,11 @@ def _scale(parameters, s, layer, row, first, last):
 
 
 @overload(scale_forth, jit_options={**_OPTIONS, **LINK_ONLY})
-def _scale_forth(parameters, s, layer, first, last):
-    def of_tanh(parameters, s, layer, first, last):
+def _scale_forth(parameters: Parameters, s: int, layer: int, first: int, last: int) -> Any:
+    def of_tanh(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
         scale(parameters, s, layer, 2 * parameters[0].size, first, last)
 
-    def of_others(parameters, s, layer, first, last):
+    def of_others(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
         nodes, g = parameters[3], parameters[0].size
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             value, slope = nodes[s, layer, i], nodes[s, 4 * g + layer, i]
@@ -149,8 +153,8 @@ def _scale_forth(parameters, s, layer, first, last):
 
 
 @overload(scale_tangent, jit_options={**_OPTIONS, **LINK_ONLY})
-def _scale_tangent(parameters, s, layer, first, last):
-    def of_tanh(parameters, s, layer, first, last):
+def _scale_tangent(parameters: Parameters, s: int, layer: int, first: int, last: int) -> Any:
+    def of_tanh(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
         nodes, g = parameters[3], parameters[0].size
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             a = nodes[s, layer, i]
@@ -158,7 +162,7 @@ def _scale_tangent(parameters, s, layer, first, last):
                 (1.0 - a * a) * nodes[s, 3 * g + layer, i]
                 - 2.0 * a * nodes[s, 2 * g + layer, i] * nodes[s, g + layer, i])
 
-    def of_others(parameters, s, layer, first, last):
+    def of_others(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
         nodes, g = parameters[3], parameters[0].size
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, 3 * g + layer, i] = (

@@ -13,6 +13,7 @@ tiles of eight rows of weights.
 """
 
 from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.networks.activations import activate, FASTMATH, scale, scale_forth, scale_tangent
 from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, ROW, TILE
@@ -29,7 +30,7 @@ _BLOCK = 4096
 
 
 @_compiled
-def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J] for q and p of shape (d,)."""
     sizes, rows, _, nodes, _ = parameters
     n_layers = sizes.size - 1
@@ -43,7 +44,7 @@ def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @_inlined
-def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
+def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     """Fill dH_dq and dH_dp, all of shape (m d,): m states one after another."""
     sizes = parameters[0]
@@ -57,7 +58,7 @@ def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray,
 
 
 @_compiled
-def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the last two with H''(q, p) (v_q, v_p), all of shape (m d,)."""
     sizes = parameters[0]
@@ -72,7 +73,7 @@ def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndar
 
 
 @_part
-def _load(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
+def _load(parameters: Parameters, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
           ) -> None:
     sizes, _, _, nodes, _ = parameters
     d = sizes[0] // 2
@@ -83,7 +84,8 @@ def _load(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray,
 
 
 @_part
-def _store(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
+def _store(parameters: Parameters, first: int, n_states: int, row: int, q: np.ndarray,
+           p: np.ndarray
            ) -> None:
     sizes, _, _, nodes, _ = parameters
     d = sizes[0] // 2
@@ -94,7 +96,7 @@ def _store(parameters: tuple, first: int, n_states: int, row: int, q: np.ndarray
 
 
 @_part
-def _propagate(parameters: tuple, n_states: int, tangent: bool) -> None:
+def _propagate(parameters: Parameters, n_states: int, tangent: bool) -> None:
     """Fill g_0 from a_0 of the first states; with tangent, g_0' from a_0' too."""
     sizes, rows, _, nodes, _ = parameters
     n_layers, g = sizes.size - 1, sizes.size
@@ -114,7 +116,7 @@ def _propagate(parameters: tuple, n_states: int, tangent: bool) -> None:
 
 
 @_part
-def _forward(parameters: tuple, n_states: int, n_layers: int, tangent: bool) -> int:
+def _forward(parameters: Parameters, n_states: int, n_layers: int, tangent: bool) -> int:
     """Fill a_1 to the activations of layer n_layers; return the tile where the next begins."""
     sizes = parameters[0]
     for s in range(n_states):
@@ -132,7 +134,7 @@ def _forward(parameters: tuple, n_states: int, n_layers: int, tangent: bool) -> 
 
 
 @_part
-def _back(parameters: tuple, n_states: int, at: int, layer: int, forth: bool, tangent: bool
+def _back(parameters: Parameters, n_states: int, at: int, layer: int, forth: bool, tangent: bool
           ) -> None:
     """Go back through a layer, and first forth if it is the last: its weights are read once."""
     sizes = parameters[0]
@@ -154,7 +156,7 @@ def _blocks(n_in: int, n_tiles: int) -> tuple[int, int]:
 
 
 @_part
-def _block_forth(parameters: tuple, at: int, s: int, layer: int, first: int, last: int,
+def _block_forth(parameters: Parameters, at: int, s: int, layer: int, first: int, last: int,
                  tangent: bool) -> None:
     sizes = parameters[0]
     _product(parameters, at, s, layer, sizes[layer - 1], first, last)
@@ -165,7 +167,7 @@ def _block_forth(parameters: tuple, at: int, s: int, layer: int, first: int, las
 
 
 @_part
-def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last: int,
+def _block_back(parameters: Parameters, at: int, s: int, layer: int, first: int, last: int,
                 tangent: bool) -> None:
     sizes = parameters[0]
     g = sizes.size
@@ -177,7 +179,7 @@ def _block_back(parameters: tuple, at: int, s: int, layer: int, first: int, last
 
 
 @_part
-def _first_layer(parameters: tuple, s: int, tangent: bool) -> None:
+def _first_layer(parameters: Parameters, s: int, tangent: bool) -> None:
     sizes = parameters[0]
     _columns(parameters, s, 0)
     activate(parameters, s, 1, 0, sizes[1] // TILE)
@@ -187,7 +189,7 @@ def _first_layer(parameters: tuple, s: int, tangent: bool) -> None:
 
 
 @_part
-def _first_layer_back(parameters: tuple, s: int, tangent: bool) -> None:
+def _first_layer_back(parameters: Parameters, s: int, tangent: bool) -> None:
     sizes = parameters[0]
     if tangent:
         scale_tangent(parameters, s, 1, 0, sizes[1] // TILE)
@@ -197,7 +199,7 @@ def _first_layer_back(parameters: tuple, s: int, tangent: bool) -> None:
 
 
 @_part
-def _columns(parameters: tuple, s: int, row: int) -> None:
+def _columns(parameters: Parameters, s: int, row: int) -> None:
     """Set row + 1 to W_1 times row: W_1 has few columns, too few to vectorise along its rows."""
     sizes, rows, _, nodes, _ = parameters
     for j in range(0, sizes[0], 2):
@@ -208,7 +210,7 @@ def _columns(parameters: tuple, s: int, row: int) -> None:
 
 
 @_part
-def _transposed_columns(parameters: tuple, s: int, row: int) -> None:
+def _transposed_columns(parameters: Parameters, s: int, row: int) -> None:
     """Set row to W_1^T times row + 1."""
     sizes, rows, _, nodes, _ = parameters
     for j in range(0, sizes[0], 2):
@@ -220,7 +222,7 @@ def _transposed_columns(parameters: tuple, s: int, row: int) -> None:
 
 
 @_part
-def _product(parameters: tuple, at: int, s: int, row: int, n_in: int, first: int, last: int
+def _product(parameters: Parameters, at: int, s: int, row: int, n_in: int, first: int, last: int
              ) -> None:
     """Set tiles first to last of a row to W_l times the row before."""
     _, _, tiles, nodes, node_tiles = parameters
@@ -243,7 +245,7 @@ def _product(parameters: tuple, at: int, s: int, row: int, n_in: int, first: int
 
 
 @_part
-def _transposed_product(parameters: tuple, at: int, s: int, row: int, n_in: int,
+def _transposed_product(parameters: Parameters, at: int, s: int, row: int, n_in: int,
                         first: int, last: int) -> None:
     """Add to the row before what tiles first to last of a row contribute by W_l^T."""
     _, _, tiles, nodes, node_tiles = parameters

@@ -4,6 +4,7 @@
 
 from typing import NamedTuple
 
+from hnn_vi_ros.kernels.kernel import Parameters
 import numpy as np
 
 # Eight rows of weights, used together, are a tile; layers are padded with zeros to whole tiles.
@@ -51,7 +52,7 @@ _KINDS = {'sine': Sine, 'relu': Relu, 'softplus': Softplus}
 
 
 def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
-         activation: str = 'tanh') -> tuple:
+         activation: str = 'tanh') -> Parameters:
     """
     Return the parameters of the functions of perceptron.py, with their scratch memory.
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A sine and its cosine that compilers vectorise, which libm's scalar ones prevent."""
 
+from typing import Any
+
 from hnn_vi_ros.kernels.compilation import kept
 import numpy as np
 
@@ -36,7 +38,7 @@ def sine_and_cosine(x: float) -> tuple[float, float]:
     abs(x) < 1e6; beyond, x's own last digit. There is no branch and no call, as in vector_tanh.
 
     """
-    rounded = np.float64(x * _TWO_OVER_PI + _ROUNDING)
+    rounded: Any = np.float64(x * _TWO_OVER_PI + _ROUNDING)
     k = rounded - _ROUNDING
     r = ((x - k * _HALF_PI_HIGH) - k * _HALF_PI_MIDDLE) - k * _HALF_PI_LOW
     r = _LARGEST if r > _LARGEST else r
