@@ -47,8 +47,8 @@ def method_name(integrator: Integrator) -> str:
     """Return the name of a method in a scene, with its base if there is a choice of it."""
     name = next((key for key, method in INTEGRATORS.items() if type(integrator) is method),
                 type(integrator).__name__)
-    composed = isinstance(integrator, Composition)
-    return f'{name} over {integrator.base.kernel_name}' if composed else name
+    return f'{name} over {integrator.base.kernel_name}' \
+        if isinstance(integrator, Composition) else name
 
 
 def methods_that(can: Callable[[Integrator], bool]) -> str:

@@ -22,6 +22,8 @@ REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
 ON_FAILURE = ('substep', 'implicit', 'stop')
 
 
+# The step of a method, with the outcome, the residual and the evaluations; see Integrator.step.
+Step = Callable[..., tuple[int, float, int]]
 # Unknowns of an equation up to which Newton's method can have a Jacobian, and up to which it takes
 # less time with one than without; and the vectors that it keeps without.
 LARGEST_MATRIX, FAST_MATRIX, KRYLOV_DIMENSION = 512, 128, 30
@@ -90,7 +92,7 @@ class Memory(NamedTuple):
 
     """
 
-    count: np.ndarray
+    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
     slow_start: np.ndarray
     increments: np.ndarray
     scale: np.ndarray
@@ -117,7 +119,7 @@ class Memory(NamedTuple):
         m = KRYLOV_DIMENSION if n > min(FAST_MATRIX, largest_matrix) else 0
         shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side),
                   (m + 1, n) if m else (0, 0), (m + 1, m), (3, m + 1)]
-        return cls(*np.zeros((2, 1), dtype=np.int64),
+        return cls(*np.zeros((2, 1), dtype=np.int64),  # type: ignore[call-arg]
                    *[np.zeros(shape, dtype) for shape in shapes], np.zeros(side, dtype=np.int64))
 
 
@@ -154,7 +156,7 @@ class Integrator(ABC):
     explicit: bool
     requirements: Requirements
     keeps_gradient: ClassVar[bool] = False
-    compiled: ClassVar[bool] = True
+    compiled: bool = True
     no_solution: str = ''
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 import math
-from typing import NamedTuple
+from typing import Any
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NO_SOLUTION
@@ -21,7 +21,7 @@ _CONTRACTION, _ARRIVED = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
 
 
 @inlined
-def continuation(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
+def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
                  memory: Memory, max_iterations: int) -> tuple[int, float, int]:
     """
     Follow the solution from h = 0 to this h, and iterate there by Newton's method; see solvers.
@@ -63,7 +63,7 @@ def continuation(equation: Callable, tangent: Callable, problem: NamedTuple, x: 
 
 
 @called
-def _correct(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
+def _correct(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
              share: float, memory: Memory) -> tuple[float, int]:
     """Move x to b + share (G(x) - b); return the last step over the scale, and evaluations."""
     n, value, step = x.size, memory.values[0], memory.residuals[1]

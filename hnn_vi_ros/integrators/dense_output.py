@@ -2,15 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Polynomials through one step: the path between its two ends."""
 
-from collections.abc import Sequence
+from typing import Any
 
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 from numpy.polynomial import legendre, polynomial
+from numpy.typing import ArrayLike
+
+_Value = float | np.ndarray
 
 
 @inlined
-def cubic(h: float, x0: float, v0: float, x1: float, v1: float) -> tuple:
+def cubic(h: float, x0: _Value, v0: _Value, x1: _Value, v1: _Value) -> tuple[Any, ...]:
     """
     Return the coefficients of the cubic Hermite polynomial in theta = t / h, constant first.
 
@@ -29,7 +32,8 @@ def cubic(h: float, x0: float, v0: float, x1: float, v1: float) -> tuple:
 
 
 @inlined
-def quintic(h: float, x0: float, v0: float, a0: float, x1: float, v1: float, a1: float) -> tuple:
+def quintic(h: float, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Value, a1: _Value
+            ) -> tuple[Any, ...]:
     """
     Return the coefficients of the quintic Hermite polynomial in theta = t / h, constant first.
 
@@ -69,13 +73,13 @@ class DenseOutput:
     def __init__(self, order: int, coefficients: np.ndarray, in_legendre: bool = False):
         self.order, self._coefficients, self._in_legendre = order, coefficients, in_legendre
 
-    def __call__(self, theta: float | Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, theta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
         Return q and p at times in the step.
 
         Parameters
         ----------
-        theta : float or sequence of float, shape (k,)
+        theta : array_like, shape () or (k,)
             Shares of the step, from 0 to 1.
 
         Returns
@@ -84,13 +88,13 @@ class DenseOutput:
             q and p.
 
         """
-        theta = np.asarray(theta, dtype=np.float64)
+        share = np.asarray(theta, dtype=np.float64)
         if self._in_legendre:
-            z = legendre.legval(2.0 * theta - 1.0, self._coefficients)
+            z: np.ndarray = legendre.legval(2.0 * share - 1.0, self._coefficients)
         else:
-            z = polynomial.polyval(theta, self._coefficients)
-        z, n = z.T, len(z) // 2
-        return z[..., :n], z[..., n:]
+            z = polynomial.polyval(share, self._coefficients)
+        n = len(z) // 2
+        return z.T[..., :n], z.T[..., n:]
 
 
 def hermite_output(h: float, z0: np.ndarray, v0: np.ndarray, z1: np.ndarray, v1: np.ndarray,

@@ -70,7 +70,7 @@ class DiscreteEulerLagrange(Integrator):
             self.discrete_lagrangian, self.order = midpoint_action(self._model), 2
             return
         try:
-            self.discrete_lagrangian: Callable = import_named(discrete_lagrangian)
+            self.discrete_lagrangian = import_named(discrete_lagrangian or '')
         except (Exception, SystemExit) as problem:  # noqa: B902  the user's module may raise any
             raise ValueError(
                 f'discrete_lagrangian = {discrete_lagrangian!r}: {type(problem).__name__}: '

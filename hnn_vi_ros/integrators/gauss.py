@@ -107,7 +107,7 @@ class Gauss(ImplicitIntegrator):
         """Return what its one equation takes, with a gradient for each stage; see Integrator."""
         return self.stages * super().usual_gradients
 
-    def options(self, link: int = 0, dimension: int = 1) -> Tableau:
+    def options(self, link: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
         """Return the coefficients and the options of the solver."""
         return Tableau(*gauss_tableau(self.stages), super().options(link, dimension))
 

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
@@ -101,7 +101,7 @@ def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) ->
 
 
 @inlined
-def difference(equation: Callable, problem: NamedTuple, x: np.ndarray, v: np.ndarray,
+def difference(equation: Callable, problem: Any, x: np.ndarray, v: np.ndarray,
                product: np.ndarray) -> None:
     """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
     size = 0.0

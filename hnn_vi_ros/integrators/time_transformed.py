@@ -18,9 +18,10 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
-BASES = {'implicit_midpoint': ImplicitMidpoint} | {
+BASES: dict[str, Callable[[], Integrator]] = {'implicit_midpoint': ImplicitMidpoint} | {
     name: GAUSS_METHODS[name] for name in ('gauss4', 'gauss6', 'gauss8')}
-CONTROLS = {'hamiltonian': BASES, 'integrating': BASES | {'stormer_verlet': StormerVerlet}}
+CONTROLS: dict[str, dict[str, Callable[[], Integrator]]] = {
+    'hamiltonian': BASES, 'integrating': BASES | {'stormer_verlet': StormerVerlet}}
 # Steps of its own in one step of the clock, beyond which it is given up.
 _MOST_STEPS = 100_000
 # Spacing of the difference of gradients that stands for the second derivatives of K.

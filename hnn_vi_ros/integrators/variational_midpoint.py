@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The midpoint rule for the action of a one-form and an energy, in any coordinates."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros import models
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
@@ -109,7 +109,7 @@ def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
     D holds the rounding of H over abs(u1 - u0), which W^-1 makes one of u'.
     """
     n, d = z.q.size, kernel.dimension
-    form = kernel.parameters
+    form: Any = kernel.parameters
     for a in range(0, n, d):
         slope_q, slope_p = largest(z.dH_dp[a:a + d]), largest(z.dH_dq[a:a + d])
         fastest = max(slope_q, slope_p)
@@ -133,7 +133,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         covector = value[2 * a:2 * b]
         # By way of its package: it is there, since H is of it. Imported in this file it would
         # load the compiler for who only reads a scene.
-        models.symplectic_form.slope(
+        models.symplectic_form.slope(  # type: ignore[attr-defined]
             kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         square, along = 0.0, 0.0
         for i in range(d):
@@ -146,7 +146,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         for i in range(d):
             covector[i] += factor * (x[a + i] - z.q[a + i])
             covector[d + i] += factor * (x[n + a + i] - z.p[a + i])
-        models.symplectic_form.raise_index(
+        models.symplectic_form.raise_index(  # type: ignore[attr-defined]
             kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         for i in range(d):
             problem.rates[a + i], problem.rates[n + a + i] = covector[i], covector[d + i]
