@@ -6,11 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.integrators.base import Integrator, Step
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -117,7 +117,7 @@ class Effect(ABC):
     """
 
     acts: ClassVar[Place]
-    conservative: ClassVar[bool] = False
+    conservative: bool = False
     single: ClassVar[bool] = False
     lockstep: ClassVar[bool] = True
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
@@ -131,7 +131,7 @@ class Effect(ABC):
         return integrator.requirements.hamiltonian
 
     @abstractmethod
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Parameters:
         """
         Return the numbers and arrays that the effect's compiled functions take first.
 
@@ -150,7 +150,7 @@ class Effect(ABC):
         """
 
     def check_state(  # noqa: B027
-            self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
+            self, hamiltonian: Hamiltonian, parameters: Any, q: np.ndarray) -> None:
         """
         Refuse a state to begin from.
 
@@ -187,10 +187,10 @@ class Joined(Effect):
     keeps_separable: ClassVar[bool] = False
 
     @abstractmethod
-    def join(self, kernel: Kernel, parameters: tuple) -> Kernel:
+    def join(self, kernel: Kernel, parameters: Any) -> Kernel:
         """Return a kernel of H together with the effect, of what ``resolve`` returned."""
 
-    def add_gauge(self, parameters: tuple, gauge: np.ndarray) -> None:  # noqa: B027
+    def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:  # noqa: B027
         """Add its share to the linear vector potential, shape (d, d); see Live."""
 
 
@@ -198,7 +198,7 @@ class Commanded(ABC):
     """An effect that takes commands while the simulation runs."""
 
     @abstractmethod
-    def take(self, values: Sequence[float], parameters: tuple) -> None:
+    def take(self, values: Sequence[float], parameters: Any) -> None:
         """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
 
 
@@ -220,11 +220,11 @@ class Potential(Joined):
     """
 
     keeps_separable = True
-    energy: Callable
-    add_gradient: Callable
-    add_hessian_vector: Callable
+    energy: Callable[..., float]
+    add_gradient: Callable[..., None]
+    add_hessian_vector: Callable[..., None]
 
-    def join(self, kernel: Kernel, parameters: tuple) -> Kernel:
+    def join(self, kernel: Kernel, parameters: Parameters) -> Kernel:
         """Return the kernel of H + V."""
         from hnn_vi_ros.effects.kernels import join_potential
         return join_potential(kernel, type(self), parameters)
@@ -254,7 +254,7 @@ class Force(Effect):
 
     acts = Place.NODES
     depends_on_momentum: ClassVar[bool]
-    add_force: Callable
+    add_force: Callable[..., None]
 
     @property
     def rounding(self) -> tuple[float, float]:
@@ -281,17 +281,33 @@ class StepEffect(Effect):
     """
 
     acts = Place.AROUND
-    wrap: Callable
     repeats: ClassVar[bool] = False
 
+    @staticmethod
+    @abstractmethod
+    def wrap(step: Any, keeps_gradient: bool, /) -> Step:
+        """Return the step with the effect, from what ``inner_step`` returned."""
+
     @classmethod
-    def inner_step(cls, integrator: Integrator) -> Callable | tuple[Callable, Callable] | None:
+    def inner_step(cls, integrator: Integrator) -> Any:
         """Return what ``wrap`` takes of a method: its step, or the halves of it."""
         return integrator.halves if cls.acts is Place.MIDDLE else integrator.step
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method has what the effect takes of it."""
         return super().accepts(integrator) and self.inner_step(integrator) is not None
+
+
+class Wrapping(Protocol):
+    """What Wrapped puts around a step: a StepEffect, or what acts like one; see there."""
+
+    @staticmethod
+    def inner_step(integrator: Integrator, /) -> Any:
+        """Return what ``wrap`` takes of a method."""
+
+    @staticmethod
+    def wrap(step: Any, keeps_gradient: bool, /) -> Step:
+        """Return the step with what acts around it."""
 
 
 class Together(Protocol):
@@ -309,10 +325,12 @@ class Together(Protocol):
 
     """
 
-    kind: type
+    @property
+    def kind(self) -> type[Wrapping]:
+        """Return what Wrapped puts around a step."""
 
     @property
-    def settings(self) -> tuple:
+    def settings(self) -> Parameters:
         """Return what the wrapped step finds in its options."""
 
     @property
@@ -332,7 +350,7 @@ class Constraint(Effect):
 
     @staticmethod
     @abstractmethod
-    def together(listed: Sequence[tuple[int, str, tuple]], kernel: Kernel, effects: int
+    def together(listed: Sequence[tuple[int, str, Parameters]], kernel: Kernel, effects: int
                  ) -> Together:
         """
         Return the constraints as one.

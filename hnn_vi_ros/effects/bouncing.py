@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that are cut where a coordinate meets a wall."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Live
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of, scratch
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
@@ -51,7 +50,7 @@ class Wall(NamedTuple):
     kept: np.ndarray
 
 
-def bounce(step: Callable, high: bool) -> Callable:
+def bounce(step: Step, high: bool) -> Step:
     """
     Return a step for one trajectory that turns a velocity at a wall; see Impact.
 
@@ -65,7 +64,7 @@ def bounce(step: Callable, high: bool) -> Callable:
 
     """
     @inlined
-    def bouncing(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def bouncing(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                  memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, (c, position, sign, restitution, search, kept), live, effect = options

@@ -33,7 +33,7 @@ class Row(NamedTuple):
     anchor: np.ndarray
     length: float
     normal: np.ndarray
-    function: Callable | None = None
+    function: Callable[..., float] | None = None
 
 
 class Constraints(NamedTuple):
@@ -94,15 +94,17 @@ class Constraints(NamedTuple):
             for target, part in zip((first, second, anchor, normal), (
                     row.first, row.second, row.anchor, row.normal), strict=True):
                 target[k, :part.size] = part
+        old, new, response = np.zeros((3, len(rows), dimension))
+        right, defect, scale = np.zeros((3, len(rows)))
         return cls(first, second, anchor, normal, np.array([row.first.size for row in known], int),
-                   normal.any(axis=1), np.array([row.length for row in known], float),
-                   *np.zeros((3, len(rows), dimension)), np.zeros((4, dimension)),
-                   np.zeros((len(rows), len(rows))), *np.zeros((3, len(rows))),
+                   np.asarray(normal.any(axis=1)), np.array([row.length for row in known], float),
+                   old, new, response, np.zeros((4, dimension)),
+                   np.zeros((len(rows), len(rows))), right, defect, scale,
                    np.zeros(effects), np.zeros(1, dtype=np.int64), np.zeros((2, dimension)))
 
 
 @cache
-def evaluator(functions: tuple[Callable, ...]) -> Callable:
+def evaluator(functions: tuple[Callable[..., float], ...]) -> Callable[..., float]:
     """
     Return what fills g and its gradient: of distances and planes, and of these functions.
 
@@ -148,7 +150,7 @@ _jitable = cache(inlined)
 
 
 @cache
-def _chain(functions: tuple[Callable, ...]) -> Callable:
+def _chain(functions: tuple[Callable[..., float], ...]) -> Callable[..., None]:
     """Return what evaluates functions of the user's, one after another."""
     if not functions:
         return _evaluate_none

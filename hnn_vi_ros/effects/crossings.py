@@ -25,7 +25,7 @@ class Search(NamedTuple):
     """
     What is known of a distance g(t) within a step, at the ends of intervals that are not clear.
 
-    Parameters
+    tuple[float, ...]
     ----------
     nodes : np.ndarray, shape (66, 5)
         t, g, g' and g'' there, and how far g may be from the polynomial to the left. First the
@@ -38,7 +38,7 @@ class Search(NamedTuple):
     """
 
     nodes: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
     widths: np.ndarray
 
     @classmethod
@@ -63,7 +63,7 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
     """
     Take in the result of a trial: the first at the end of the step, others where TRY said.
 
-    Parameters
+    tuple[float, ...]
     ----------
     search : Search
         Which is changed.
@@ -143,7 +143,7 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
 
 
 @called
-def _coefficients(search: Search, high: bool) -> tuple:
+def _coefficients(search: Search, high: bool) -> tuple[float, ...]:
     """Return those of the polynomial of the first interval, in shares of it."""
     nodes, top = search.nodes, search.count[0]
     h = nodes[top, 0] - nodes[0, 0]
@@ -154,12 +154,12 @@ def _coefficients(search: Search, high: bool) -> tuple:
 
 
 @called
-def _value(c: tuple, x: float) -> float:
+def _value(c: tuple[float, ...], x: float) -> float:
     return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
 
 
 @called
-def _slope(c: tuple, x: float) -> float:
+def _slope(c: tuple[float, ...], x: float) -> float:
     return c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5])))
 
 
@@ -195,7 +195,7 @@ def _look(search: Search, high: bool) -> float:
 
 
 @called
-def _last(c: tuple, falling: bool, low: float, high: float) -> float:
+def _last(c: tuple[float, ...], falling: bool, low: float, high: float) -> float:
     """Return, by bisection, until where the polynomial falls, or else is not negative."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear damping of the motion."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 import math
 
@@ -11,7 +11,8 @@ from hnn_vi_ros.effects.masses import check_rates, Friction, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.base import Integrator, Step
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -51,8 +52,8 @@ class Damping(Force, StepEffect):
             raise ValueError('rate is required, or a model in its place')
         if model is not None:
             rate = load_checkpoint(model).card.friction
-            if rate is None:
-                raise ModelError(f'{model}: has learned no friction, as dgnet does; give a rate')
+        if rate is None:
+            raise ModelError(f'{model}: has learned no friction, as dgnet does; give a rate')
         if not all(math.isfinite(value) and value >= 0.0 for value in np.ravel(rate)):
             raise ValueError(f'rate = {rate} must be at least 0 and finite')
         self.rate = rate
@@ -71,7 +72,7 @@ class Damping(Force, StepEffect):
         """Return the rates, shape (d,) [1/s], and the gauge of the magnetic fields; see Live."""
         return Friction(per_coordinate(coordinates, 'rate', self.rate), live.gauge)
 
-    def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
+    def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
         """Raise ValueError if the rates would feed energy in near q, shape (m d,)."""
         check_rates(hamiltonian, q, per_coordinate(hamiltonian.coordinates, 'rate', self.rate))
 
@@ -85,7 +86,7 @@ class Damping(Force, StepEffect):
 
     @staticmethod
     @cache
-    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+    def wrap(step: Step, keeps_gradient: bool) -> Step:
         """Return the step between two half flows; see StepEffect."""
         return strang(_flow, step, keeps_gradient)
 

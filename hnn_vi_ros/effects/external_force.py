@@ -13,6 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hnn_vi_ros.effects.input_map import InputParameters
+    from hnn_vi_ros.models.checkpoint import Checkpoint
 
 
 class ExternalForce(Force, Commanded):
@@ -61,19 +62,19 @@ class ExternalForce(Force, Commanded):
                 not coordinates or len(set(coordinates)) < len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.timeout = coordinates, float(timeout)
+        self._model: 'Checkpoint | None' = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map
-            model = load_map(model)
-        self._model = model
+            self._model = load_map(model)
 
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> 'InputParameters':
         """Return the command, the clock, the numbers' places, and what adds their forces."""
         # Imported here: it is compiled, which who only reads a scene has no use for.
         from hnn_vi_ros.effects.input_map import by_map, by_place
-        if self._model is None:
-            places = np.array([coordinate_index(coordinates, name) for name in self.coordinates])
-            return by_place(live, places)
-        return by_map(live, self._model, len(coordinates))
+        if self._model is not None:
+            return by_map(live, self._model, len(coordinates))
+        return by_place(live, np.array([
+            coordinate_index(coordinates, name) for name in self.coordinates or ()]))
 
     def take(self, values: Sequence[float], parameters: 'InputParameters') -> None:
         """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""

@@ -64,7 +64,7 @@ class HolonomicConstraint(Constraint):
         self._given = check_keys(form, {
             'point': point, 'other': other, 'anchor': anchor, 'length': length, 'radius': radius,
             'normal': normal, 'factory': factory})
-        self._function = function_row(factory) if form == 'python' else None
+        self._function = function_row(self._given['factory']) if form == 'python' else None
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method is symmetric and of order 2, which RATTLE keeps."""

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rigid wall that a coordinate bounces off."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Literal
 
@@ -11,7 +11,7 @@ from hnn_vi_ros.effects.bouncing import bounce, Wall
 from hnn_vi_ros.effects.crossings import Search
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_finite
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.base import Integrator, Step
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -80,12 +80,12 @@ class Impact(StepEffect):
                              f'wall of an impact at {position!r}')
 
     @staticmethod
-    def inner_step(integrator: Integrator) -> tuple[Callable, bool]:
+    def inner_step(integrator: Integrator) -> tuple[Step, bool]:
         """Return the method's step, and whether it is good for steps of more than a turn."""
         return integrator.step, integrator.order > 2
 
     @staticmethod
     @cache
-    def wrap(step: tuple[Callable, bool], keeps_gradient: bool) -> Callable:
+    def wrap(step: tuple[Step, bool], keeps_gradient: bool) -> Step:
         """Return the step in the parts that impacts cut it into; see StepEffect."""
         return bounce(*step)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.base import Live
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs
 import numpy as np
@@ -39,7 +40,7 @@ class Places(NamedTuple):
 class InputMap(NamedTuple):
     """The network of g(q), and space for its d m entries."""
 
-    network: tuple
+    network: Parameters
     entries: np.ndarray
 
 
@@ -63,7 +64,7 @@ class InputParameters(NamedTuple):
     command: np.ndarray
     clock: np.ndarray
     places: np.ndarray
-    add: Callable
+    add: Callable[..., None]
     own: Places | InputMap
 
 

@@ -13,14 +13,15 @@ from hnn_vi_ros.effects.base import Effect, Force, Live, Potential
 from hnn_vi_ros.integrators.arithmetic import largest
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.compilation import composed, functions_of
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import (
+    Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
-def join_potential(kernel: Kernel, potential: type[Potential], parameters: tuple) -> Kernel:
+def join_potential(kernel: Kernel, potential: type[Potential], parameters: Parameters) -> Kernel:
     """Return the kernel of H(q, p) + V(q)."""
     kernel = by_address(kernel)
     functions = _with_potential(*functions_of(kernel), potential)
@@ -37,8 +38,8 @@ def join_magnetic_field(kernel: Kernel, kind: type[Effect], parameters: tuple[in
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
 
 
-def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[tuple], live: Live
-               ) -> Kernel:
+def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Parameters],
+               live: Live) -> Kernel:
     """
     Return a kernel whose gradient is (H_q - f_p, H_p + f_q), with time and work beside it.
 
@@ -48,37 +49,38 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[tup
     """
     kernel = by_address(kernel)
     d, channels = kernel.dimension, len(forces)
-    nested: tuple = ()
+    nested: Parameters = ()
     for own in reversed(parameters):
         nested = (own, nested)
     kinds = tuple(type(force) for force in forces)
     functions = _with_forces(*functions_of(kernel), kinds)
-    rounding = [sum(parts) for parts in zip(
-        kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True)]
+    rounding_q, rounding_p = (sum(parts) for parts in zip(
+        kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
     return composed(
         kernel, functions, kinds, (kernel.parameters, nested, live.clock, space, d, channels)
-    )._replace(dimension=d + channels, channels=channels, gradient_scale=tuple(rounding))
+    )._replace(dimension=d + channels, channels=channels,
+               gradient_scale=(rounding_q, rounding_p))
 
 
 @cache
-def _with_potential(base_energy: Callable, base_gradient: Callable, base_hessian_vector: Callable,
-                    potential: type[Potential]) -> tuple[Callable, Callable, Callable]:
+def _with_potential(base_energy: Energy, base_gradient: Gradient,
+                    base_hessian_vector: HessianVector, potential: type[Potential]) -> Functions:
     add_energy, add_gradient = potential.energy, potential.add_gradient
     add_hessian_vector = potential.add_hessian_vector
 
-    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         base, own, _ = parameters
         return base_energy(base, q, p) + add_energy(own, q)
 
-    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
         base, own, d = parameters
         base_gradient(base, q, p, dH_dq, dH_dp)
         for a in range(0, q.size, d):
             add_gradient(own, q[a:a + d], dH_dq[a:a + d])
 
-    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
         base, own, d = parameters
         base_hessian_vector(base, q, p, v_q, v_p, product_q, product_p)
@@ -88,14 +90,14 @@ def _with_potential(base_energy: Callable, base_gradient: Callable, base_hessian
 
 
 @cache
-def _with_magnetic_field(base_energy: Callable, base_gradient: Callable,
-                         base_hessian_vector: Callable) -> tuple[Callable, Callable, Callable]:
-    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+def _with_magnetic_field(base_energy: Energy, base_gradient: Gradient,
+                         base_hessian_vector: HessianVector) -> Functions:
+    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         base, own, space = parameters
         _kinetic(own, q, p, space[0])
         return base_energy(base, q, space[0])
 
-    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
         base, own, space = parameters
         x, y, b = own
@@ -107,7 +109,7 @@ def _with_magnetic_field(base_energy: Callable, base_gradient: Callable,
             dH_dq[a + x] -= b * dH_dp[a + y]
             dH_dq[a + y] += b * dH_dp[a + x]
 
-    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
         base, own, space = parameters
         x, y, b = own
@@ -135,15 +137,15 @@ def _kinetic(own: tuple[int, int, float], q: np.ndarray, p: np.ndarray, target: 
 
 
 @cache
-def _with_forces(base_energy: Callable, base_gradient: Callable, base_hessian_vector: Callable,
-                 kinds: tuple[type[Force], ...]) -> tuple[Callable, Callable, Callable]:
+def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector,
+                 kinds: tuple[type[Force], ...]) -> Functions:
     add_all = _chain(kinds, 0)
 
-    def energy(parameters: tuple, q: np.ndarray, p: np.ndarray) -> float:
+    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         base, _, _, _, d, _ = parameters
         return base_energy(base, q[:d], p[:d])
 
-    def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
         base, forces, clock, space, d, channels = parameters
         for a in range(0, q.size, d + channels):
@@ -156,7 +158,7 @@ def _with_forces(base_energy: Callable, base_gradient: Callable, base_hessian_ve
                 dH_dq[a + i] -= space[3, i]
                 dH_dp[a + i] += space[2, i]
 
-    def hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
         # Of the forces a central difference; only Newton's method asks, and for no more.
         base, forces, clock, space, d, channels = parameters
@@ -185,16 +187,16 @@ def _with_forces(base_energy: Callable, base_gradient: Callable, base_hessian_ve
 
 
 @cache
-def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable:
+def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
     """Return what adds the forces from the k-th on, each with its power."""
     if not kinds:
         return _add_none
     add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1)
 
     @inlined
-    def add_all(forces: tuple, clock: np.ndarray, times: np.ndarray, q: np.ndarray, p: np.ndarray,
-                H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray, pace: np.ndarray,
-                space: np.ndarray) -> None:
+    def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
+                p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
+                pace: np.ndarray, space: np.ndarray) -> None:
         own, others = forces
         f_q, f_p, power = space[0, :q.size], space[1, :q.size], 0.0
         f_q[:] = 0.0
@@ -210,7 +212,7 @@ def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable:
 
 
 @inlined
-def _add_none(forces: tuple, clock: np.ndarray, times: np.ndarray, q: np.ndarray, p: np.ndarray,
-              H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray, pace: np.ndarray,
-              space: np.ndarray) -> None:
+def _add_none(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
+              p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
+              pace: np.ndarray, space: np.ndarray) -> None:
     """End the chain of forces."""

@@ -4,9 +4,11 @@
 
 from collections.abc import Sequence
 import math
+from typing import Any
 
 from hnn_vi_ros.effects.base import Force, Live
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -50,20 +52,22 @@ class LearnedFriction(Force):
                              'effects damping and dry_friction')
         self.friction = checkpoint.card.mechanical.friction
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Parameters:
         """Return b, shape (d,), Coulomb terms (c, 1/w) and Stribeck terms (c, 1/w, 1/s)."""
         viscous = np.array(self.friction.viscous)
         d = len(coordinates)
         if viscous.size != d:
             raise ValueError(f'the model has {viscous.size} coordinates, H has {d}')
-        coulomb = [(term.force, np.reciprocal(term.width)) for term in self.friction.coulomb]
-        stribeck = [(term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
-                    for term in self.friction.stribeck]
+        coulomb: list[Any] = [
+            (term.force, np.reciprocal(term.width)) for term in self.friction.coulomb]
+        stribeck: list[Any] = [
+            (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
+            for term in self.friction.stribeck]
         return viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d))
 
     @staticmethod
     @inlined
-    def add_force(parameters: tuple, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: Parameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the friction at each coordinate."""
         viscous, coulomb, stribeck = parameters

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manifold that holonomic constraints leave, and what a state on it must be."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.base import EffectError
@@ -95,22 +95,23 @@ class Manifold:
         defect = self.constraints.defect.copy()
         for k, row in enumerate(self._rows):
             if row.function is not None:
-                self._check_gradient(k, q, gradient[k])
+                self._check_gradient(k, row.function, q, gradient[k])
             self._check_position(k, q, float(defect[k]), float(np.abs(gradient[k]).max()))
-        self._kernel.gradient(self._kernel.parameters, *state, force, velocity)
+        self._kernel.gradient(self._kernel.parameters, state[0], state[1], force, velocity)
         for k, slope in enumerate(gradient):
             self._check_velocity(k, float(slope @ velocity), np.abs(slope).max() *
                                  np.abs(velocity[:self._d]).max())
         self._check_independence(state, gradient)
 
-    def _check_gradient(self, k: int, q: np.ndarray, gradient: np.ndarray) -> None:
+    def _check_gradient(self, k: int, function: Callable[[np.ndarray, np.ndarray], float],
+                        q: np.ndarray, gradient: np.ndarray) -> None:
         scale = float(np.abs(gradient).max())
         for i in range(self._d):
             sides, spacing = [], _SPACING * (1.0 + abs(q[i]))
             for sign in (1.0, -1.0):
                 beside = q.copy()
                 beside[i] += sign * spacing
-                sides.append(self._rows[k].function(beside, np.zeros(self._d)))
+                sides.append(function(beside, np.zeros(self._d)))
             slope = (sides[0] - sides[1]) / (2.0 * spacing)
             if not abs(slope - gradient[i]) <= _SLOPE * max(scale, abs(slope)) or scale == 0.0:
                 raise EffectError(self._places[k], (
@@ -141,7 +142,7 @@ class Manifold:
         zero, rest = np.zeros((2, gradient.shape[1]))
         for along, answer in zip(gradient, response, strict=True):
             self._kernel.hessian_vector(
-                self._kernel.parameters, *state, zero, along, rest, answer)
+                self._kernel.parameters, state[0], state[1], zero, along, rest, answer)
         gram = gradient @ response.T
         for k in range(len(gram)):
             if not gram[k, k] > 0.0:

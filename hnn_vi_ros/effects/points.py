@@ -52,7 +52,7 @@ def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],
     """
     if (other is None) == (anchor is None):
         raise ValueError('give either other (the names of a second point) or anchor (a place)')
-    second = anchor if other is None else other
+    second: Sequence[object] = (anchor if other is None else other) or ()
     if not point or len(second) != len(point):
         raise ValueError(f'{"anchor" if other is None else "other"} has {len(second)} entries, '
                          f'point has {len(point)}: expected the same number, at least 1')

@@ -8,8 +8,9 @@ from functools import cache
 from hnn_vi_ros.effects.constraints import Constraints, evaluator
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, OK, Point, REDUNDANT
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.integrators.base import (
+    Integrator, Memory, NO_CONVERGENCE, OK, Point, REDUNDANT, Step)
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
 from hnn_vi_ros.kernels.marks import called, inlined, is_own
 import numpy as np
@@ -26,22 +27,22 @@ _VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
 class Rattle:
     """RATTLE with distances and planes, for Wrapped; see ``rattle``."""
 
-    functions: tuple[Callable, ...] = ()
+    functions: tuple[Callable[..., float], ...] = ()
     repeats = True
 
     @staticmethod
-    def inner_step(integrator: Integrator) -> Callable:
+    def inner_step(integrator: Integrator) -> Step:
         """Return the step of the method."""
         return integrator.step
 
     @classmethod
-    def wrap(cls, step: Callable, keeps_gradient: bool) -> Callable:
+    def wrap(cls, step: Step, keeps_gradient: bool) -> Step:
         """Return the step between two impulses of the constraints."""
         return rattle(step, cls.functions)
 
 
 @cache
-def rattle_kind(functions: tuple[Callable, ...]) -> type[Rattle]:
+def rattle_kind(functions: tuple[Callable[..., float], ...]) -> type[Rattle]:
     """Return Rattle with functions of the user's, which nothing on disk is to know."""
     if not functions:
         return Rattle
@@ -51,7 +52,7 @@ def rattle_kind(functions: tuple[Callable, ...]) -> type[Rattle]:
 
 
 @cache
-def rattle(step: Callable, functions: tuple[Callable, ...] = ()) -> Callable:
+def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step:
     """
     Return a step that keeps g(q) = 0 and G(q) q' = 0, G = g'.
 
@@ -73,7 +74,7 @@ def rattle(step: Callable, functions: tuple[Callable, ...] = ()) -> Callable:
     evaluate = evaluator(functions)
 
     @inlined
-    def constrained(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def constrained(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                     memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, constraints, live, _ = options

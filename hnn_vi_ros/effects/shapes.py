@@ -77,7 +77,7 @@ def rows_of(form: str, given: Mapping[str, Any], coordinates: Sequence[Coordinat
                          'number')
     distance = Row(*ends, given.get('length', given.get('radius', 0.0)), np.zeros(n))
     if form == 'plane':
-        return (_plane(ends, normal),)
+        return (_plane(ends, given['normal']),)
     if form == 'circle' and n not in (2, 3):
         raise ValueError(f'point has {n} entries, but a circle is in 2 or 3 coordinates')
     if form == 'circle' and (n == 3) != (normal is not None):
@@ -87,7 +87,7 @@ def rows_of(form: str, given: Mapping[str, Any], coordinates: Sequence[Coordinat
     return (distance,) if normal is None else (distance, _plane(ends, normal))
 
 
-def _plane(ends: tuple[np.ndarray, ...], normal: Sequence[float]) -> Row:
+def _plane(ends: tuple[np.ndarray, np.ndarray, np.ndarray], normal: Sequence[float]) -> Row:
     return Row(*ends, 0.0, np.array(normal) / np.linalg.norm(normal))
 
 
@@ -115,6 +115,6 @@ def function_row(factory: str) -> Row:
 
 
 @cache
-def _call(factory: Callable) -> Callable:
+def _call(factory: Callable[[], Any]) -> Any:
     """Return what a factory makes, once for all: another function would be compiled anew."""
     return factory()

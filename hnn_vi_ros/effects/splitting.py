@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 from hnn_vi_ros.effects.wrapped import energy_of, scratch
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Memory, OK, Point
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.integrators.base import Memory, OK, Point, Step
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined
 
 
-def strang(flow: Callable, step: Callable, keeps_gradient: bool) -> Callable:
+def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     """
     Return flow(h/2) o step(h) o flow(h/2): symmetric as the step is, and of order 2 at most.
 
@@ -31,7 +31,7 @@ def strang(flow: Callable, step: Callable, keeps_gradient: bool) -> Callable:
 
     """
     @inlined
-    def half_flow(kernel: Kernel, h: float, parameters: tuple, z: Point) -> float:
+    def half_flow(kernel: Kernel, h: float, parameters: Parameters, z: Point) -> float:
         """Change the momenta; return the work."""
         before = energy_of(kernel, z)
         d = kernel.dimension - kernel.channels
@@ -41,7 +41,7 @@ def strang(flow: Callable, step: Callable, keeps_gradient: bool) -> Callable:
         return energy_of(kernel, z) - before
 
     @inlined
-    def split(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def split(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
               memory: tuple[Memory, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, parameters, live, effect = options

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A heat bath: Langevin dynamics."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.base import Live, per_coordinate, Place, StepEffect
@@ -10,8 +10,8 @@ from hnn_vi_ros.effects.masses import check_masses
 from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.integrators.base import Memory, NO_MASS, OK, Point
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.integrators.base import Memory, NO_MASS, OK, Point, Step
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -57,26 +57,26 @@ class Thermostat(StepEffect):
             raise ValueError(f'seed = {seed} must be from 0 to 2^63 - 1')
         self.temperature, self.rate, self.mass, self.seed = float(temperature), rate, mass, seed
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple:
+    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Parameters:
         """Return the bath."""
         from hnn_vi_ros.effects.ornstein_uhlenbeck import Bath
         return (Bath.of(per_coordinate(coordinates, 'rate', self.rate), self.temperature,
                         self.seed, live.pending.size),)
 
-    def check_state(self, hamiltonian: Hamiltonian, parameters: tuple, q: np.ndarray) -> None:
+    def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
         """Raise ValueError if H has no masses at q, shape (d,), or others than those given."""
         check_masses(hamiltonian, q, None if self.mass is None else per_coordinate(
             hamiltonian.coordinates, 'mass', self.mass))
 
     @staticmethod
     @cache
-    def wrap(halves: tuple[Callable, Callable], keeps_gradient: bool) -> Callable:
+    def wrap(halves: tuple[Step, Step], keeps_gradient: bool) -> Step:
         """Return the two halves with the bath between them; see StepEffect."""
         from hnn_vi_ros.effects.ornstein_uhlenbeck import stir
         first_half, second_half = halves
 
         @inlined
-        def bathed(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+        def bathed(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, (bath,), live, effect = options

@@ -2,16 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """An integrator with an effect around its step, and the account that effects keep."""
 
-from collections.abc import Callable
 from copy import copy
 from functools import cache
 from typing import final
 
-from hnn_vi_ros.effects.base import StepEffect
+from hnn_vi_ros.effects.base import Wrapping
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
-from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point, Step
 from hnn_vi_ros.integrators.requirements import Requirements
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined, is_own
 
 
@@ -24,7 +23,7 @@ class Wrapped(Integrator):
     ----------
     inner : Integrator
         The method.
-    kind : type of StepEffect
+    kind : type of Wrapping
         What changes its step.
     settings : tuple
         What the changed step finds in its options after those of the method.
@@ -33,7 +32,7 @@ class Wrapped(Integrator):
 
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
-    def __init__(self, inner: Integrator, kind: type[StepEffect], settings: tuple):
+    def __init__(self, inner: Integrator, kind: type[Wrapping], settings: Parameters):
         # An effect may take several solutions in a step, not all of them for good: any will do.
         self._inner, self._kind, self._settings = copy(inner), kind, settings
         self._inner.no_solution = ''
@@ -59,7 +58,7 @@ class Wrapped(Integrator):
         """Return what the method takes; 0 where the effect takes its step again and again."""
         return 0 if getattr(self._kind, 'repeats', False) else self._inner.usual_gradients
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, link: int = 0, dimension: int = 1) -> Parameters:
         """Return the options of the method, and the settings of the effect."""
         return (self._inner.options(link, dimension), *self._settings)
 
@@ -77,16 +76,16 @@ class Account:
     """Commit, after each step that succeeded, what the effects did in it; see Live."""
 
     @staticmethod
-    def inner_step(integrator: Integrator) -> Callable:
+    def inner_step(integrator: Integrator) -> Step:
         """Return the step of the method."""
         return integrator.step
 
     @staticmethod
     @cache
-    def wrap(step: Callable, keeps_gradient: bool) -> Callable:
+    def wrap(step: Step, keeps_gradient: bool) -> Step:
         """Return the step with its account."""
         @inlined
-        def accounted(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+        def accounted(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                       memory: tuple[Memory, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, live, channel_effects = options
