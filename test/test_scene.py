@@ -53,6 +53,14 @@ def test_scene_file_is_read(write):
     assert load_scene(str(scene.source)) == scene
 
 
+def test_step_size_that_auto_is_to_choose_is_refused_where_one_is_needed(write):
+    scene = load_scene(write(GOOD.replace('step_size: 1e-2\n', '').replace(
+        '{kind: variational_euler}', '{kind: auto, energy_error: 1e-3, horizon: 10.0}')))
+    assert scene.step_size is None
+    with pytest.raises(SceneError, match=r'mine.yaml:2: integrator: auto chose no step size yet'):
+        scene.known_step_size  # noqa: B018  refused when it is read
+
+
 @pytest.mark.parametrize('code', [
     'import hnn_vi_ros; hnn_vi_ros.load_scene({scene!r})',
     "sys.argv[1:] = ['--list']; from hnn_vi_ros import cli; cli.scene()",

@@ -23,6 +23,7 @@ def budget_of(choice: AutoChoice) -> Budget:
     """Return what the integrator auto is asked for."""
     if choice.energy_error is not None:
         return Budget('energy_error', choice.energy_error, choice.horizon)
+    assert choice.path_error is not None, 'its schema asks for one of them'
     return Budget('path_error', choice.path_error, choice.horizon)
 
 

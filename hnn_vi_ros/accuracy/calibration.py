@@ -17,7 +17,7 @@ from typing import Any
 from hnn_vi_ros.accuracy.path_reference import find_reference, PathJudge
 from hnn_vi_ros.accuracy.step_search import Search, search
 from hnn_vi_ros.accuracy.survey import Survey, survey
-from hnn_vi_ros.accuracy.trials import Budget, EnergyJudge, Method, Problem, Trial
+from hnn_vi_ros.accuracy.trials import Budget, EnergyJudge, Judge, Method, Problem, Trial
 from hnn_vi_ros.errors import CalibrationError, UnsupportedSystem
 from hnn_vi_ros.version import __version__
 import numba
@@ -128,7 +128,7 @@ def calibrate(problem: Problem, budget: Budget, largest_step: float | None = Non
     base = largest_step or 0.1 * budget.horizon
     known = survey(problem, budget.horizon, base)
     if budget.kind == 'path_error':
-        judge = PathJudge(problem, budget, find_reference(problem, budget, base, known))
+        judge: Judge = PathJudge(problem, budget, find_reference(problem, budget, base, known))
     else:
         judge = EnergyJudge(problem, budget, known.energy_scale, known.extent)
     searches, best = [], None
@@ -182,7 +182,8 @@ def _seconds(problem: Problem, method: Method, h: float, trial: Trial) -> float:
     """Return the wall time of a simulated second [s/s]: the median, others use the machine."""
     simulation = problem.simulation(method, h)
     simulation.advance(1)
-    start, costs = time.perf_counter(), []
+    start = time.perf_counter()
+    costs: list[float] = []
     steps = max(1, math.ceil(trial.checked / h / 100.0))
     while len(costs) < _PIECES and (not costs or time.perf_counter() - start < _TIMED):
         if simulation.time >= trial.checked:

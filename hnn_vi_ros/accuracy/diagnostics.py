@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How good samples and steps are: energy error and drift, modified energy, defects, order."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -230,7 +230,8 @@ def state_scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.n
     return np.repeat(sizes, q.size)
 
 
-def _difference(step, z: np.ndarray, i: int, spacing: float) -> np.ndarray:
+def _difference(step: Callable[[np.ndarray], np.ndarray], z: np.ndarray, i: int, spacing: float
+                ) -> np.ndarray:
     ahead, behind = z.copy(), z.copy()
     ahead[i] += spacing
     behind[i] -= spacing

@@ -62,11 +62,12 @@ def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
     """
     if duration is not None:
         check_seconds('duration', duration)
-    steps = 2 ** 17 if duration is None else max(_FIRST, duration / scene.step_size)
+    steps = 2 ** 17 if duration is None else max(
+        _FIRST, duration / scene.known_step_size)
     state = scene.initial_state
     return time_between_motions(
         scene.create_hamiltonian(), scene.create_effects(), scene.create_integrator(),
-        scene.step_size, np.array(state.q), np.array(state.p), steps, scene.on_failure)
+        scene.known_step_size, np.array(state.q), np.array(state.p), steps, scene.on_failure)
 
 
 def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],

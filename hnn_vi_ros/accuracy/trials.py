@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs that measure the error and the cost of a method at one step size, counted in gradients."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
-from typing import Any
+from typing import Any, Protocol
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure
@@ -158,7 +158,25 @@ class Trial:
 
 FAILED = Trial(math.inf, 0.0, math.inf, False)
 
-Judge = Callable[[Simulation, float], Trial]
+
+class Judge(Protocol):
+    """
+    What takes a simulation up to a horizon and says how large its error is.
+
+    Attributes
+    ----------
+    budget : Budget
+        What must be held.
+    known : float
+        What of its error is the reference's.
+
+    """
+
+    budget: Budget
+    known: float
+
+    def __call__(self, simulation: Simulation, bound: float, /) -> Trial:
+        """Return what a simulation shows; it is given up where it costs more than the bound."""
 
 
 def parts_for(wish: float) -> int:
@@ -209,7 +227,8 @@ class EnergyJudge:
         every = math.ceil(steps / (_SAMPLES if self._conservative else _SAMPLES_OF_WORK))
         count = math.ceil(steps / every)
         most = min(4.0 * self._limit, bound * self._extent)
-        start, errors = simulation.energy, []
+        start = simulation.energy
+        errors: list[float] = []
         while simulation.steps < every * count:
             try:
                 errors.append(self._next(simulation, every, count, start))

@@ -11,7 +11,7 @@ from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
 class BandGuard(Guard):
     """What guards share: the range of the accounted energy, or of another value, so far."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.raised = False
         self._low, self._high = math.inf, -math.inf
 

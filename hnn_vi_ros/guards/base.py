@@ -4,7 +4,7 @@
 
 from abc import ABC, abstractmethod
 import math
-from typing import ClassVar, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,14 +12,29 @@ import numpy as np
 class Observed(Protocol):
     """What guards look at; a Sample is one."""
 
-    step: int
-    q: np.ndarray
-    p: np.ndarray
-    dH_dq: np.ndarray
-    dH_dp: np.ndarray
-    energy: float
-    modified_energy: float
-    work: float
+    @property
+    def step(self) -> int: ...
+
+    @property
+    def q(self) -> np.ndarray: ...
+
+    @property
+    def p(self) -> np.ndarray: ...
+
+    @property
+    def dH_dq(self) -> np.ndarray: ...
+
+    @property
+    def dH_dp(self) -> np.ndarray: ...
+
+    @property
+    def energy(self) -> float: ...
+
+    @property
+    def modified_energy(self) -> float: ...
+
+    @property
+    def work(self) -> float: ...
 
 
 class Look(NamedTuple):
@@ -65,7 +80,7 @@ class Alarm(NamedTuple):
 class Guard(ABC):
     """Something that must hold all the time; it costs about as much as ten additions."""
 
-    kind: ClassVar[str]
+    kind: str
 
     def allow(self, band: float, change: float) -> None:  # noqa: B027
         """Change the shares of a scale that are allowed, as far as there are such."""

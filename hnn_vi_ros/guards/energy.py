@@ -80,6 +80,7 @@ class EnergyGuard(Guard):
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
+        assert self._start is not None, 'an alarm was raised, by a sample'
         change = abs(accounted_energy(sample) - self._start)
         self._scale = max(self._scale_at(sample), self._turnover)
         return self._alarm(sample.step, change, *self._how)

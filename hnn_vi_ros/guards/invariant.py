@@ -42,7 +42,8 @@ class InvariantGuard(BandGuard):
         super().__init__()
         self.kind, self._name = f'{name} not conserved', name
         self._function, self._share, self._hamiltonian = function, share, hamiltonian
-        self._seen, self._scales = 0, []
+        self._seen = 0
+        self._scales: list[float] = []
 
     def allow(self, band: float, change: float) -> None:
         """See Guard."""

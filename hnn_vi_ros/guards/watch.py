@@ -98,19 +98,18 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
     """Return H and H~, shape (...), of states of shape (..., d); H~ is NaN where none is."""
     hamiltonian = simulation.hamiltonian
     energy = hamiltonian.energy(q, p)
-    if simulation.modified_energy is None:
-        return energy, np.full(energy.shape, math.nan)
-    return energy, simulation.integrator.modified_energy(
-        hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p))
+    modified = None if simulation.modified_energy is None else \
+        simulation.integrator.modified_energy(
+            hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p))
+    return energy, np.full(energy.shape, math.nan) if modified is None else modified
 
 
 def look(simulation: Simulation) -> Look:
     """Return the present state as guards look at it; of m trajectories, in shape (m, d)."""
     energy, modified = simulation.energies
-    states = (x.copy() for x in (
-        simulation.q, simulation.p, simulation.dH_dq, simulation.dH_dp))
-    return Look(simulation.steps, *states, energy, math.nan if modified is None else modified,
-                simulation.work)
+    return Look(simulation.steps, simulation.q.copy(), simulation.p.copy(),
+                simulation.dH_dq.copy(), simulation.dH_dp.copy(), energy,
+                math.nan if modified is None else modified, simulation.work)
 
 
 def record_watched(simulation: Simulation, samples: int, every: int, watch: Watch

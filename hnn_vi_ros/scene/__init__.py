@@ -108,6 +108,14 @@ class Scene(StrictModel):
         changes = {name: value for name, value in given.items() if value is not None}
         return self.changed(changes) if changes else self
 
+    @property
+    def known_step_size(self) -> float:
+        """Return the step size [s]; SceneError where auto is still to choose it."""
+        if self.step_size is None:
+            raise SceneError(f'{self.place("integrator")}: auto chose no step size yet; '
+                             'automatic_choice.resolve(scene) returns a scene with one')
+        return self.step_size
+
     def create_integrator(self) -> Integrator:
         """
         Build the integrator that the scene names.
@@ -173,8 +181,8 @@ class Scene(StrictModel):
         """Return the files of the models that it names; ModelError for one that is not there."""
         placed = [(self.hamiltonian, 'hamiltonian'), (self.integrator, 'integrator'), *(
             (choice, 'effects', i) for i, choice in enumerate(self.effects))]
-        return {choice.model: self._origin.model_file(choice.model, *key)
-                for choice, *key in placed if getattr(choice, 'model', None)}
+        return {model: self._origin.model_file(model, *key)
+                for choice, *key in placed if (model := getattr(choice, 'model', None))}
 
     @cached_property
     def model_digests(self) -> dict[str, str]:

@@ -5,20 +5,25 @@
 import ast
 from collections.abc import Callable
 import operator
+from typing import Any
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 _LONGEST = 200
-_OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
-              ast.Div: operator.truediv, ast.Pow: operator.pow}
-_SIGNS = {ast.USub: operator.neg, ast.UAdd: operator.pos}
-_FUNCTIONS = {'abs': np.abs, 'cos': np.cos, 'sin': np.sin, 'sqrt': np.sqrt}
+_Number = np.ndarray | np.float64
+_OPERATORS: dict[type[ast.operator], Callable[[_Number, _Number], _Number]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+    ast.Div: operator.truediv, ast.Pow: operator.pow}
+_SIGNS: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.USub: operator.neg, ast.UAdd: operator.pos}
+_FUNCTIONS: dict[str, Callable[[_Number], _Number]] = {
+    'abs': np.abs, 'cos': np.cos, 'sin': np.sin, 'sqrt': np.sqrt}
 _GRAMMAR = ('an equation of numbers, pi, the coordinates c, their momenta p_c and velocities v_c, '
             'and H, with + - * / **, brackets, abs, cos, sin and sqrt')
 
 # What an expression is made into: a function of the values of names.
-Value = Callable[[dict[str, np.ndarray]], np.ndarray]
+Value = Callable[[dict[str, np.ndarray]], _Number]
 
 
 class Condition:
@@ -85,7 +90,8 @@ class Condition:
         with np.errstate(all='ignore'):
             difference = self._difference(values)
         shape = np.shape(q)[:-1]
-        return difference if np.shape(difference) == shape else np.broadcast_to(difference, shape)
+        return np.asarray(difference) if np.shape(difference) == shape \
+            else np.broadcast_to(difference, shape)
 
     def _read(self, side: str) -> Value:
         try:

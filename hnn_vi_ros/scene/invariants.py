@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Sequence
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.named_code import NAMES_CODE
@@ -50,7 +50,7 @@ class Invariant:
 
 def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, alone: bool,
                   state: tuple[np.ndarray, np.ndarray], place: Callable[..., str],
-                  folder: str | None) -> dict[str, Callable]:
+                  folder: str | None) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
     """
     Return the invariants of a scene by name, each a function of q and p, of shape (d,).
 
@@ -92,7 +92,7 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
     return found
 
 
-def _try(function: Callable, state: tuple[np.ndarray, np.ndarray], where: str) -> None:
+def _try(function: Callable[..., Any], state: tuple[np.ndarray, np.ndarray], where: str) -> None:
     """Call a user's function once."""
     try:
         value = function(*state)

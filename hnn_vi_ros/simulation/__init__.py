@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 import time
+from typing import Any
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
@@ -19,6 +20,7 @@ from hnn_vi_ros.simulation.loops import advance, assemble
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.system import System
 import numpy as np
+from numpy.typing import ArrayLike
 
 # Relative to a state: solutions that are further apart are not the same one, to round-off.
 _SAME = 1e-8
@@ -83,7 +85,7 @@ class Simulation:
     """
 
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
-                 q: Sequence[float], p: Sequence[float], effects: Sequence[Effect] = (),
+                 q: ArrayLike, p: ArrayLike, effects: Sequence[Effect] = (),
                  on_failure: str = 'substep'):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
@@ -101,7 +103,7 @@ class Simulation:
         self._entries: dict[int, Callable] = {}
         self.restart(q, p)
 
-    def restart(self, q: Sequence[float], p: Sequence[float], stream: int = 0, step: int = 0
+    def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0
                 ) -> None:
         """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
         q, p = check_state(q, p, self.hamiltonian.dimension)
@@ -198,7 +200,7 @@ class Simulation:
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return, by name, all arrays that the next steps depend on."""
-        stores = {'point': self._z, 'live': self._system.live} | {
+        stores: dict[str, Any] = {'point': self._z, 'live': self._system.live} | {
             f'memory{way}.{k}': store for way, memory in enumerate(self._memories)
             for k, store in enumerate(memory)}
         return {f'{name}.{field}': array for name, store in stores.items()

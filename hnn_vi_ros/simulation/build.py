@@ -24,7 +24,7 @@ def build(scene: Scene) -> Simulation:
     """
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
     effects, state = scene.create_effects(), scene.initial_state
-    warn_of_scheme(hamiltonian, scene.integrator.kind, scene.step_size)
+    warn_of_scheme(hamiltonian, scene.integrator.kind, scene.known_step_size)
     with scene.placed('initial_state'):
-        return Simulation(hamiltonian, integrator, scene.step_size, state.q, state.p, effects,
-                          scene.on_failure)
+        return Simulation(hamiltonian, integrator, scene.known_step_size, state.q, state.p,
+                          effects, scene.on_failure)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 import math
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -299,7 +299,8 @@ def _spectral_radius(integrator: Integrator, frequency: float) -> float:
                  dH_dp: np.ndarray) -> None:
         dH_dq[:], dH_dp[:] = frequency * frequency * q, p
 
-    kernel = Kernel(gradient, gradient, gradient, (), 1, (0.0, 0.0), compiled=False)
+    unused: Any = gradient
+    kernel = Kernel(unused, gradient, unused, (), 1, (0.0, 0.0), compiled=False)
     columns = []
     for q, p in ((1.0, 0.0), (0.0, 1.0)):
         z, z1 = Point.empty(1), Point.empty(1)

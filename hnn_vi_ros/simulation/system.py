@@ -4,11 +4,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import Any, cast
 import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import (
-    Commanded, Effect, EffectError, Joined, Live, Place, Together)
+    Commanded, Constraint, Effect, EffectError, Force, Joined, Live, Place, Together, Wrapping)
 from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -42,7 +43,8 @@ class JoinedHamiltonian(Hamiltonian):
             effect.keeps_separable for effect, _ in joined)
 
     @property
-    def invariants(self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def invariants(  # type: ignore[override]  # a scene sets those of the base
+            self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
         """Return what is watched of the motion."""
         return self.base.invariants
 
@@ -142,7 +144,7 @@ class System:
         self._check_together()
         self._check(integrator)
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
-        joined = [(effects[i], self._parameters[i]) for i in self._in(Place.ENERGY)]
+        joined = [(cast(Joined, effects[i]), self._parameters[i]) for i in self._in(Place.ENERGY)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
         check_method(integrator, self.hamiltonian)
         if not hamiltonian.smooth:
@@ -190,8 +192,9 @@ class System:
         """Return why a step failed."""
         if outcome == NO_SOLUTION:
             return self.method.no_solution
-        return f'{self._constraints.dependent}: {REASONS[outcome]}' if outcome == REDUNDANT else \
-            REASONS[outcome]
+        if outcome == REDUNDANT and self._constraints is not None:
+            return f'{self._constraints.dependent}: {REASONS[outcome]}'
+        return REASONS[outcome]
 
     def _in(self, place: Place) -> list[int]:
         """Return the effects that act there, in the scene's order."""
@@ -251,8 +254,9 @@ class System:
         """Make the kernel and the method."""
         self.kernel, self._taken = self.hamiltonian.kernel, self._in(Place.NODES)
         if self._taken:
-            self.kernel = add_forces(self.kernel, [self._effects[i] for i in self._taken],
-                                     [self._parameters[i] for i in self._taken], self.live)
+            self.kernel = add_forces(
+                self.kernel, [cast(Force, self._effects[i]) for i in self._taken],
+                [self._parameters[i] for i in self._taken], self.live)
         if integrator.requirements.coordinates != 'other':
             # Others read what is in the parameters of their own family of models.
             self.kernel = by_address(self.kernel)
@@ -268,15 +272,17 @@ class System:
             raise EffectError(max(kinds.values()), 'does not combine with constraints of another '
                                                    'kind; leave one of them out')
         (kind,) = kinds
-        return kind.together([(i, self.labels[i], self._parameters[i]) for i in listed],
-                             self.kernel, len(self._effects))
+        return cast(type[Constraint], kind).together(
+            [(i, self.labels[i], self._parameters[i]) for i in listed],
+            self.kernel, len(self._effects))
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
         """Wrap a method with what acts around its nodes, place by place, and the account."""
         around = sorted((place, i) for i, place in enumerate(self._places) if place > Place.NODES)
         for place, i in around:
-            kind, settings = type(self._effects[i]), self._parameters[i]
-            if place is Place.MANIFOLD:
+            kind = cast(type[Wrapping], type(self._effects[i]))
+            settings: Any = self._parameters[i]
+            if self._constraints is not None and place is Place.MANIFOLD:
                 if i != self._in(place)[0]:
                     continue  # the first one stands for all
                 kind, settings = self._constraints.kind, self._constraints.settings
