@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import comb
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -245,7 +246,7 @@ def random_checkpoint(widths: list[int], seed: int) -> Checkpoint:
     """Return a network of these widths with random weights of the usual size."""
     rng = np.random.default_rng(seed)
     d = widths[0] // 2
-    pairs = list(zip(widths[:-1], widths[1:], strict=True))
+    pairs = list(pairwise(widths))
     card = ModelCard(
         name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
         package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random models of the family mechanical, and what they are, written in torch."""
 
+from itertools import pairwise
 from pathlib import Path
 
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
@@ -47,7 +48,7 @@ def random_mechanical(shape: str, **changes) -> Checkpoint:
             ('potential', mechanical.features, 1)):
         widths = [mechanical.inputs(features), 9, 6, outputs]
         networks[name] = Layers(
-            tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(widths, widths[1:])),
+            tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairwise(widths)),
             tuple(0.3 * rng.normal(size=b) for b in widths[1:]))
     card = ModelCard(
         name='random', family='mechanical', dataset='none', seed=d, losses={},
@@ -66,7 +67,7 @@ def saved(folder: Path, shape: str) -> str:
 
 
 def network(layers: Layers, x: torch.Tensor) -> torch.Tensor:
-    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers)]
+    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers, strict=True)]
     for weight, bias in hidden:
         x = torch.tanh(weight @ x + bias)
     return last[0] @ x + last[1]
@@ -76,7 +77,7 @@ def seen(card: MechanicalCard, features: list[list[float]], q: torch.Tensor) -> 
     inputs = []
     for row in features:
         y = torch.tensor(row, dtype=torch.float64) @ q
-        turns = any(x and kind == 'continuous' for x, kind in zip(row, card.kinds))
+        turns = any(x and kind == 'continuous' for x, kind in zip(row, card.kinds, strict=True))
         inputs += [torch.sin(y), torch.cos(y)] if turns else [y]
     return torch.stack(inputs) if inputs else torch.zeros(1, dtype=torch.float64)
 

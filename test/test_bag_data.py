@@ -229,9 +229,9 @@ def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_r
         data = read_bags([path], config)
         assert len(data.q) == 280
         assert_exact(data, scene, 1e-12)
-    for without, config in ((['joint_states'], config), (['p', 'energy'], bag(
+    for without, other in ((['joint_states'], config), (['p', 'energy'], bag(
             joints=['angle1', 'angle2'], p='state', dp_dt='state', derivatives=None))):
-        data = read_bags([as_received(own, tmp_path / 'a.mcap', without=without)], config)
+        data = read_bags([as_received(own, tmp_path / 'a.mcap', without=without)], other)
         # Estimated velocities: of some rad/s, whose rates change within a tenth of a second.
         assert_exact(data, scene, 0.1 if without == ['joint_states'] else 1e-12)
 

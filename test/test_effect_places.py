@@ -38,7 +38,7 @@ class Kick(StepEffect):
     def wrap(step, keeps_gradient):
         """Return the step with the impulse after it."""
         def kicked(kernel, h, options, z, z1, memory):
-            inner, (impulse,), live, effect = options
+            inner, (impulse,), _, _ = options
             outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])
             z1.p[0] += impulse
             kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model families as Hamiltonians: their kernels, what they refuse, what effects they feed."""
 
+from itertools import pairwise
 from pathlib import Path
 import warnings
 
@@ -36,7 +37,7 @@ def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoin
     for name, ends in families.FAMILIES[family].networks.items():
         widths = [ends.inputs * d, 9, 6, ends.outputs(d, d * commands)]
         networks[name] = Layers(
-            tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(widths, widths[1:])),
+            tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairwise(widths)),
             tuple(0.3 * rng.normal(size=b) for b in widths[1:]))
     layout = {name: [layers.weights[0].shape[1], *(bias.size for bias in layers.biases)]
               for name, layers in networks.items()}
@@ -50,7 +51,7 @@ def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoin
         'training_command': '', 'package_version': '0',
         'box': Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
         'coordinates': [CoordinateCard(name=f'x{i}') for i in range(d)],
-        **({'networks': layout} if len(layout) > 1 else {'widths': [*layout.values()][0]}),
+        **({'networks': layout} if len(layout) > 1 else {'widths': next(iter(layout.values()))}),
         **constants, **changes})
     return Checkpoint(card, networks)
 
@@ -81,7 +82,7 @@ def saved(folder: Path, family: str, d: int, **changes) -> str:
 
 
 def network(layers: Layers, x: torch.Tensor) -> torch.Tensor:
-    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers)]
+    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers, strict=True)]
     for weight, bias in hidden:
         x = torch.tanh(weight @ x + bias)
     return last[0] @ x + last[1]

@@ -233,10 +233,10 @@ def test_tar_archive_of_ancient_torch_is_refused(tmp_path):
 
 def test_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path):
     path = tmp_path / 'source.tar'
-    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
-        with archive.open('archive/data.pkl', 'w', force_zip64=True) as member:
-            for _ in range((MAX_BYTES >> 20) + 1):
-                member.write(bytes(1 << 20))
+    with (zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive,
+          archive.open('archive/data.pkl', 'w', force_zip64=True) as member):
+        for _ in range((MAX_BYTES >> 20) + 1):
+            member.write(bytes(1 << 20))
     assert path.stat().st_size < 1 << 20
     assert_refused(path, 'larger than')
 

@@ -42,7 +42,7 @@ QOS = {
 TOPICS = tuple(
     Topic(name, kind, STORE.generate_msgdef(kind, ros_version=2)[0], STORE.hash_rihs01(kind),
           yaml.safe_dump([QOS]))
-    for name, kind in zip(NAMES, TYPES))
+    for name, kind in zip(NAMES, TYPES, strict=True))
 ATTACHMENTS = {'scene.yaml': b'step_size: 0.01\n', 'model': bytes(range(256))}
 
 
@@ -55,7 +55,8 @@ def payloads(tick: int) -> list[bytes]:
     values = (np.array([np.cos(tick)]), np.array([np.sin(tick)]))
     messages = [kinds[ARRAY](layout=layout, data=value) for value in values]
     messages.append(kinds[NUMBER](data=0.5 + tick))
-    return [bytes(STORE.serialize_cdr(message, kind)) for message, kind in zip(messages, TYPES)]
+    return [bytes(STORE.serialize_cdr(message, kind)) for message, kind in zip(
+        messages, TYPES, strict=True)]
 
 
 def record(folder: Path, ticks: int, start: int = 0) -> Path:
@@ -122,7 +123,7 @@ def test_bag_reads_in_rosbags_with_types_counts_stamps_and_values(tmp_path, star
             seen[connection.topic].append((stamp, float(np.squeeze(message.data))))
     stamps = [start + tick * PERIOD for tick in range(25)]
     functions = (np.cos, np.sin, lambda tick: 0.5 + tick)
-    for name, function in zip(NAMES, functions):
+    for name, function in zip(NAMES, functions, strict=True):
         assert seen[name] == [(stamp, function(tick)) for tick, stamp in enumerate(stamps)]
 
 
@@ -172,7 +173,8 @@ def test_recorded_bytes_times_and_sequences_equal_those_written(tmp_path):
                  for schema, channel, message in reader.iter_messages(log_time_order=False)]
     assert found == [
         (topic.type, 'ros2msg', topic.name, 'cdr', tick * PERIOD, tick * PERIOD, tick, payload)
-        for tick in range(300) for topic, payload in zip(TOPICS, payloads(tick))]
+        for tick in range(300) for topic, payload in zip(
+                TOPICS, payloads(tick), strict=True)]
 
 
 def test_summary_agrees_with_the_messages_from_stamp_zero(tmp_path):

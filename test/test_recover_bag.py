@@ -261,7 +261,7 @@ def split_bag(folder: Path) -> tuple[Path, Path]:
     """Return the files of a bag in two, of 20 and 30 ticks."""
     folder.mkdir()
     files = folder / f'{folder.name}_0.mcap', folder / f'{folder.name}_1.mcap'
-    for path, begin, end in zip(files, (0, 20), (20, 50)):
+    for path, begin, end in zip(files, (0, 20), (20, 50), strict=True):
         sink = McapSink(folder.with_name(path.stem), TOPICS, ATTACHMENTS)
         for tick in range(begin, end):
             sink.write(tick * PERIOD, payloads(tick))

@@ -63,7 +63,7 @@ def read(path: Path) -> dict[str, dict[str, list]]:
         if not chunk.is_static:
             rows = entities.setdefault(chunk.entity_path, {})
             batch = chunk.to_record_batch()
-            for name, column in zip(batch.schema.names, batch.columns):
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
                 # As integers: a column of times becomes datetime objects otherwise.
                 if name in ('sim_time', 'ros_time'):
                     column = column.cast('int64')
@@ -107,7 +107,7 @@ def test_values_and_times_read_back_equal_those_written(tmp_path: Path):
     expected = ([s.q[0] for s in samples], [s.p[0] for s in samples],
                 [s.energy for s in samples], [s.modified_energy for s in samples],
                 [s.energy_error for s in samples])
-    for entity, values in zip(SERIES, expected):
+    for entity, values in zip(SERIES, expected, strict=True):
         assert entities[entity]['Scalars:scalars'] == [[value] for value in values]
     for rows in entities.values():
         assert rows['step'] == [s.step for s in samples]

@@ -96,7 +96,7 @@ def test_learned_lagrangian_moves_like_the_system():
     for hamiltonian, momenta in (
             (learned, p), (exact, np.linalg.solve(inverse, learned.gradient(q, p)[1]))):
         def rates(_: float, z: np.ndarray) -> np.ndarray:
-            dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])  # noqa: B023
+            dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])
             return np.concatenate([dH_dp, -dH_dq])
 
         run = solve_ivp(rates, (0.0, 3.0), [*q, *momenta], 'DOP853', np.linspace(0.0, 3.0, 50),

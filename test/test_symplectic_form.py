@@ -187,8 +187,8 @@ def two_step_error(h: float, steps: int, amplitude: float) -> float:
     start, p = energy(u), parts(u)[0]
     for _ in range(steps):
         def missing(x: np.ndarray) -> np.ndarray:
-            theta, slope, rise = parts(0.5 * (u + x))  # noqa: B023
-            return p - theta + 0.5 * (slope.T @ (x - u)) - 0.5 * h * rise  # noqa: B023
+            theta, slope, rise = parts(0.5 * (u + x))
+            return p - theta + 0.5 * (slope.T @ (x - u)) - 0.5 * h * rise
 
         x = root(missing, u, tol=1e-13).x
         theta = parts(0.5 * (u + x))[0]

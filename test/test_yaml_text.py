@@ -18,7 +18,7 @@ LEVELS = yaml_text.MAX_DEPTH
 # Nine levels of nine aliases each: 3.5e8 values.
 BOMB = 'a: &a [x, x, x, x, x, x, x, x, x]\n' + ''.join(
     f'{name}: &{name} [{", ".join(9 * ["*" + before])}]\n'
-    for before, name in zip('abcdefgh', 'bcdefghi'))
+    for before, name in zip('abcdefgh', 'bcdefghi', strict=True))
 
 
 def parse(text: bytes | str) -> object:

@@ -203,7 +203,7 @@ def _in_order(data: bytes, most: int) -> bool:
     while place + PREFIX.size <= size and most:
         most -= 1
         opcode, length = PREFIX.unpack_from(data, place)
-        if opcode == 0 or opcode == Opcode.MESSAGE and length < MESSAGE_HEAD:
+        if opcode == 0 or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD):
             return False
         place += PREFIX.size + length
     return place == size

@@ -190,7 +190,7 @@ class Joined(Effect):
     def join(self, kernel: Kernel, parameters: Any) -> Kernel:
         """Return a kernel of H together with the effect, of what ``resolve`` returned."""
 
-    def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:  # noqa: B027
+    def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:
         """Add its share to the linear vector potential, shape (d, d); see Live."""
 
 

@@ -102,7 +102,7 @@ def bounce(step: Step, high: bool) -> Step:
             if action == LOST or impacts > _MOST_IMPACTS:
                 _put_back(live, kept, 2, draws)
                 return NO_CONVERGENCE, residual, total
-            if action == TRY or part != wanted and wanted > 0.0:
+            if action == TRY or (part != wanted and wanted > 0.0):
                 part, settled = wanted, action != TRY
                 _put_back(live, kept, 0, draws)
             elif action == FREE:

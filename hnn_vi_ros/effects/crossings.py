@@ -119,7 +119,7 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
             return LOST, end
         theta = _look(search, high)
         if nodes[top, 1] < 0.0:
-            if -nodes[top, 1] <= rounding and nodes[top, 2] < 0.0 or end - start <= _EPS * h:
+            if (-nodes[top, 1] <= rounding and nodes[top, 2] < 0.0) or end - start <= _EPS * h:
                 return LAND, end
             if theta == 0.0 and nodes[0, 1] <= rounding:
                 # It is at rest there, and pulled.

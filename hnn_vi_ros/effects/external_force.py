@@ -62,7 +62,7 @@ class ExternalForce(Force, Commanded):
                 not coordinates or len(set(coordinates)) < len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.timeout = coordinates, float(timeout)
-        self._model: 'Checkpoint | None' = None
+        self._model: Checkpoint | None = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map
             self._model = load_map(model)

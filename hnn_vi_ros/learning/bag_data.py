@@ -196,8 +196,8 @@ def _windows(signals: Iterable[Signal]) -> Iterator[tuple[float, float]]:
     gaps, start, last = [], -np.inf, np.inf
     for t, _ in signals:
         intervals = np.diff(t)
-        for i in np.flatnonzero(intervals > _GAP * np.median(intervals)):
-            gaps.append((t[i], t[i + 1]))
+        gaps.extend((t[i], t[i + 1])
+                    for i in np.flatnonzero(intervals > _GAP * np.median(intervals)))
         start, last = max(start, t[0]), min(last, t[-1])
     for before, after in [*sorted(gaps), (last, last)]:
         if start < min(before, last):

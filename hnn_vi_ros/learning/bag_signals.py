@@ -284,7 +284,7 @@ class SignalReader:
             raise DataError(f'{self.path}: {topic}: an array has no header with a stamp; use '
                             'data.stamps: log')
         values = self._decoded(topic, message, decode_float64_multi_array)
-        if whole or not self._columns and len(values) == len(self._joints):
+        if whole or (not self._columns and len(values) == len(self._joints)):
             return message.time, values
         if not self._columns or max(self._columns) >= len(values):
             raise DataError(f'{self.path}: {topic}: a message has {len(values)} numbers, expected '

@@ -115,7 +115,8 @@ def verdict(scores: dict[str, Scores]) -> str:
     """Return one plain sentence."""
     said = [f'{"at least " if found.censored >= 0.5 else ""}{found.valid_prediction_time:.2g} s'
             for found in scores.values()]
-    others = ', '.join(f'{name} {text}' for name, text in zip([*scores][1:], said[1:]))
+    others = ', '.join(f'{name} {text}' for name, text in zip(
+        [*scores][1:], said[1:], strict=True))
     return f'The model follows the machine for {said[0]} (median); {others}.'
 
 

@@ -215,8 +215,8 @@ def split_motions(motions: Sequence[Motion], test_runs: Sequence[str]
         return ([motion for motion in motions if run_of(motion) not in test_runs],
                 [motion for motion in motions if run_of(motion) in test_runs])
     ends = [4 * len(motion.t) // 5 for motion in motions]
-    return ([_part(motion, slice(None, end)) for motion, end in zip(motions, ends)],
-            [_part(motion, slice(end, None)) for motion, end in zip(motions, ends)])
+    return ([_part(motion, slice(None, end)) for motion, end in zip(motions, ends, strict=True)],
+            [_part(motion, slice(end, None)) for motion, end in zip(motions, ends, strict=True)])
 
 
 def _part(motion: Motion, rows: slice) -> Motion:

@@ -102,7 +102,8 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
                                 data, path, lines[rows])
         parts.append((*arrays, block + start, np.full(len(block), number)))
         start += block.max(initial=0) + 1
-    *states, t, block, trajectory = (np.concatenate(arrays) for arrays in zip(*parts))
+    *states, t, block, trajectory = (np.concatenate(arrays) for arrays in zip(
+        *parts, strict=True))
     description = f'{path.name} ({len(table)} rows, sha256 {sha256(raw).hexdigest()[:16]})'
     return Dataset(*states, block, description, t, trajectory).checked()
 

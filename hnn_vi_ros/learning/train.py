@@ -103,7 +103,7 @@ def describe(problem: Problem, config: TrainingConfig, dataset: Dataset, name: s
     networks = family.networks(z0, 0.0 if reference is None else reference.energy)
     widths = {key: [layers.weights[0].shape[1], *(len(bias) for bias in layers.biases)]
               for key, layers in networks.items()}
-    several = {'networks': widths} if len(widths) > 1 else {'widths': [*widths.values()][0]}
+    several = {'networks': widths} if len(widths) > 1 else {'widths': next(iter(widths.values()))}
     card = ModelCard(
         name=name, family=config.family.kind, **several, **family.constants(),
         scheme=config.loss.scheme, coordinates=config.coordinates,

@@ -13,6 +13,7 @@ it is ever executed.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import pairwise
 import json
 import os
 from pathlib import Path
@@ -121,7 +122,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     for network in card.layout:
         layers = [[_tensor(path, name, shape, tensors.pop(name, None)) for name, shape in layer]
                   for layer in _expected_layers(card, network)]
-        networks[network] = Layers(*zip(*layers))
+        networks[network] = Layers(*zip(*layers, strict=True))
     if tensors:
         raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
     return Checkpoint(card, networks, sha256(raw).hexdigest())
@@ -217,7 +218,7 @@ def _expected_layers(card: ModelCard, network: str
                      ) -> Iterator[tuple[tuple[str, tuple[int, ...]], ...]]:
     """Yield for each layer of a network the names and shapes of its weight and its bias."""
     widths, prefix = card.layout[network], '' if card.networks is None else f'{network}.'
-    for layer, (inputs, outputs) in enumerate(zip(widths, widths[1:]), start=1):
+    for layer, (inputs, outputs) in enumerate(pairwise(widths), start=1):
         name = f'{prefix}linear{layer}'
         yield (f'{name}.weight', (outputs, inputs)), (f'{name}.bias', (outputs,))
 

@@ -168,8 +168,8 @@ def _differentiate_potential(potential: Parameters, q: np.ndarray, v_q: np.ndarr
 def _differentiate_mass(parameters: Parameters, v_q: np.ndarray, v_p: np.ndarray,
                         product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the change of v, and add that of -sum_ij u_i w_j L_ij'; after _weigh_entries."""
-    (network, seen, places, scale, floor), _, entries, matrices, space = parameters
-    y, c, y_v, c_v, change = entries
+    (network, seen, places, scale, _), _, entries, matrices, space = parameters
+    y, c, y_v, c_v, _ = entries
     L, C, L_v = matrices
     u, w, u_v, w_v = space[1], space[2], space[3], space[4]
     d, x, x_v, g, g_v = scale.size, seen[2][0], seen[2][1], seen[2][2], seen[2][3]

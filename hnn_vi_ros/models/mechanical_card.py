@@ -71,7 +71,8 @@ class MechanicalCard(StrictModel):
         for row in (*self.features, *self.mass_features):
             if not any(row):
                 raise ValueError('features: a row of zeros sees nothing; leave it out')
-            turning = [x for x, kind in zip(row, self.kinds) if kind == 'continuous' and x]
+            turning = [x for x, kind in zip(row, self.kinds, strict=True)
+                       if kind == 'continuous' and x]
             if turning and (len(turning) < sum(x != 0.0 for x in row)
                             or any(x != round(x) for x in turning)):
                 raise ValueError(f'features: {row} mixes a continuous coordinate with others, or '

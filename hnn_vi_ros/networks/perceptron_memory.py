@@ -87,7 +87,7 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
     heads = [*first.T, *biases[:-1], last[0], biases[-1]]
     at = _padded(len(heads), TILE)
     rows = _aligned(at + int(sizes[2:].sum()), width)
-    for row, head in zip(rows, heads):
+    for row, head in zip(rows, heads, strict=False):
         row[:head.size] = head
     for weight, n_out in zip(middle, sizes[2:], strict=True):
         rows[at:at + weight.shape[0], :weight.shape[1]] = weight

@@ -77,7 +77,7 @@ class BridgePicture:
         # Only ~/accuracy tells of the work.
         error = work = math.nan
         if 'accuracy' in messages:
-            told = dict(zip(ENTRIES, messages['accuracy'].data))
+            told = dict(zip(ENTRIES, messages['accuracy'].data, strict=False))
             error, work = told['energy_error'], told['work']
         elif self._conservative:
             error, work = self._error(energy, 0.0), 0.0

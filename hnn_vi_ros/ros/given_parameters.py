@@ -8,6 +8,7 @@ public way to learn what it was given; ``declare_parameters`` then declares its 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from hnn_vi_ros.command_line import did_you_mean
@@ -100,7 +101,7 @@ def _warn_of_misspelt_node(node: Node, sections: Sequence[str]) -> None:
 
 def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
     """Yield the name of each node in parameter files, not where it is, and its parameters."""
-    for option, path in zip(arguments, arguments[1:], strict=False):
+    for option, path in pairwise(arguments):
         if option == '--params-file':
             # ROS has read it already, and refused what is no parameter file. Only names count.
             content, _ = parse_mapping(Path(path).read_bytes(), path, ParameterError)

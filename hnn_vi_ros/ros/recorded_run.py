@@ -245,7 +245,7 @@ class RecordedRun:
         """Return what goes on from the last state; RecordingError if there is none."""
         last = None
         for back in _BACK:
-            for last in self.samples(max(0, self.reader.last - back)):
+            for last in self.samples(max(0, self.reader.last - back)):  # noqa: B007
                 pass
             if last is not None:
                 break

@@ -3,6 +3,7 @@
 """Topics of the simulator that were remapped: what tells of it, and how a bag is read by it."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import RecordingError
@@ -69,9 +70,7 @@ def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
         schema = reader.schemas.get(reader.channels[number].schema_id)
         if topic.endswith('/scene') and schema is not None and schema.name == _STRING:
             for message in reader.messages([number]):
-                try:
+                # One that is none of this type is told where it is needed.
+                with suppress(RuntimeError):
                     yield deserialize_message(message.data, String).data
-                except RuntimeError:
-                    # No message of this type, which is told where it is needed.
-                    pass
                 break

@@ -59,10 +59,10 @@ def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -
     """
     effects = scene.effects
     kept = [effects, [], *(effects[:i] + effects[i + 1:] for i in range(len(effects)))]
-    simulations = [build(scene)]
-    steps = _calibrate(simulations[0], scene, batch_time)
-    for variant in kept[1:]:
-        simulations.append(_try_to_run(scene.model_copy(update={'effects': variant}), steps))
+    whole = build(scene)
+    steps = _calibrate(whole, scene, batch_time)
+    simulations = [whole, *(_try_to_run(scene.model_copy(update={'effects': variant}), steps)
+                            for variant in kept[1:])]
     times = np.full((batches, len(kept)), math.nan)
     for turn in times:
         for i, simulation in enumerate(simulations):

@@ -94,7 +94,7 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     t, takers = recorders(simulation, duration, every, times, commands, watch)
     try:
         for take in takers:
-            parts.append(take())
+            parts.append(take())  # noqa: PERF401  what was taken before it stops is kept
     except StoppedByEvent as stop:
         parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
         t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)

@@ -3,7 +3,7 @@
 """Where a run puts its files; nothing that exists is ever overwritten."""
 
 from contextlib import suppress
-from datetime import datetime, timezone
+from datetime import datetime, UTC
 from itertools import count
 import os
 from pathlib import Path
@@ -22,7 +22,7 @@ def create_run_folder(scene: str, home: Path) -> Path:
         The folder cannot be created.
 
     """
-    stem = f'{scene}-{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}'
+    stem = f'{scene}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}'
     runs = folder = home / 'runs'
     try:
         folder.mkdir(exist_ok=True)

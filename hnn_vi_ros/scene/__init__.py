@@ -34,10 +34,10 @@ class Scene(StrictModel):
     """What is simulated: a Hamiltonian, effects, an integrator, a step size, an initial state."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
-    hamiltonian: choices(HAMILTONIANS, LearnedChoice, PythonChoice) = Field(  # type: ignore
-        description='H(q, p) [J]')
-    effects: list[choices(EFFECTS)] = Field([], max_length=100, description=(  # type: ignore
-        'what acts beside H(q, p); nothing else is simulated'))
+    hamiltonian: choices(  # type: ignore[valid-type]
+        HAMILTONIANS, LearnedChoice, PythonChoice) = Field(description='H(q, p) [J]')
+    effects: list[choices(EFFECTS)] = Field(  # type: ignore[valid-type]
+        [], max_length=100, description='what acts beside H(q, p); nothing else is simulated')
     integrator: choices(INTEGRATORS, AutoChoice) = Field(  # type: ignore[valid-type]
         description='the one-step map of (q, p)')
     step_size: float | None = Field(None, gt=0.0, le=1e6, description=(

@@ -99,7 +99,8 @@ def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
     schemas = [*more, *(_schema(kind, cls) for kind, cls in classes.items())]
     if len(schemas) == 1:
         return schemas[0]
-    return Annotated[Union[tuple(schemas)], Field(discriminator='kind')]
+    # Made of a list: `|` joins types that are named.
+    return Annotated[Union[tuple(schemas)], Field(discriminator='kind')]  # noqa: UP007
 
 
 def _schema(kind: str, cls: type) -> type[BaseModel]:

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 from hnn_vi_ros.errors import StoppedByEvent
@@ -201,7 +202,7 @@ def _brackets(values: np.ndarray, seen: Callable, value: Callable[[float], float
         if last or crosses or values[k] * places[-1][1] <= 0.0:
             theta = float(_PLACES[k])
             places.append((theta, float(values[k]) if last else value(theta)))
-    for start, end in zip(places, places[1:]):
+    for start, end in pairwise(places):
         if start[1] * end[1] < 0.0 or (end[1] == 0.0 and start[1] != 0.0):
             yield start, end
 

@@ -215,8 +215,9 @@ class System:
     def _check(self, integrator: Integrator) -> None:
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
-                able = methods_that(lambda method: (  # noqa: B023  called at once
-                    method.requirements.coordinates != 'other' and effect.accepts(method)))
+                able = methods_that(lambda method: (
+                    method.requirements.coordinates != 'other'
+                    and effect.accepts(method)))  # noqa: B023  called at once
                 raise UnsupportedSystem(f'{method_name(integrator)} cannot take the effect '
                                         f'{label}; methods that can: {able}')
 

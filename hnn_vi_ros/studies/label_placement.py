@@ -3,6 +3,7 @@
 """Names written beside their lines, where they hide least."""
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 
 from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
@@ -57,7 +58,7 @@ def _along(points: np.ndarray) -> np.ndarray:
     if len(points) < 2:
         return points
     shares = np.linspace(0.0, 1.0, 12)[:, None]
-    return np.vstack([a + shares * (b - a) for a, b in zip(points[:-1], points[1:])])
+    return np.vstack([a + shares * (b - a) for a, b in pairwise(points)])
 
 
 def _candidates(points: np.ndarray, box: Bbox, pixels: float

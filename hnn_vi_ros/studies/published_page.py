@@ -136,7 +136,7 @@ def _summary(results: Results) -> str:
     """Say how many published numbers are reached."""
     found = [(results.values(*key), published) for key, published in PUBLISHED.items()]
     reached = [is_reached(values, published) for values, published in found if len(values)]
-    first, mean = (sum(part) for part in zip(*reached)) if reached else (0, 0)
+    first, mean = (sum(part) for part in zip(*reached, strict=True)) if reached else (0, 0)
     return (f'Of {len(PUBLISHED)} published numbers {len(reached)} are measured here; ours are at '
             f'or below {first} of them on the published data, and {mean} in the mean over seeds.')
 

@@ -33,7 +33,7 @@ def write_curves(path: Path, name: str,
     recording.send_blueprint(rrb.Blueprint(
         rrb.TimeSeriesView(origin='/log10', name=f'{name}: log10 of the loss'),
         collapse_panels=True))
-    for (label, (steps, values)), color in zip(curves.items(), PALETTE):
+    for (label, (steps, values)), color in zip(curves.items(), PALETTE, strict=False):
         entity = f'/log10/{rr.escape_entity_path_part(label)}'
         recording.log(entity, rr.SeriesLines(names=label, colors=color), static=True)
         recording.send_columns(

@@ -3,6 +3,7 @@
 """Rows 4: 10,000 trajectories at once over one, and the share of a matrix product."""
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 import os
 from pathlib import Path
 import tempfile
@@ -104,7 +105,7 @@ class _Product:
 
     def __init__(self, widths: list[int], gradients: int):
         operations = 4 * gradients * sum(
-            n_in * n_out for n_in, n_out in zip(widths[:-1], widths[1:], strict=True))
+            n_in * n_out for n_in, n_out in pairwise(widths))
         n = max(widths)
         rng = np.random.default_rng(SEED)
         self._weight, self._batch = rng.normal(size=(n, n)), rng.normal(size=(n, 2000))

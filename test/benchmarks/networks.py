@@ -3,6 +3,7 @@
 """The same tanh network for JAX, and random ones to measure."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -18,7 +19,7 @@ def random_network(widths: list[int], seed: int) -> Checkpoint:
     """Return a network of these widths with random weights of the usual size."""
     rng = np.random.default_rng(seed)
     d = widths[0] // 2
-    pairs = list(zip(widths[:-1], widths[1:], strict=True))
+    pairs = list(pairwise(widths))
     card = ModelCard(
         name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
         package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),

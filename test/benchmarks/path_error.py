@@ -103,10 +103,8 @@ def _row(problem: Problem, duration: float, ours: Choice, peers: dict[str, Solve
     settings.say(f'timing at T = {duration:g}: {ours[0]}, h = {duration / ours[1]:.3g}')
     fastest = min(seconds for _, seconds in found.values())
     timed = [name for name, (_, seconds) in found.items() if seconds <= 1.5 * fastest]
-    contestants = [lambda: problem.prepare(duration, ours)]
-    for name in timed:
-        contestants.append(
-            lambda name=name: lambda: peers[name](duration, found[name][0]))
+    contestants = [lambda: problem.prepare(duration, ours), *(
+        lambda name=name: lambda: peers[name](duration, found[name][0]) for name in timed)]
     times = interleave(contestants, settings.repetitions)
     best = timed[int(np.argmin(np.median(times[:, 1:], axis=0)))]
     note = '; '.join([
@@ -161,7 +159,7 @@ def _loosest(solve: Solve, duration: float, tolerance: float, reference: np.ndar
         error = float(np.max(np.abs(solve(duration, tolerance) - reference)))
         if error <= wanted and (best is None or tolerance > best):
             best = tolerance
-        if 0.4 * wanted <= error <= wanted or time.perf_counter() - start > 30.0 and best:
+        if 0.4 * wanted <= error <= wanted or (time.perf_counter() - start > 30.0 and best):
             break
         # The error is about proportional to the tolerance.
         tolerance *= float(np.clip(0.7 * wanted / max(error, 1e-300), 1e-2, 1e2))

@@ -31,7 +31,7 @@ def start_executable(name: str, *words: object, folder: Path | None = None) -> s
     code = ('import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); '
             f'from hnn_vi_ros.cli import {name}; {name}()')
     # Files, not pipes: a pipe that nobody empties stops who writes to it.
-    outputs = tempfile.TemporaryFile('w+'), tempfile.TemporaryFile('w+')
+    outputs = [tempfile.TemporaryFile('w+') for _ in range(2)]  # noqa: SIM115  see finish
     process = subprocess.Popen([sys.executable, '-c', code, *map(str, words)], cwd=folder,
                                stdout=outputs[0], stderr=outputs[1])
     started[process] = outputs

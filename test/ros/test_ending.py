@@ -97,7 +97,7 @@ def test_executable_that_is_interrupted_at_its_start_ends_without_a_traceback(
         error = process.stderr.read()
     assert 'Traceback' not in error and 'KeyboardInterrupt' not in error, error
     # 1: the bag that there is not was found missing first.
-    assert process.returncode in (0, 130) or executable == 'replay' and process.returncode == 1
+    assert process.returncode in (0, 130) or (executable == 'replay' and process.returncode == 1)
 
 
 def test_files_that_are_opened_as_the_simulator_is_stopped_are_closed(tmp_path):

@@ -43,7 +43,8 @@ def sample_of(dimension: int, step: int) -> Sample:
 
 
 def decode(encoded: tuple[bytes, ...]) -> list:
-    return [deserialize_message(data, kind) for data, kind in zip(encoded, TICK_TYPES)]
+    return [deserialize_message(data, kind)
+            for data, kind in zip(encoded, TICK_TYPES, strict=True)]
 
 
 @pytest.fixture
@@ -66,7 +67,7 @@ def test_messages_equal_the_sample_bit_for_bit(dimension):
     samples = [sample_of(dimension, step) for step in range(100)]
     # All are encoded before the first is looked at: a message must not change with the next.
     encoded = [encoder.encode(sample) for sample in samples]
-    for sample, data in zip(samples, encoded):
+    for sample, data in zip(samples, encoded, strict=True):
         state, q, p, energy, joints = decode(data)
         everything = np.concatenate([
             sample.q, sample.p, -sample.dH_dq, [sample.energy, sample.work]])
@@ -189,7 +190,7 @@ def test_subscriber_receives_the_encoded_bytes(node):
     while time.monotonic() < deadline and not all(
             publisher.get_subscription_count() for publisher in publishers):
         executor.spin_once(timeout_sec=0.05)
-    for publisher, data in zip(publishers, encoded):
+    for publisher, data in zip(publishers, encoded, strict=True):
         publisher.publish(data)
     while time.monotonic() < deadline and len(received) < len(encoded):
         executor.spin_once(timeout_sec=0.05)
@@ -212,7 +213,8 @@ def test_log_of_encoded_samples_reads_back_in_rosbags(tmp_path):
             found[connection.topic].append(
                 (stamp, reader.deserialize(raw, connection.msgtype)))
     for i, sample in enumerate(samples):
-        stamps, (state, q, p, energy, joints) = zip(*(found[topic.name][i] for topic in topics))
+        stamps, (state, q, p, energy, joints) = zip(
+            *(found[topic.name][i] for topic in topics), strict=True)
         assert set(stamps) == {sample.stamp}
         assert state.name == ['x', 'y', 'p_x', 'p_y', 'dp_dt_x', 'dp_dt_y', 'H', 'work']
         assert state.position[-2:].tolist() == [sample.energy, sample.work]

@@ -304,7 +304,7 @@ def test_steps_of_next_to_no_time_are_one_line_to_node_and_bridge(tmp_path, monk
     picture.close()
     monkeypatch.setattr(BagReader, 'attachment', lambda self, name: b'publish_rate: 100.0')
     with pytest.raises(RecordingError, match='publish_rate is no rate'):
-        run.spacing
+        run.spacing  # noqa: B018  refused when it is read
 
 
 @pytest.mark.parametrize('name', ['exact_double_pendulum', 'exact_damped_driven_pendulum'])

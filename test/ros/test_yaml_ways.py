@@ -36,7 +36,7 @@ NAMED = [
     SCENE.replace('0.01', '[' + '1,' * 500_000 + ']'),
     'a: &a [x, x, x, x, x, x, x, x, x]\n' + ''.join(
         f'{name}: &{name} [{", ".join(9 * ["*" + before])}]\n'
-        for before, name in zip('abcdefgh', 'bcdefghi')) + SCENE,
+        for before, name in zip('abcdefgh', 'bcdefghi', strict=True)) + SCENE,
     SCENE.replace('[1.0]', '[' + 'a,' * 20_000 + ']'),
     SCENE + 'effects: [{kind: damping, rate: [' + 'a,' * 40_000 + ']}]\n',
     SCENE + 'effects: [' + '{kind: x},' * 10_000 + ']\n']

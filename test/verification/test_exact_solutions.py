@@ -112,7 +112,7 @@ def test_magnetic_field_with_implicit_midpoint_keeps_the_circle_and_its_known_fr
     h, omega, steps = 0.3, 1.0, 200
     simulation = Simulation(free_particle('x', 'y'), INTEGRATORS['implicit_midpoint'](), h,
                             [1.0, 0.0], [0.0, -0.5], [effect('magnetic_field', ['x', 'y'])])
-    t, q, _ = path(simulation, steps)
+    _, q, _ = path(simulation, steps)
     radius = np.hypot(*q.T)
     measured('error of the radius', 'implicit_midpoint, cyclotron motion',
              np.abs(radius - 1.0).max(), '< 8 eps x 200')
