@@ -16,6 +16,7 @@ from hnn_vi_ros.learning.machine_training import (
     fit, mean_forces, runge_kutta, scales_of, split_motions)
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -132,19 +133,11 @@ def test_driven_pendulum_with_friction_is_learned_from_positions_velocities_and_
             'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
             'windows': [{'duration': 0.2, 'steps': 100}]}})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
-    network, losses = fit(config, train)
+    scales = scales_of(train)
+    network = MechanicalNetwork(config.structure(), config.hidden, scales, config.seed)
+    losses = fit(network, config, train)
     assert losses.keys() == {'forward', 'windows_0.2'}
-
-    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
-        q, v = (torch.tensor(getattr(motion, name)[starts]) for name in ('q_smooth', 'v_smooth'))
-        mean, path = mean_forces(motion.tau, 1), [q]
-        with torch.no_grad():
-            for k in range(count):
-                tau = torch.tensor(mean[np.minimum(starts + k, len(mean) - 1)])
-                q, v = runge_kutta(network.accelerations, q, v, tau, motion.spacing)
-                path.append(q)
-        return torch.stack(path, dim=1).numpy()
-    learned = score(predict, test, [0.5], 0.25, 1.0)
+    learned = score(predicted_by(network), test, [0.5], 0.25, 1.0)
     still = score(constant_velocity, test, [0.5], 0.25, 1.0)
     # Starts at the ends of a run, whose states the filter knows less of, are among them.
     assert learned.horizons[0.5] < 0.1 * still.horizons[0.5]
@@ -234,3 +227,22 @@ def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():
     assert [len(motion.t) for motion in (*train, *test)] == [48, 48, 12, 12]
     assert test[0].t[0] == motions[0].t[48]
     assert mean_forces(np.arange(5.0)[:, None], 2).T.tolist() == [[1.0, 2.0, 3.0, 3.5, 4.0]]
+
+
+def test_plain_network_learns_what_it_is_compared_by():
+    """Of the same motions, and angles that have turned over are the same ones to it."""
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
+        'family': {'kind': 'mechanical'}, 'loss': {
+            'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
+            'windows': [{'duration': 0.2, 'steps': 100}]}})
+    train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
+    network = PlainNetwork(['continuous'], [12], scales_of(train), 0)
+    q, v, tau = torch.rand(3, 5, 1, dtype=torch.float64)
+    before = network.accelerations(q, v, tau)
+    # To rounding.
+    assert (network.accelerations(q + 2.0 * np.pi, v, tau) - before).abs().max() < 1e-12
+    fit(network, config, train)
+    found, still = (score(what, test, [0.5], 0.25, 1.0).horizons[0.5]
+                    for what in (predicted_by(network), constant_velocity))
+    assert found < 0.2 * still

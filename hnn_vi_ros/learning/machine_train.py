@@ -15,9 +15,10 @@ from hnn_vi_ros.learning.evaluate import judge, prediction, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
-from hnn_vi_ros.learning.machine_training import fit, split_motions
+from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion, run_of
+from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -51,7 +52,9 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
         config = config.model_copy(update={'seed': arguments.seed})
     train, test, description = _read(source, config, arguments.data)
     begun = time.perf_counter()
-    network, losses = fit(config, train)
+    structure, scales = config.structure(), scales_of(train)
+    network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
+    losses = fit(network, config, train)
     seconds = time.perf_counter() - begun
     if not any(motion.tau.any() for motion in train):
         fix_scale(network, train)
@@ -66,13 +69,20 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
     predict = prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects, test,
                          horizons)
     scores = judge(predict, test, horizons, _EVERY, _LONGEST)
-    scores['linear model'] = score(linear_model(train), test, horizons, _EVERY, _LONGEST)
+    print('for comparison, a plain network of (q, v, tau):', flush=True)
+    plain = PlainNetwork(structure.kinds, config.hidden, scales, config.seed)
+    fit(plain, config, train)
+    for name, other in (('linear model', linear_model(train)),
+                        ('plain network', predicted_by(plain))):
+        scores[name] = score(other, test, horizons, _EVERY, _LONGEST)
     report = out.with_suffix('.report.md')
-    text = (f'# {out.stem}\n\n{config.description}\n\nTrained on {description}, in '
-            f'{seconds:.0f} s, seed {config.seed}: `{command}`\n\nFree simulation of '
-            f'{", ".join(motion.name for motion in test)}, which training has not seen, from a '
-            f'state every {_EVERY:g} s, with the measured forces; root mean square of the error '
-            f'at the end of each horizon.\n\n{table(scores, names)}\n\n{verdict(scores)}\n')
+    held = ', '.join(config.data.test_runs) or 'the last fifth of each run'
+    text = (f'# {out.stem}\n\n{config.description}\n\nData: {description}. Held out: {held}. '
+            f'Trained on the others in {seconds:.0f} s, seed {config.seed}: `{command}`\n\nFree '
+            f'simulation of what was held out, from a state every {_EVERY:g} s, with the measured '
+            f'forces; root mean square of the error at the end of each horizon. The plain network '
+            f'of (q, v, tau) has the same hidden layers and was trained in the same way.\n\n'
+            f'{table(scores, names)}\n\n{verdict(scores)}\n')
     report.write_text(text, encoding='utf-8')
     print(f'model: {out}\nreport: {report}\n\n{table(scores, names)}\n\n{verdict(scores)}\n'
           f'trained in {seconds:.1f} s')

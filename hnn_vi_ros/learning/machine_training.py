@@ -8,12 +8,12 @@ goes. So they only find the beginning; then windows of the motions are simulated
 smoothed first states, with the measured forces, short ones first (multiple shooting).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, MotionScales
+from hnn_vi_ros.learning.families.mechanical import MotionScales
 from hnn_vi_ros.learning.machine_config import MachineConfig
 from hnn_vi_ros.learning.motions import Motion, run_of
 import numpy as np
@@ -24,6 +24,18 @@ from tqdm import tqdm
 _USUAL_ERROR = 0.25
 # Step size of windows, unless it is given, and samples come as often [s].
 _STEP = 0.01
+
+
+class Network(Protocol):
+    """What is fitted."""
+
+    scales: MotionScales
+
+    def parameters(self) -> Iterator[torch.nn.Parameter]:
+        """Return what is changed."""
+
+    def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
+        """Return dv/dt, all of shape (N, d)."""
 
 
 class Samples(NamedTuple):
@@ -99,13 +111,14 @@ def scales_of(motions: Sequence[Motion]) -> MotionScales:
                         size[0], size[1], inertia)
 
 
-def fit(config: MachineConfig, motions: Sequence[Motion]
-        ) -> tuple[MechanicalNetwork, dict[str, float]]:
+def fit(network: Network, config: MachineConfig, motions: Sequence[Motion]) -> dict[str, float]:
     """
     Fit a network to motions.
 
     Parameters
     ----------
+    network : MechanicalNetwork or PlainNetwork
+        Changed in place.
     config : MachineConfig
         How.
     motions : sequence of Motion
@@ -113,8 +126,8 @@ def fit(config: MachineConfig, motions: Sequence[Motion]
 
     Returns
     -------
-    tuple of MechanicalNetwork and dict
-        The network, and the mean loss of the last tenth of each stage.
+    dict
+        The mean loss of the last tenth of each stage.
 
     Raises
     ------
@@ -123,8 +136,6 @@ def fit(config: MachineConfig, motions: Sequence[Motion]
 
     """
     samples = samples_of(motions, config.loss.step_size)
-    network = MechanicalNetwork(config.structure(), config.hidden, scales_of(motions),
-                                config.seed)
     generator = torch.Generator().manual_seed(config.seed)
     loss, losses = config.loss, {}
 
@@ -146,10 +157,10 @@ def fit(config: MachineConfig, motions: Sequence[Motion]
         losses[f'windows_{stage.duration:g}'] = _descend(
             network, windows, stage.steps, 0.2 * config.learning_rate,
             f'windows of {stage.duration:g} s')
-    return network, losses
+    return losses
 
 
-def _descend(network: MechanicalNetwork, loss: Callable[[], torch.Tensor], steps: int,
+def _descend(network: Network, loss: Callable[[], torch.Tensor], steps: int,
              rate: float, name: str) -> float:
     """Take steps of Adam with a rate that ends at zero; return the last tenth's mean loss."""
     adam = torch.optim.Adam(network.parameters(), lr=rate)
@@ -170,14 +181,14 @@ def _descend(network: MechanicalNetwork, loss: Callable[[], torch.Tensor], steps
     return float(np.mean(values[-max(1, steps // 10):]))
 
 
-def acceleration_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor
+def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor
                       ) -> torch.Tensor:
     """Return the soft size of the errors of the accelerations, in units of their usual size."""
     predicted = network.accelerations(samples.q[rows], samples.v[rows], samples.tau[rows])
     return _soft((predicted - samples.a[rows]) / torch.tensor(network.scales.a))
 
 
-def window_loss(network: MechanicalNetwork, samples: Samples, starts: torch.Tensor, count: int,
+def window_loss(network: Network, samples: Samples, starts: torch.Tensor, count: int,
                 time_scale: float) -> torch.Tensor:
     """Return the soft size of the errors of windows of ``count`` steps from these samples."""
     unit = _USUAL_ERROR * torch.tensor(network.scales.v)

@@ -1,0 +1,74 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a plain network learns of a machine, with no mechanics in it: a baseline."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.learning.evaluation import Predict
+from hnn_vi_ros.learning.families.mechanical import MotionScales
+from hnn_vi_ros.learning.machine_training import Network, runge_kutta
+from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.models.mechanical_card import Kind
+import numpy as np
+import torch
+
+
+class PlainNetwork(torch.nn.Module):
+    """
+    dv/dt = N(q, v, tau), a perceptron in float64: a neural ordinary differential equation.
+
+    Coordinates that turn over are seen by their sine and cosine.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Of the coordinates.
+    hidden : sequence of int
+        Widths of the hidden layers.
+    scales : MotionScales
+        Of the data.
+    seed : int
+        Of the initial weights.
+
+    References
+    ----------
+    R. Chen, Y. Rubanova, J. Bettencourt, D. Duvenaud, Neural Ordinary Differential Equations,
+    NeurIPS 2018.
+
+    """
+
+    def __init__(self, kinds: Sequence[Kind], hidden: Sequence[int], scales: MotionScales,
+                 seed: int):
+        super().__init__()
+        self.scales = scales
+        turns = np.array([kind == 'continuous' for kind in kinds])
+        self._turning, self._others = np.flatnonzero(turns), np.flatnonzero(~turns)
+        half = scales.q_half[~turns]
+        centre = np.concatenate([np.zeros(2 * turns.sum()), scales.q_centre[~turns],
+                                 np.zeros(2 * len(kinds))])
+        unit = np.concatenate([np.ones(2 * turns.sum()), np.where(half > 0.0, half, 1.0),
+                               scales.v, scales.inertia * scales.a])
+        self.perceptron = Perceptron(hidden, centre, unit, scales.a, seed)
+
+    def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
+        """Return dv/dt, all of shape (N, d)."""
+        angles = q[:, self._turning]
+        return self.perceptron(torch.cat([
+            torch.sin(angles), torch.cos(angles), q[:, self._others], v, tau], dim=1))
+
+
+def predicted_by(network: Network) -> Predict:
+    """Return what a network of torch predicts, by the Runge-Kutta method of order 4."""
+    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        tau = torch.tensor(0.5 * (motion.tau[1:] + motion.tau[:-1]))
+        q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
+        rows, found = torch.tensor(starts), [q]
+        with torch.no_grad():
+            for k in range(count):
+                # Beyond the end of the motion nothing is judged.
+                held = tau[torch.clamp(rows + k, max=len(tau) - 1)]
+                q, v = runge_kutta(network.accelerations, q, v, held, motion.spacing)
+                found.append(q)
+        return torch.stack(found, dim=1).numpy()
+    return predict
