@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The family mechanical in torch: what it is, how it is trained, and from which data."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
@@ -226,7 +227,14 @@ def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():
     train, test = split_motions(motions, [])
     assert [len(motion.t) for motion in (*train, *test)] == [48, 48, 12, 12]
     assert test[0].t[0] == motions[0].t[48]
-    assert mean_forces(np.arange(5.0)[:, None], 2).T.tolist() == [[1.0, 2.0, 3.0, 3.5, 4.0]]
+
+
+@pytest.mark.parametrize('held, means', [
+    (False, [1.0, 2.0, 3.0, 3.5, 4.0]), (True, [0.5, 1.5, 2.5, 3.0, 4.0])])
+def test_forces_are_averaged_as_they_act_between_samples(held, means):
+    motion = replace(random_motions(1)[0], t=np.arange(5.0), tau=np.arange(5.0)[:, None],
+                     held=held)
+    assert mean_forces(motion, 2).T.tolist() == [means]
 
 
 def test_plain_network_learns_what_it_is_compared_by():

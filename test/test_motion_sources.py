@@ -101,6 +101,9 @@ def test_commands_are_the_forces_where_they_are_named(tmp_path):
     assert not motion.tau[t < 0.995].any()
     assert (motion.tau[(t > 1.015) & (t < 1.995)] == [1.0, 2.0]).all()
     assert (motion.tau[t > 2.015] == [3.0, 4.0]).all()
+    assert np.array_equal(motion.forces, motion.tau[:-1])
+    (motion,), _ = read(path, forces='forces', inputs='interpolated')
+    assert np.array_equal(motion.forces, 0.5 * (motion.tau[:-1] + motion.tau[1:]))
     wide = array(np.array([1.0]), np.array([[1.0, 2.0, 3.0]]), '/forces')
     with pytest.raises(DataError, match='3 numbers for 2 coordinates'):
         read(write(tmp_path / 'b.mcap', [*driver(), *wide]), forces='forces')

@@ -89,8 +89,7 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
     def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
         q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
         p = np.zeros(motion.q.shape[1])
-        # Over an interval the force is about the mean of those at its ends.
-        tau = 0.5 * (motion.tau[1:] + motion.tau[:-1])
+        tau = motion.forces
         for row, start in zip(q, starts, strict=True):
             row[0] = motion.q_smooth[start]
             p = momentum(simulation.hamiltonian, motion.q_smooth[start], motion.v_smooth[start],
@@ -125,7 +124,7 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
     inputs, targets = [], []
     for motion in motions:
         x = np.hstack([motion.q_smooth, motion.v_smooth])
-        tau = 0.5 * (motion.tau[1:] + motion.tau[:-1])
+        tau = motion.forces
         inputs.append(np.hstack([x[:-1], tau, np.ones((len(tau), 1))]))
         targets.append(x[1:] - x[:-1])
     matrix = np.linalg.lstsq(np.concatenate(inputs), np.concatenate(targets), rcond=None)[0]
@@ -135,7 +134,7 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
         share = motion.spacing / spacing
         d = motion.q.shape[1]
         x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
-        tau = 0.5 * (motion.tau[1:] + motion.tau[:-1])
+        tau = motion.forces
         q = [x[:, :d]]
         for k in range(count):
             row = np.minimum(starts + k, len(tau) - 1)

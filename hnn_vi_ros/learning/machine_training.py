@@ -78,20 +78,20 @@ def samples_of(motions: Sequence[Motion], step_size: float | None) -> Samples:
                             f'be a multiple of that, such as {max(every, 1) * motion.spacing:.4g}')
     parts = [np.concatenate([getattr(motion, name) for motion in motions])
              for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau')]
-    means = np.concatenate([mean_forces(motion.tau, every) for motion in motions])
+    means = np.concatenate([mean_forces(motion, every) for motion in motions])
     left = np.concatenate([np.arange(len(motion.t))[::-1] for motion in motions])
     return Samples(*map(torch.tensor, (*parts, means, left)), every,
                    every * motions[0].spacing)
 
 
-def mean_forces(tau: np.ndarray, every: int) -> np.ndarray:
+def mean_forces(motion: Motion, every: int) -> np.ndarray:
     """Return forces, shape (N, d), averaged over ``every`` intervals from each sample on."""
-    total = np.zeros_like(tau)
-    np.cumsum(0.5 * (tau[1:] + tau[:-1]), axis=0, out=total[1:])
-    ends = np.minimum(np.arange(len(tau)) + every, len(tau) - 1)
-    counts = np.maximum(ends - np.arange(len(tau)), 1)[:, None]
-    return np.where(ends[:, None] > np.arange(len(tau))[:, None], (total[ends] - total) / counts,
-                    tau)
+    n, tau = len(motion.t), motion.tau
+    total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
+    starts = np.arange(n)
+    ends = np.minimum(starts + every, n - 1)
+    means = (total[ends] - total) / np.maximum(ends - starts, 1)[:, None]
+    return np.where(ends[:, None] > starts[:, None], means, tau)
 
 
 def scales_of(motions: Sequence[Motion]) -> MotionScales:

@@ -104,4 +104,4 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions) -> Run:
         at = np.searchsorted(signal.t, t, side='right')
         tau = np.vstack([np.zeros((1, q.shape[1])), signal.values])[at]
     return Run(name, f'{reader.path}: {data.topic}', t, q,
-               None if data.estimate_velocity else v, tau)
+               None if data.estimate_velocity else v, tau, forces not in ('', EFFORT))

@@ -7,7 +7,7 @@ Runs come from arrays, bags or logs; what is bad in them is left out, counted an
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
@@ -35,6 +35,9 @@ class MotionData(StrictModel):
         'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
         'split the motion there; or fail. At a gap of more than ten intervals a new motion '
         'begins, or it fails'))
+    inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
+        'what forces do between samples: go over into each other, or each is held until the '
+        'next; default: held for topics of commands, else interpolated'))
 
 
 class Run(NamedTuple):
@@ -54,6 +57,8 @@ class Run(NamedTuple):
     v, tau : np.ndarray, shape (N, d), or None
         Velocities, None or not a number throughout where they are to be estimated; and forces of
         the motors, None for none.
+    held : bool
+        Whether each force acts until the next, unless the data say otherwise.
 
     """
 
@@ -63,6 +68,7 @@ class Run(NamedTuple):
     q: np.ndarray
     v: np.ndarray | None
     tau: np.ndarray | None
+    held: bool = False
 
 
 @dataclass
@@ -100,6 +106,8 @@ class Motion:
         Coordinates, velocities and generalised forces of the motors, as measured.
     q_smooth, v_smooth, a_smooth : np.ndarray, shape (N, d)
         Coordinates, velocities and accelerations through a zero-phase low-pass filter.
+    held : bool
+        Whether each force acts until the next; else it goes over into it.
 
     """
 
@@ -111,6 +119,12 @@ class Motion:
     q_smooth: np.ndarray
     v_smooth: np.ndarray
     a_smooth: np.ndarray
+    held: bool = False
+
+    @property
+    def forces(self) -> np.ndarray:
+        """Return the mean of the forces over each interval, shape (N - 1, d)."""
+        return self.tau[:-1] if self.held else 0.5 * (self.tau[1:] + self.tau[:-1])
 
     @property
     def spacing(self) -> float:
@@ -188,7 +202,7 @@ def motions_of(run: Run, data: MotionData, bad: Bad) -> Iterator[Motion]:
                         'for longer, or take data.on_bad: drop')
     for number, piece in enumerate(long):
         name = run.name if len(long) == 1 else f'{run.name}#{number}'
-        yield _motion(name, run, piece, spacing, data.smoothing)
+        yield _motion(name, run, piece, spacing, data)
 
 
 def run_of(motion: 'Motion') -> str:
@@ -196,18 +210,20 @@ def run_of(motion: 'Motion') -> str:
     return motion.name.rpartition('#')[0] or motion.name
 
 
-def _motion(name: str, run: Run, rows: np.ndarray, spacing: float, cutoff: float) -> Motion:
+def _motion(name: str, run: Run, rows: np.ndarray, spacing: float, data: MotionData) -> Motion:
     t, q = run.t[rows], run.q[rows]
     tau = np.zeros_like(q) if run.tau is None else run.tau[rows]
     times = t[0] + spacing * np.arange(int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1)
     times = np.minimum(times, t[-1])
-    tau = _linear(times, t, tau)
-    if run.v is None:
-        return smoothed(name, times, CubicSpline(t, q)(times), None, tau, cutoff)
+    held = run.held if data.inputs is None else data.inputs == 'held'
+    # Where each force acts until the next, the last one counts.
+    tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] if held else \
+        _linear(times, t, tau)
     # q by its slope v as well: clocks of drivers jitter by a large part of the interval.
-    v = run.v[rows]
-    return smoothed(name, times, CubicHermiteSpline(t, q, v)(times), _linear(times, t, v), tau,
-                    cutoff)
+    v = None if run.v is None else run.v[rows]
+    q = CubicSpline(t, q)(times) if v is None else CubicHermiteSpline(t, q, v)(times)
+    return replace(smoothed(name, times, q, None if v is None else _linear(times, t, v), tau,
+                            data.smoothing), held=held)
 
 
 def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:

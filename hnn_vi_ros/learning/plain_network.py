@@ -61,7 +61,7 @@ class PlainNetwork(torch.nn.Module):
 def predicted_by(network: Network) -> Predict:
     """Return what a network of torch predicts, by the Runge-Kutta method of order 4."""
     def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
-        tau = torch.tensor(0.5 * (motion.tau[1:] + motion.tau[:-1]))
+        tau = torch.tensor(motion.forces)
         q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
         rows, found = torch.tensor(starts), [q]
         with torch.no_grad():
