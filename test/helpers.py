@@ -12,7 +12,7 @@ from math import comb
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
-from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.gauss import Gauss, Tableau
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
@@ -202,7 +202,7 @@ def python_step(integrator: Integrator, hamiltonian: Hamiltonian, h: float, z: n
     start, end = point(), point()
     start.q[:], start.p[:] = z[:d], z[d:]
     start.dH_dq[:], start.dH_dp[:] = python_gradient(hamiltonian, z)
-    memory = tuple(Memory.empty(n, dtype=object) for n in integrator.unknowns(d))
+    memory = integrator.memory(d, dtype=object)
     with exact_solver():
         outcome, _, _ = integrator.step(
             python_kernel(hamiltonian), h, exact_options(integrator), start, end, memory)

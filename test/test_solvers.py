@@ -10,10 +10,12 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.base import OK, Point
+from hnn_vi_ros.integrators.implicit_midpoint import MidpointWork
 from hnn_vi_ros.integrators.krylov import krylov
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant
+from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
@@ -32,9 +34,14 @@ def affine_tangent(problem, x, v, product):
     product[:] = problem[0] @ v
 
 
-def memory_for(solve, n: int) -> Memory:
-    """Return the memory of a solver; without a Jacobian where it is to do without."""
-    return Memory.empty(n, largest_matrix=0 if solve is krylov else 10_000)
+def work_for(solve, n: int) -> SolverWork:
+    """Return what a solver works on; without a Jacobian where it is to do without."""
+    return SolverWork.empty(n, largest_matrix=0 if solve is krylov else 10_000)
+
+
+def set_scales(work: SolverWork, size: float) -> None:
+    """Let residuals be relative to a size."""
+    work.iterates.scale[:] = work.iterates.own_scale[:] = size
 
 
 def solve_affine(solve, norm: float, n: int):
@@ -43,11 +50,10 @@ def solve_affine(solve, norm: float, n: int):
     matrix = rng.normal(size=(n, n))
     matrix *= norm / np.linalg.norm(matrix, 2)
     right = rng.normal(size=n)
-    memory, x = memory_for(solve, n), right.copy()
-    memory.scale[:] = np.abs(np.linalg.solve(np.eye(n) - matrix, right)).max()
-    memory.own_scale[:] = memory.scale
-    result = solve(affine, affine_tangent, (matrix, right), x, memory, 100)
-    return result, np.abs(matrix @ x + right - x).max() / memory.scale[0]
+    work, x = work_for(solve, n), right.copy()
+    set_scales(work, np.abs(np.linalg.solve(np.eye(n) - matrix, right)).max())
+    result = solve(affine, affine_tangent, (matrix, right), x, work, 100)
+    return result, np.abs(matrix @ x + right - x).max() / work.iterates.scale[0]
 
 
 @pytest.mark.parametrize('norm', [0.0, 1e-3, 0.1])
@@ -81,9 +87,9 @@ def test_newton_keeps_its_jacobian_while_it_converges_fast():
     def tangent(problem, x, v, product):
         product[:] = 3.0 * rotation @ v + 0.01 * np.cos(x) * v
 
-    memory, x = Memory.empty(n), right.copy()
-    memory.scale[:] = memory.own_scale[:] = 1.0
-    outcome, _, evaluations = newton(equation, tangent, None, x, memory, 20)
+    work, x = SolverWork.empty(n), right.copy()
+    set_scales(work, 1.0)
+    outcome, _, evaluations = newton(equation, tangent, None, x, work, 20)
     assert outcome == OK
     # It contracts by 0.02 / 2 at least: eight iterations, and rounding to be seen.
     assert n < evaluations <= n + 12
@@ -94,10 +100,10 @@ def test_krylov_leaves_what_does_not_act_back_out_of_the_system():
     n, rng = 6, np.random.default_rng(2)
     matrix, right = rng.normal(size=(n, n)), rng.normal(size=n)
     matrix[:, n - 1] = 0.0
-    memory, x = memory_for(krylov, n), right.copy()
-    memory.scale[:] = memory.own_scale[:] = 1.0
-    memory.scale[n - 1] = memory.own_scale[n - 1] = np.inf
-    outcome, _, _ = krylov(affine, affine_tangent, (matrix, right), x, memory, 20)
+    work, x = work_for(krylov, n), right.copy()
+    set_scales(work, 1.0)
+    work.iterates.scale[n - 1] = work.iterates.own_scale[n - 1] = np.inf
+    outcome, _, _ = krylov(affine, affine_tangent, (matrix, right), x, work, 20)
     assert outcome == OK
     exact = np.linalg.solve(np.eye(n) - matrix, right)
     # A residual of 8 eps, by the inverse.
@@ -107,9 +113,9 @@ def test_krylov_leaves_what_does_not_act_back_out_of_the_system():
 
 @pytest.mark.parametrize('n', [513, 1024, 4096])
 def test_memory_grows_as_the_number_of_unknowns_where_no_jacobian_fits(n: int):
-    sizes = [array.size for array in Memory.empty(n)]
+    sizes = [array.size for group in SolverWork.empty(n) for array in group]
     assert max(sizes) == 31 * n
-    assert sum(sizes) <= (31 + 3 + 6 + 3 * 4) * n + 2000
+    assert sum(sizes) <= (31 + 3 + 3 + 2 * 4 + 5) * n + 2000
 
 
 class Chain:
@@ -138,8 +144,11 @@ class Chain:
         self.kernel.gradient(self.kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
         q, p = np.empty((2, 1, self.n))
         loop, step, options = self._assembled
+        size = 2 * self.n
+        memory = (MidpointWork(History.empty(size), SolverWork.empty(size, largest_matrix=size),
+                               *np.zeros((2, size))),)
         outcome, done, *_ = loop(step, self.kernel, h, options, 0, steps, z, z1,
-                                 (Memory.empty(2 * self.n, 2 * self.n),), q, p)
+                                 memory, q, p)
         assert (outcome, done) == (OK, steps)
         return np.concatenate([q[0], p[0]])
 
@@ -184,9 +193,9 @@ def test_fixed_point_does_not_pass_on_an_iterate_that_has_not_converged(solve):
     def rotation(problem, x, value):
         value[0], value[1] = 1.0 - 3.0 * x[1] ** 3, 1.0 + 3.0 * x[0] ** 3
 
-    memory, x = Memory.empty(2), np.array([0.4, -0.3])
-    memory.scale[:] = memory.own_scale[:] = 1.0
-    outcome, residual, _ = solve(rotation, None, None, x, memory, 100)
+    work, x = SolverWork.empty(2), np.array([0.4, -0.3])
+    set_scales(work, 1.0)
+    outcome, residual, _ = solve(rotation, None, None, x, work, 100)
     assert outcome != OK
     assert not residual <= 8 * EPS
 

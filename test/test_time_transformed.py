@@ -8,7 +8,7 @@ from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_size_control, time_transformed
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.run.ensemble import simulate_many
@@ -90,12 +90,12 @@ def test_map_in_transformed_time_is_symplectic():
     """M^T J M = J for (q, p) of one step of the base with K, by central differences."""
     kepler, h, d = HAMILTONIANS['kepler'](1.0), 0.1, 2
     base = TimeTransformed().base
-    space = Memory.empty(2 * base.stages * (d + 1))
+    work = time_transformed.GradientWork.empty(base.stages, d)
     z = np.array([0.3, 0.4, 0.9, -1.2])
     # Off the surface H = H0 as well, where the second term of K' counts.
     start = float(kepler.energy(z[:d], z[d:])) - 0.1
     kernel = Kernel(None, time_transformed._gradient, time_transformed._hessian_vector,
-                    (kepler.kernel, space, (start, 1.0, 0.75)), d + 1, (0.0, 0.0), False, 1)
+                    (kepler.kernel, work, (start, 1.0, 0.75)), d + 1, (0.0, 0.0), False, 1)
 
     def step(z: np.ndarray) -> np.ndarray:
         at, after = Point.empty(d + 1), Point.empty(d + 1)
@@ -152,7 +152,7 @@ def test_integrating_controller_resumed_is_bit_identical():
 def test_integrating_controller_turns_round_where_the_motion_does():
     """Steps of its own, taken back with the momenta turned, end where they began: symmetric."""
     kernel, base = HAMILTONIANS['kepler']().kernel, INTEGRATORS['stormer_verlet']()
-    space, h, n = Memory.empty(2), 0.2, 40
+    work, h, n = step_size_control.ControlledWork.empty(2), 0.2, 40
     z, z1 = Point.empty(2), Point.empty(2)
     z.q[:], z.p[:] = Q0, P0
     density = 2.0
@@ -160,7 +160,7 @@ def test_integrating_controller_turns_round_where_the_motion_does():
     for _ in range(2):
         for k in range(n + 1):
             kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
-            rate, _ = step_size_control._rate(kernel, z, 0.1, 0.75, space)
+            rate, _ = step_size_control._rate(kernel, z, 0.1, 0.75, work)
             # Whole steps of the density between states, half ones at both ends.
             density += (0.5 if k in (0, n) else 1.0) * h * rate
             if k < n:

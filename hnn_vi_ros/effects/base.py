@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator, Step
+from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -297,6 +297,11 @@ class StepEffect(Effect):
         """Tell whether the method has what the effect takes of it."""
         return super().accepts(integrator) and self.inner_step(integrator) is not None
 
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the step's own workspace, after those of the method: here a point."""
+        return PointWork(Point.empty(n))
+
 
 class Wrapping(Protocol):
     """What Wrapped puts around a step: a StepEffect, or what acts like one; see there."""
@@ -304,6 +309,10 @@ class Wrapping(Protocol):
     @staticmethod
     def inner_step(integrator: Integrator, /) -> Any:
         """Return what ``wrap`` takes of a method."""
+
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...], /) -> tuple[Any, ...]:
+        """Return what the step works on after what the method's does."""
 
     @staticmethod
     def wrap(step: Any, keeps_gradient: bool, /) -> Step:

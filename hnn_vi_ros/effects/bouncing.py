@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that are cut where a coordinate meets a wall."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.base import Live
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, Search, seek, TRY
-from hnn_vi_ros.effects.wrapped import energy_of, scratch
+from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
@@ -50,6 +51,37 @@ class Wall(NamedTuple):
     kept: np.ndarray
 
 
+class Motion(NamedTuple):
+    """Space for a velocity and an acceleration: a gradient and a product; of shape (n,)."""
+
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
+    product_q: np.ndarray
+    product_p: np.ndarray
+
+
+class BouncingWork(NamedTuple):
+    """
+    The workspace of a step that is cut where it meets a wall.
+
+    Parameters
+    ----------
+    start : Point
+        The state that a part of the step begins with.
+    motion : Motion
+        For the velocity at the wall.
+
+    """
+
+    start: Point
+    motion: Motion
+
+    @classmethod
+    def empty(cls, n: int) -> 'BouncingWork':
+        """Return the workspace for n coordinates."""
+        return cls(Point.empty(n), Motion(*np.zeros((4, n))))
+
+
 def bounce(step: Step, high: bool) -> Step:
     """
     Return a step for one trajectory that turns a velocity at a wall; see Impact.
@@ -65,19 +97,20 @@ def bounce(step: Step, high: bool) -> Step:
     """
     @inlined
     def bouncing(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
-                 memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                 memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, (c, position, sign, restitution, search, kept), live, effect = options
-        start, space = scratch(memory), memory[len(memory) - 1]
+        work, inside = memory[-1], memory[:-1]
+        start, motion = work.start, work.motion
         copy_point(z, start)
         draws, impacts, total = _keep(live, kept, 2), 0, 0
         rest, part, rounding = h, h, 0.0
         # Settled: what comes next is known, and the trial was taken for its state alone.
         action, wanted, settled = TRY, h, False
-        speed, bend = _motion(kernel, start, c, space, high)
+        speed, bend = _motion(kernel, start, c, motion, high)
         begin(search, sign * (start.q[c] - position), sign * speed, sign * bend)
         while True:
-            outcome, residual, gradients = step(kernel, part, inner, start, z1, memory[:-1])
+            outcome, residual, gradients = step(kernel, part, inner, start, z1, inside)
             total += gradients
             if outcome != OK:
                 _put_back(live, kept, 2, draws)
@@ -94,7 +127,7 @@ def bounce(step: Step, high: bool) -> Step:
             if not settled:
                 total += 1
                 rounding = max(rounding, 4.0 * _EPS * max(abs(position), abs(z1.q[c])))
-                speed, bend = _motion(kernel, z1, c, space, high)
+                speed, bend = _motion(kernel, z1, c, motion, high)
                 add(search, part, distance, sign * speed, sign * bend, rounding, high)
                 action, wanted = seek(search, h, rounding, high)
                 if action == FREE:
@@ -112,7 +145,7 @@ def bounce(step: Step, high: bool) -> Step:
                     copy_point(start, z1)
                     _put_back(live, kept, 0, draws)
                 rest -= wanted
-                work, rests = _meet(kernel, z1, c, position, sign, restitution, space,
+                work, rests = _meet(kernel, z1, c, position, sign, restitution, motion,
                                     rest, h, rounding)
                 if np.isnan(work):
                     _put_back(live, kept, 2, draws)
@@ -124,12 +157,11 @@ def bounce(step: Step, high: bool) -> Step:
                 impacts += 1
                 copy_point(z1, start)
                 draws = _keep(live, kept, 0)
-                speed, bend = _motion(kernel, start, c, space, high)
+                speed, bend = _motion(kernel, start, c, motion, high)
                 begin(search, 0.0, max(0.0, sign * speed), sign * bend)
                 part, settled = rest, False
-            for k in range(len(memory) - 1):
-                # Steps of other lengths are no guide to the next start.
-                memory[k].count[0] = 0
+            # Steps of other lengths are no guide to the next start.
+            forget(inside)
     return bouncing
 
 
@@ -152,10 +184,9 @@ def _put_back(live: Live, kept: np.ndarray, row: int, draws: int) -> None:
 
 
 @called
-def _motion(kernel: Kernel, z: Point, c: int, space: Memory, high: bool) -> tuple[float, float]:
+def _motion(kernel: Kernel, z: Point, c: int, motion: Motion, high: bool) -> tuple[float, float]:
     """Return the velocity of a coordinate, and its acceleration or 0 if that is not asked for."""
-    dH_dq, dH_dp = space.basis[0], space.basis[1]
-    product_q, product_p = space.basis[2], space.basis[3]
+    dH_dq, dH_dp, product_q, product_p = motion
     kernel.gradient(kernel.parameters, z.q, z.p, dH_dq, dH_dp)
     if not high:
         return dH_dp[c], 0.0
@@ -169,7 +200,7 @@ def _motion(kernel: Kernel, z: Point, c: int, space: Memory, high: bool) -> tupl
 
 @called
 def _meet(kernel: Kernel, z: Point, c: int, position: float, sign: float, restitution: float,
-          space: Memory, rest: float, h: float, rounding: float) -> tuple[float, bool]:
+          motion: Motion, rest: float, h: float, rounding: float) -> tuple[float, bool]:
     """
     Turn the velocity at the wall; return the work [J], NaN where that fails, and if it rests.
 
@@ -180,7 +211,7 @@ def _meet(kernel: Kernel, z: Point, c: int, position: float, sign: float, restit
     work = _turn(kernel, z, c, position, restitution)
     if np.isnan(work):
         return work, False
-    speed, bend = _motion(kernel, z, c, space, True)
+    speed, bend = _motion(kernel, z, c, motion, True)
     speed, pull = max(0.0, sign * speed), -sign * bend
     if not pull > 0.0:
         return work, False

@@ -4,10 +4,10 @@
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Literal
+from typing import Any, Literal
 
 from hnn_vi_ros.effects.base import coordinate_index, Live, Place, StepEffect
-from hnn_vi_ros.effects.bouncing import bounce, Wall
+from hnn_vi_ros.effects.bouncing import bounce, BouncingWork, Wall
 from hnn_vi_ros.effects.crossings import Search
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_finite
@@ -78,6 +78,11 @@ class Impact(StepEffect):
         if parameters.sign * (q[place] - position) < 0.0:
             raise ValueError(f'the initial {self.coordinate} = {float(q[place])!r} is behind the '
                              f'wall of an impact at {position!r}')
+
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> BouncingWork:
+        """Return the state before a part of the step, and space; see StepEffect."""
+        return BouncingWork.empty(n)
 
     @staticmethod
     def inner_step(integrator: Integrator) -> tuple[Step, bool]:

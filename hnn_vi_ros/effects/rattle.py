@@ -4,12 +4,12 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.constraints import Constraints, evaluator
-from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
-from hnn_vi_ros.integrators.base import (
-    Integrator, Memory, NO_CONVERGENCE, OK, Point, REDUNDANT, Step)
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, REDUNDANT, Step
+from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
 from hnn_vi_ros.kernels.marks import called, inlined, is_own
@@ -24,6 +24,37 @@ _ROUNDING = 64
 _VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
 
 
+class Multipliers(NamedTuple):
+    """
+    What the next step starts from.
+
+    Parameters
+    ----------
+    multipliers : np.ndarray, shape (m,)
+        Of the m constraints at the start of the last step.
+
+    """
+
+    multipliers: np.ndarray
+
+
+class RattleWork(NamedTuple):
+    """
+    The workspace of a step between two impulses.
+
+    Parameters
+    ----------
+    kept : Multipliers
+        For the next step.
+    start : Point
+        The state after the first impulse.
+
+    """
+
+    kept: Multipliers
+    start: Point
+
+
 class Rattle:
     """RATTLE with distances and planes, for Wrapped; see ``rattle``."""
 
@@ -34,6 +65,11 @@ class Rattle:
     def inner_step(integrator: Integrator) -> Step:
         """Return the step of the method."""
         return integrator.step
+
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> RattleWork:
+        """Return the workspace for n coordinates."""
+        return RattleWork(Multipliers(np.zeros(settings[0].defect.size)), Point.empty(n))
 
     @classmethod
     def wrap(cls, step: Step, keeps_gradient: bool) -> Step:
@@ -75,12 +111,12 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
 
     @inlined
     def constrained(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
-                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                    memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, constraints, live, _ = options
-        start, space = scratch(memory), memory[len(memory) - 1]
+        work, inside = memory[-1], memory[:-1]
         # The last step's solution is the first guess.
-        multipliers = space.newton[:constraints.defect.size]
+        start, multipliers = work.start, work.kept.multipliers
         evaluate(constraints, z.q, constraints.old)
         copy_array(live.pending, constraints.pending)
         size = largest(z.q) + largest(constraints.lengths)
@@ -89,10 +125,9 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
             copy_point(z, start)
             copy_array(constraints.pending, live.pending)
             _kick(constraints.old, multipliers, 0.5 * h, start)
-            for k in range(len(memory) - 1):
-                # Trials of one step are no guide to the next start.
-                memory[k].count[0] = 0
-            outcome, residual, gradients = step(kernel, h, inner, start, z1, memory[:-1])
+            # Trials of one step are no guide to the next start.
+            forget(inside)
+            outcome, residual, gradients = step(kernel, h, inner, start, z1, inside)
             spent += gradients
             if outcome != OK:
                 break

@@ -3,10 +3,11 @@
 """Strang splitting: the flow of an effect for half a step, before and after a method's step."""
 
 from collections.abc import Callable
+from typing import Any
 
-from hnn_vi_ros.effects.wrapped import energy_of, scratch
+from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Memory, OK, Point, Step
+from hnn_vi_ros.integrators.base import OK, Point, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined
 
@@ -42,10 +43,10 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
 
     @inlined
     def split(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
-              memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+              memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, parameters, live, effect = options
-        start, more = scratch(memory), 0
+        start, more = memory[-1].point, 0
         copy_point(z, start)
         live.pending[effect] += half_flow(kernel, h, parameters, start)
         if keeps_gradient:

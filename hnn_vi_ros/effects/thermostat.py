@@ -4,13 +4,13 @@
 
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 from hnn_vi_ros.effects.base import Live, per_coordinate, Place, StepEffect
 from hnn_vi_ros.effects.masses import check_masses
-from hnn_vi_ros.effects.wrapped import scratch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.integrators.base import Memory, NO_MASS, OK, Point, Step
+from hnn_vi_ros.integrators.base import NO_MASS, OK, Point, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -77,10 +77,10 @@ class Thermostat(StepEffect):
 
         @inlined
         def bathed(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
-                   memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                   memory: tuple[Any, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, (bath,), live, effect = options
-            middle = scratch(memory)
+            middle = memory[-1].point
             outcome, residual, gradients = first_half(
                 kernel, 0.5 * h, inner, z, middle, memory[:-1])
             if outcome != OK:

@@ -4,14 +4,15 @@
 
 from copy import copy
 from functools import cache
-from typing import final
+from typing import Any, final
 
 from hnn_vi_ros.effects.base import Wrapping
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
-from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point, Step
+from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Step
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined, is_own
+import numpy as np
 
 
 @final
@@ -63,8 +64,12 @@ class Wrapped(Integrator):
         return (self._inner.options(link, dimension), *self._settings)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of the method, and the space for a point; see scratch."""
-        return (*self._inner.unknowns(n), n)
+        """Return the equations of the method."""
+        return self._inner.unknowns(n)
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[Any, ...]:
+        """Return the workspaces of the method, then that of the effect; see Integrator."""
+        return (*self._inner.memory(n, dtype), self._kind.workspace(n, self._settings))
 
     def substep(self) -> Integrator | None:
         """Return the method's way to take a step in parts, with the effect."""
@@ -81,12 +86,17 @@ class Account:
         return integrator.step
 
     @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return none: it works on what effects keep."""
+        return ()
+
+    @staticmethod
     @cache
     def wrap(step: Step, keeps_gradient: bool) -> Step:
         """Return the step with its account."""
         @inlined
         def accounted(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
-                      memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                      memory: tuple[Any, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, live, channel_effects = options
             live.pending[:] = 0.0
@@ -112,14 +122,6 @@ class Account:
                 gradients += 1
             return OK, residual, gradients
         return accounted
-
-
-@inlined
-def scratch(memory: tuple[Memory, ...]) -> Point:
-    """Return a point in the space that the outermost effect has in the memory."""
-    space = memory[len(memory) - 1]
-    return Point(space.values[0], space.values[1], space.values[2], space.values[3],
-                 space.residuals[0], space.residuals[1])
 
 
 @inlined

@@ -24,9 +24,6 @@ ON_FAILURE = ('substep', 'implicit', 'stop')
 
 # The step of a method, with the outcome, the residual and the evaluations; see Integrator.step.
 Step = Callable[..., tuple[int, float, int]]
-# Unknowns of an equation up to which Newton's method can have a Jacobian, and up to which it takes
-# less time with one than without; and the vectors that it keeps without.
-LARGEST_MATRIX, FAST_MATRIX, KRYLOV_DIMENSION = 512, 128, 30
 
 
 class Point(NamedTuple):
@@ -52,75 +49,23 @@ class Point(NamedTuple):
     dH_dp: np.ndarray
 
     @classmethod
-    def empty(cls, n: int) -> 'Point':
+    def empty(cls, n: int, dtype: type = np.float64) -> 'Point':
         """Return a point of n zeros in each array."""
-        return cls(*np.zeros((6, n)))
+        return cls(*np.zeros((6, n), dtype))
 
 
-class Memory(NamedTuple):
+class PointWork(NamedTuple):
     """
-    What one implicit equation of N unknowns keeps between steps, and its working space.
+    The workspace of what takes steps from one point to another.
 
     Parameters
     ----------
-    count : np.ndarray, shape (1,)
-        How many earlier solutions ``increments`` holds.
-    slow_start : np.ndarray, shape (1,)
-        1 if the first iteration of the last solve did not halve its residual, else 0.
-    increments : np.ndarray, shape (3, N)
-        Earlier solutions less their starting points, the newest first.
-    scale, own_scale : np.ndarray, shape (N,)
-        Sizes to which residuals are relative: of the largest unknown of its kind, and its own.
-    unknowns, base : np.ndarray, shape (N,)
-        For methods whose unknowns or starting point are not arrays of the new point.
-    accepted : np.ndarray, shape (N,)
-        The last iterate that was good enough.
-    newton : np.ndarray, shape (N,)
-        A Newton step.
-    values, residuals, basis : np.ndarray, shape (4, N)
-        The last evaluations of the fixed-point map and their residuals, by Anderson's method.
-    triangle : np.ndarray, shape (4, 4)
-        The small least-squares problem of Anderson's method.
-    matrix : np.ndarray, shape (N, N) or (0, 0)
-        The factors of the Jacobian of Newton's method; empty where N is too large for one.
-    directions : np.ndarray, shape (m + 1, N) or (0, 0)
-        The Krylov space of Newton's method without a Jacobian; empty where N is small.
-    hessenberg, rotations : np.ndarray, shape (m + 1, m), (3, m + 1)
-        Its small least-squares problem: the matrix; cosines, sines and the right-hand side.
-    pivots : np.ndarray, shape (N,) or (0,)
-        The rows that were exchanged to factorise the Jacobian.
+    point : Point
+        Between two of them.
 
     """
 
-    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
-    slow_start: np.ndarray
-    increments: np.ndarray
-    scale: np.ndarray
-    own_scale: np.ndarray
-    unknowns: np.ndarray
-    base: np.ndarray
-    accepted: np.ndarray
-    newton: np.ndarray
-    values: np.ndarray
-    residuals: np.ndarray
-    basis: np.ndarray
-    triangle: np.ndarray
-    matrix: np.ndarray
-    directions: np.ndarray
-    hessenberg: np.ndarray
-    rotations: np.ndarray
-    pivots: np.ndarray
-
-    @classmethod
-    def empty(cls, n: int, largest_matrix: int = LARGEST_MATRIX, dtype: type = np.float64
-              ) -> 'Memory':
-        """Return the memory of an equation of n unknowns before its first solution."""
-        side = n if n <= largest_matrix else 0
-        m = KRYLOV_DIMENSION if n > min(FAST_MATRIX, largest_matrix) else 0
-        shapes = [(3, n), *[(n,)] * 6, *[(4, n)] * 3, (4, 4), (side, side),
-                  (m + 1, n) if m else (0, 0), (m + 1, m), (3, m + 1)]
-        return cls(*np.zeros((2, 1), dtype=np.int64),  # type: ignore[call-arg]
-                   *[np.zeros(shape, dtype) for shape in shapes], np.zeros(side, dtype=np.int64))
+    point: Point
 
 
 class Integrator(ABC):
@@ -146,9 +91,8 @@ class Integrator(ABC):
         False if a step calls what numba cannot compile.
     step : callable
         ``step(kernel, h, options, z, z1, memory)`` maps the point z to z1 and returns
-        ``(outcome, residual, gradients)``; it never changes z. ``memory`` is a tuple of Memory,
-        one for each implicit equation. It is plain Python in numba's subset, run compiled or as
-        it stands.
+        ``(outcome, residual, gradients)``; it never changes z. ``memory`` is what the method
+        of this name returns. It is plain Python in numba's subset, run compiled or as it stands.
 
     """
 
@@ -209,9 +153,9 @@ class Integrator(ABC):
         """Return the number of unknowns of each implicit equation, for n coordinates."""
         return ()
 
-    def memory(self, n: int) -> tuple[Memory, ...]:
-        """Return the memory of each implicit equation, for n coordinates."""
-        return tuple(Memory.empty(unknowns) for unknowns in self.unknowns(n))
+    def memory(self, n: int, dtype: type = np.float64) -> tuple:
+        """Return the workspaces of a step of n coordinates, none for no such; see workspaces."""
+        return ()
 
     def substep(self) -> 'Integrator | None':
         """Return the symmetric method of which a failed step is made anew, None for no such."""

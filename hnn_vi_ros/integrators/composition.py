@@ -6,13 +6,15 @@ from collections.abc import Callable
 from functools import cache
 from typing import ClassVar
 
-from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
+from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
 
 BASES = {
     'generalized_leapfrog': GeneralizedLeapfrog,
@@ -77,8 +79,12 @@ class Composition(Integrator):
         return self.base.substep()
 
     def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of the base, and the space for a point between two steps."""
-        return (*self.base.unknowns(n), n)
+        """Return the equations of the base."""
+        return self.base.unknowns(n)
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple:
+        """Return the workspaces of the base, and a point between two steps; see Integrator."""
+        return (*self.base.memory(n, dtype), PointWork(Point.empty(n, dtype)))
 
 
 class Yoshida4(Composition):
@@ -115,20 +121,17 @@ class Suzuki4(Composition):
 def _compose(base_step: Callable, fractions: tuple[float, ...]) -> Callable:
     @inlined
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        space = memory[len(memory) - 1]
-        between = Point(space.values[0], space.values[1], space.values[2], space.values[3],
-                        space.residuals[0], space.residuals[1])
+        between, inner = memory[-1].point, memory[:-1]
         worst, gradients = 0.0, 0
         for j in range(len(fractions)):
             # Steps of other lengths are no guide to the next start.
-            for k in range(len(memory)):
-                memory[k].count[0] = 0
+            forget(inner)
             source = z if j == 0 else (between if j % 2 == 0 else z1)
             target = z1 if j % 2 == 0 else between
             outcome, residual, more = base_step(
-                kernel, fractions[j] * h, options, source, target, memory)
+                kernel, fractions[j] * h, options, source, target, inner)
             worst, gradients = max(worst, residual), gradients + more
             if outcome != OK:
                 return outcome, residual, gradients

@@ -7,8 +7,9 @@ import math
 from typing import Any
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NO_SOLUTION
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NO_SOLUTION
 from hnn_vi_ros.integrators.newton import fill_matrix, newton
+from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
@@ -22,7 +23,7 @@ _CONTRACTION, _ARRIVED = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
 
 @inlined
 def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
-                 memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+                 work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
     Follow the solution from h = 0 to this h, and iterate there by Newton's method; see solvers.
 
@@ -37,9 +38,9 @@ def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndar
 
     """
     n = x.size
-    base, last = problem.base, memory.basis[0]
+    base, last = problem.base, work.newton.solved
     at, length, left, spent = 0.0, _FIRST_LENGTH, 0.0, 0
-    if memory.matrix.shape[0] != n:
+    if work.newton.matrix.shape[0] != n:
         return NO_CONVERGENCE, math.nan, 0
     copy_array(base, last)
     for _ in range(_POINTS):
@@ -47,7 +48,7 @@ def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndar
             break
         share = min(1.0, at + length)
         copy_array(last, x)
-        left, more = _correct(equation, tangent, problem, x, share, memory)
+        left, more = _correct(equation, tangent, problem, x, share, work)
         spent += more
         if left <= _ARRIVED:
             copy_array(x, last)
@@ -58,29 +59,30 @@ def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndar
             length *= 0.5
     if at < 1.0:
         return NO_SOLUTION if math.isfinite(left) else NO_CONVERGENCE, math.nan, spent
-    outcome, residual, more = newton(equation, tangent, problem, x, memory, max_iterations)
+    outcome, residual, more = newton(equation, tangent, problem, x, work, max_iterations)
     return outcome, residual, spent + more
 
 
 @called
 def _correct(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
-             share: float, memory: Memory) -> tuple[float, int]:
+             share: float, work: SolverWork) -> tuple[float, int]:
     """Move x to b + share (G(x) - b); return the last step over the scale, and evaluations."""
-    n, value, step = x.size, memory.values[0], memory.residuals[1]
+    n, iterates, own = x.size, work.iterates, work.newton
+    value, step, scale = iterates.values[0], own.direction, iterates.scale
     size, spent = math.inf, 0
     for k in range(_CORRECTIONS):
         equation(problem, x, value)
-        fill_matrix(tangent, problem, x, share, memory)
+        fill_matrix(tangent, problem, x, share, own)
         spent += n + 1
         for i in range(n):
             step[i] = problem.base[i] - x[i] + share * (value[i] - problem.base[i])
         before, size = size, 0.0
-        if solve_linear(memory.matrix, step) <= 0:
+        if solve_linear(own.matrix, step) <= 0:
             return 1.0, spent
         for i in range(n):
             x[i] += step[i]
-            if not abs(step[i]) <= size * memory.scale[i]:
-                size = abs(step[i]) / memory.scale[i] if memory.scale[i] > 0.0 else abs(step[i])
+            if not abs(step[i]) <= size * scale[i]:
+                size = abs(step[i]) / scale[i] if scale[i] > 0.0 else abs(step[i])
         if size <= _ARRIVED:
             return size, spent
         if k > 0 and not size <= _CONTRACTION * before:

@@ -8,7 +8,7 @@ from typing import Annotated
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -113,7 +113,7 @@ class DiscreteEulerLagrange(Integrator):
 
     @staticmethod
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         (discrete_lagrangian,) = options
         q1 = z.q + h * z.dH_dp

@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
@@ -55,7 +55,7 @@ class DOP853(Integrator):
 
     @staticmethod
     def step(kernel: Kernel, h: float, options: Tolerances, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         # Imported here: no other method needs scipy to start.
         from scipy.integrate import solve_ivp

@@ -5,8 +5,9 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import IN_DOUBT, Memory, OK
+from hnn_vi_ros.integrators.base import IN_DOUBT, OK
 from hnn_vi_ros.integrators.solvers import extrapolate, is_in_doubt, remember, SolverOptions
+from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
@@ -56,6 +57,53 @@ class Sought(NamedTuple):
     dH_dp: np.ndarray
 
 
+class EquationWork(NamedTuple):
+    """
+    The workspace of one equation for momenta or for coordinates.
+
+    Parameters
+    ----------
+    kept : History
+        Its earlier solutions.
+    solver : SolverWork
+        What its solvers work on.
+    product_q, product_p : np.ndarray, shape (n,)
+        Products with H''; before one, half of its factor, of zeros.
+
+    """
+
+    kept: History
+    solver: SolverWork
+    product_q: np.ndarray
+    product_p: np.ndarray
+
+    @classmethod
+    def empty(cls, n: int, dtype: type = np.float64) -> 'EquationWork':
+        """Return the workspace of an equation of n unknowns."""
+        return cls(History.empty(n, dtype), SolverWork.empty(n, dtype), *np.zeros((2, n), dtype))
+
+
+class HalfwayWork(NamedTuple):
+    """
+    The workspace of an equation that starts half-way through a step.
+
+    Parameters
+    ----------
+    kept, solver, product_q, product_p
+        As those of EquationWork.
+    half_q, half_carry : np.ndarray, shape (n,)
+        The half-way coordinates, and what was rounded off them.
+
+    """
+
+    kept: History
+    solver: SolverWork
+    product_q: np.ndarray
+    product_p: np.ndarray
+    half_q: np.ndarray
+    half_carry: np.ndarray
+
+
 class _Problem(NamedTuple):
     """x = base + factor H_x(...), and two arrays of shape (n,) for products with H''."""
 
@@ -69,8 +117,9 @@ class _Problem(NamedTuple):
 
 
 @inlined
-def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought, memory: Memory,
-                  options: SolverOptions) -> tuple[int, float, int]:
+def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
+                  work: EquationWork | HalfwayWork, options: SolverOptions
+                  ) -> tuple[int, float, int]:
     """
     Solve p1 = p - h H_q(q, p1); leave the gradient at (q, p1).
 
@@ -84,7 +133,9 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought, memory
         q, p and H_q.
     sought : Sought
         p1 and the gradient.
-    memory, options
+    work : EquationWork or HalfwayWork
+        Of this equation.
+    options : SolverOptions
         See solvers.
 
     Returns
@@ -96,29 +147,32 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought, memory
     p, p1 = known.base, sought.x
     for i in range(p.size):
         p1[i] = p[i] - h * known.slope[i]
-    set_scale(memory.scale, memory.own_scale, p, known.slope, h, kernel, 0)
+    iterates, matrix = work.solver.iterates, work.solver.newton.matrix
+    set_scale(iterates.scale, iterates.own_scale, p, known.slope, h, kernel, 0)
     if options.extrapolate:
-        extrapolate(memory, p, p1)
-    problem = _Problem(kernel, -h, known, sought, p, memory.values[3], memory.residuals[3])
+        extrapolate(work.kept, p, p1)
+    problem = _Problem(kernel, -h, known, sought, p, work.product_q, work.product_p)
     outcome, residual, gradients = options.solve(
-        _momentum_equation, _momentum_tangent, problem, p1, memory, options.max_iterations)
-    if outcome == OK and is_in_doubt(options, memory, gradients, kernel.dimension):
+        _momentum_equation, _momentum_tangent, problem, p1, work.solver, options.max_iterations)
+    if outcome == OK and is_in_doubt(
+            options, iterates.slow_start, matrix, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
-        remember(memory, p, p1)
+        remember(work.kept, p, p1)
         _finish(p, known.carry, -h, sought.dH_dq, p1, sought.carry)
     return outcome, residual, gradients
 
 
 @inlined
-def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought, memory: Memory,
-                      options: SolverOptions) -> tuple[int, float, int]:
+def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
+                      work: EquationWork | HalfwayWork, options: SolverOptions
+                      ) -> tuple[int, float, int]:
     """
     Solve q1 = q + h H_p(q1, p); leave the gradient at (q1, p).
 
     Parameters
     ----------
-    kernel, h, memory, options
+    kernel, h, work, options
         See solve_momenta.
     known : Known
         p, q and H_p.
@@ -134,16 +188,19 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought, me
     q, q1 = known.base, sought.x
     for i in range(q.size):
         q1[i] = q[i] + h * known.slope[i]
-    set_scale(memory.scale, memory.own_scale, q, known.slope, h, kernel, 1)
+    iterates, matrix = work.solver.iterates, work.solver.newton.matrix
+    set_scale(iterates.scale, iterates.own_scale, q, known.slope, h, kernel, 1)
     if options.extrapolate:
-        extrapolate(memory, q, q1)
-    problem = _Problem(kernel, h, known, sought, q, memory.values[3], memory.residuals[3])
+        extrapolate(work.kept, q, q1)
+    problem = _Problem(kernel, h, known, sought, q, work.product_q, work.product_p)
     outcome, residual, gradients = options.solve(
-        _coordinate_equation, _coordinate_tangent, problem, q1, memory, options.max_iterations)
-    if outcome == OK and is_in_doubt(options, memory, gradients, kernel.dimension):
+        _coordinate_equation, _coordinate_tangent, problem, q1, work.solver,
+        options.max_iterations)
+    if outcome == OK and is_in_doubt(
+            options, iterates.slow_start, matrix, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
-        remember(memory, q, q1)
+        remember(work.kept, q, q1)
         _finish(q, known.carry, h, sought.dH_dp, q1, sought.carry)
     return outcome, residual, gradients
 

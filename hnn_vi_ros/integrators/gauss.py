@@ -6,11 +6,12 @@ from functools import cache
 from typing import ClassVar, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
+from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
@@ -37,6 +38,43 @@ class Tableau(NamedTuple):
     weights: np.ndarray
     start: np.ndarray
     solver: SolverOptions
+
+
+class StageSlopes(NamedTuple):
+    """
+    What the next step starts from.
+
+    Parameters
+    ----------
+    count : np.ndarray, shape (1,)
+        1 where slopes are those of the step before, 0 where there is none.
+    slopes : np.ndarray, shape (2 s n,)
+        H_q at the stages one after another, then H_p.
+
+    """
+
+    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
+    slopes: np.ndarray
+
+
+class GaussWork(NamedTuple):
+    """
+    The workspace of the equation for the stages.
+
+    Parameters
+    ----------
+    kept : StageSlopes
+        For the next start.
+    solver : SolverWork
+        What its solvers work on.
+    stages : np.ndarray, shape (2 s n,)
+        q of the stages one after another, then p.
+
+    """
+
+    kept: StageSlopes
+    solver: SolverWork
+    stages: np.ndarray
 
 
 class _Problem(NamedTuple):
@@ -115,29 +153,35 @@ class Gauss(ImplicitIntegrator):
         """Return the number of unknowns: q and p of each stage."""
         return (2 * self.stages * n,)
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[GaussWork]:
+        """Return the workspace of the equation; see Integrator."""
+        (size,) = self.unknowns(n)
+        kept = StageSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype))
+        return (GaussWork(kept, SolverWork.empty(size, dtype), np.zeros(size, dtype)),)
+
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: Tableau, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[GaussWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        store, n, s = memory[0], z.q.size, options.weights.size
-        x, slopes = store.unknowns, store.increments[0]
-        scale, own = store.scale, store.own_scale
+        work, n, s = memory[0], z.q.size, options.weights.size
+        x, kept, slopes = work.stages, work.kept, work.kept.slopes
+        scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
         set_scale(scale[:n], own[:n], z.q, z.dH_dp, h, kernel, 1)
         set_scale(scale[s * n:(s + 1) * n], own[s * n:(s + 1) * n], z.p, z.dH_dq, h, kernel, 0)
         for i in range(n, s * n):
             scale[i], own[i] = scale[i - n], own[i - n]
             scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
-        _start(options, store, slopes, z, h, x)
-        # The slopes H_q and H_p at the stages stay in the memory for the next start.
+        _start(options, kept, z, h, x)
+        # The slopes H_q and H_p at the stages stay in the workspace for the next start.
         problem = _Problem(kernel, h, options.matrix, z, x[:s * n], x[s * n:],
                            slopes[:s * n], slopes[s * n:])
         outcome, residual, rounds = options.solver.solve(
-            _equation, _tangent, problem, x, store, options.solver.max_iterations)
+            _equation, _tangent, problem, x, work.solver, options.solver.max_iterations)
         if outcome != OK:
-            store.count[0] = 0
+            kept.count[0] = 0
             return outcome, residual, rounds * s
-        store.count[0] = 1
+        kept.count[0] = 1
         for i in range(n):
             dq, dp = 0.0, 0.0
             for j in range(s):
@@ -161,14 +205,13 @@ GAUSS_METHODS = {f'gauss{2 * stages}': _gauss(stages) for stages in range(2, 9)}
 
 
 @inlined
-def _start(options: Tableau, store: Memory, slopes: np.ndarray, z: Point, h: float,
-           x: np.ndarray) -> None:
+def _start(options: Tableau, kept: StageSlopes, z: Point, h: float, x: np.ndarray) -> None:
     """Start the stages from the last step's collocation polynomial, or from the state."""
-    n, s = z.q.size, options.weights.size
+    n, s, slopes = z.q.size, options.weights.size, kept.slopes
     for j in range(s):
         for i in range(n):
             dq, dp = 0.0, 0.0
-            if store.count[0] > 0 and options.solver.extrapolate:
+            if kept.count[0] > 0 and options.solver.extrapolate:
                 for k in range(s):
                     dq += options.start[j, k] * slopes[(s + k) * n + i]
                     dp -= options.start[j, k] * slopes[k * n + i]

@@ -3,8 +3,9 @@
 """The generalised leapfrog: the Störmer-Verlet method for a Hamiltonian of any form."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, OK, Point
-from hnn_vi_ros.integrators.equations import Known, solve_coordinates, solve_momenta, Sought
+from hnn_vi_ros.integrators.base import OK, Point
+from hnn_vi_ros.integrators.equations import (
+    EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import leapfrog_energy
 from hnn_vi_ros.integrators.requirements import Requirements
@@ -13,6 +14,7 @@ from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
 
 
 # Compiled code knows functions, not the classes that hold them.
@@ -21,8 +23,8 @@ _adjoint_step = SymplecticEulerAdjoint.step
 
 @inlined
 def _second_half(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-                 memory: tuple[Memory, ...]) -> tuple[int, float, int]:
-    """Take a step of the adjoint, with the memory of the second equation."""
+                 memory: tuple[EquationWork, HalfwayWork]) -> tuple[int, float, int]:
+    """Take a step of the adjoint, with the workspace of the second equation."""
     return _adjoint_step(kernel, h, options, z, z1, memory[1:])
 
 
@@ -52,23 +54,28 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         """Return the sizes of the equations for the momenta and for the coordinates."""
         return (n, n)
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork, HalfwayWork]:
+        """Return the workspaces of the two equations; see Integrator."""
+        first, second = (EquationWork.empty(n, dtype) for _ in range(2))
+        return first, HalfwayWork(*second, *np.zeros((2, n), dtype))
+
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[EquationWork, HalfwayWork]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         half = 0.5 * h
-        # The half-way momentum stands in z1.p, the half-way coordinate in the second base.
+        # The half-way momentum stands in z1.p.
         outcome, residual, gradients = solve_momenta(
             kernel, half, Known(z.q, z.p, z.p_carry, z.dH_dq),
             Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         if outcome != OK:
             return outcome, residual, gradients
-        base, carry = memory[0].base, memory[0].unknowns
+        half_q, half_carry = memory[1].half_q, memory[1].half_carry
         for i in range(z.q.size):
-            base[i], carry[i] = plus(z.q[i], z.q_carry[i], half * z1.dH_dp[i])
+            half_q[i], half_carry[i] = plus(z.q[i], z.q_carry[i], half * z1.dH_dp[i])
         outcome, residual_q, more = solve_coordinates(
-            kernel, half, Known(z1.p, base, carry, z1.dH_dp),
+            kernel, half, Known(z1.p, half_q, half_carry, z1.dH_dp),
             Sought(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[1], options)
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z1.p[i], z1.p_carry[i], -half * z1.dH_dq[i])

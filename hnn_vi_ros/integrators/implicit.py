@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the methods that solve an equation in each step have in common."""
 
-from hnn_vi_ros.integrators.base import FAST_MATRIX, Integrator, LARGEST_MATRIX
+from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.continuation import continuation
 from hnn_vi_ros.integrators.krylov import krylov
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
+from hnn_vi_ros.integrators.workspaces import FAST_MATRIX, LARGEST_MATRIX
 
 SOLVERS = ('chain', 'fixed_point')
 _NEWTON_ITERATIONS = 20

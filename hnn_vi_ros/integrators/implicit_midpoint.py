@@ -5,15 +5,37 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import midpoint_energy
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
+
+
+class MidpointWork(NamedTuple):
+    """
+    The workspace of the equation for the midpoint; arrays of shape (2 n,) hold q, then p.
+
+    Parameters
+    ----------
+    kept : History
+        Earlier midpoints.
+    solver : SolverWork
+        What its solvers work on.
+    midpoint, start : np.ndarray
+        The midpoint, and the state at the start of the step.
+
+    """
+
+    kept: History
+    solver: SolverWork
+    midpoint: np.ndarray
+    start: np.ndarray
 
 
 class _Problem(NamedTuple):
@@ -48,26 +70,31 @@ class ImplicitMidpoint(ImplicitIntegrator):
         """Return the number of unknowns: q and p of the midpoint."""
         return (2 * n,)
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[MidpointWork]:
+        """Return the workspace of the equation; see Integrator."""
+        return (MidpointWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
+                             *np.zeros((2, 2 * n), dtype)),)
+
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[MidpointWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        n, store = z.q.size, memory[0]
-        y = store.unknowns
+        n, kept, solver = z.q.size, memory[0].kept, memory[0].solver
+        y, start, iterates = memory[0].midpoint, memory[0].start, solver.iterates
         for i in range(n):
-            store.base[i], store.base[n + i] = z.q[i], z.p[i]
+            start[i], start[n + i] = z.q[i], z.p[i]
             y[i] = z.q[i] + 0.5 * h * z.dH_dp[i]
             y[n + i] = z.p[i] - 0.5 * h * z.dH_dq[i]
-        set_scale(store.scale[:n], store.own_scale[:n], z.q, z.dH_dp, h, kernel, 1)
-        set_scale(store.scale[n:], store.own_scale[n:], z.p, z.dH_dq, h, kernel, 0)
+        set_scale(iterates.scale[:n], iterates.own_scale[:n], z.q, z.dH_dp, h, kernel, 1)
+        set_scale(iterates.scale[n:], iterates.own_scale[n:], z.p, z.dH_dq, h, kernel, 0)
         if options.extrapolate:
-            extrapolate(store, store.base, y)
+            extrapolate(kept, start, y)
         problem = _Problem(kernel, 0.5 * h, z, z1.dH_dq, z1.dH_dp)
         outcome, residual, gradients = options.solve(
-            _equation, _tangent, problem, y, store, options.max_iterations)
+            _equation, _tangent, problem, y, solver, options.max_iterations)
         if outcome == OK:
-            remember(store, store.base, y)
+            remember(kept, start, y)
         for i in range(n):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])

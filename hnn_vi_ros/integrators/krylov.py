@@ -7,9 +7,10 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE
 from hnn_vi_ros.integrators.newton import raise_scales
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge, OWN
+from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
@@ -19,7 +20,7 @@ _FORCING = 1e-3
 
 @inlined
 def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+           work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
     Iterate (I - G'(x)) step = G(x) - x, each step by the method GMRES; see the module.
 
@@ -35,10 +36,11 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982).
 
     """
-    n, columns = x.size, memory.hessenberg.shape[1]
-    value, defect, product = memory.values[0], memory.residuals[0], memory.values[2]
-    v, weights = memory.residuals[1], memory.residuals[2]
-    sizes = memory.scale, memory.own_scale, memory.accepted
+    iterates, own = work.iterates, work.newton
+    n, columns = x.size, own.hessenberg.shape[1]
+    value, defect = iterates.values[0], iterates.residuals[0]
+    v, product, weights = own.direction, own.product, own.weights
+    sizes = iterates.scale, iterates.own_scale, iterates.accepted
     previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
@@ -58,30 +60,29 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
                 tangent(problem, x, v, product)
                 evaluations += 1
             if j >= 0:
-                left = _extend(memory, weights, product, j)
+                left = _extend(own, product, j)
                 used = j + 1
             else:
                 if k == 1:
                     for i in range(n):
-                        weights[i] = abs(product[i])
-                    raise_scales(memory.scale, memory.own_scale, weights)
-                left = _begin(memory, memory.own_scale if stage == OWN else memory.scale,
-                              x, value, weights)
+                        own.known[i] = abs(product[i])
+                    raise_scales(iterates.scale, iterates.own_scale, own.known)
+                left = _begin(own, iterates.own_scale if stage == OWN else iterates.scale,
+                              x, value)
                 goal = _FORCING * left
             # Written so that NaN ends it.
             if used == columns or not left > goal:
                 break
             for i in range(n):
-                v[i] = weights[i] * memory.directions[used, i]
-        _add_combination(memory, weights, used, value, x)
+                v[i] = weights[i] * own.directions[used, i]
+        _add_combination(own, used, value, x)
     return NO_CONVERGENCE, residual, evaluations
 
 
 @inlined
-def _begin(memory: Memory, scale: np.ndarray, x: np.ndarray, value: np.ndarray,
-           weights: np.ndarray) -> float:
+def _begin(work: NewtonWork, scale: np.ndarray, x: np.ndarray, value: np.ndarray) -> float:
     """Set the weights of unknowns, and the first direction to G(x) - x; return its length."""
-    first, length = memory.directions[0], 0.0
+    first, weights, length = work.directions[0], work.weights, 0.0
     for i in range(x.size):
         weights[i] = scale[i]
         if scale[i] == 0.0:
@@ -95,26 +96,27 @@ def _begin(memory: Memory, scale: np.ndarray, x: np.ndarray, value: np.ndarray,
     length = math.sqrt(length)
     for i in range(x.size):
         first[i] = first[i] / length if length > 0.0 else 0.0
-    memory.rotations[2, 0] = length
+    work.rotations[2, 0] = length
     return length
 
 
 @inlined
-def _extend(memory: Memory, weights: np.ndarray, product: np.ndarray, j: int) -> float:
+def _extend(work: NewtonWork, product: np.ndarray, j: int) -> float:
     """
     Add (I - G') times direction j to the space, orthogonalised; return what is left of G(x) - x.
 
     The small matrix is kept triangular by rotations, of which the last leaves the residual.
     """
-    n, column = weights.size, memory.hessenberg[:, j]
-    cosine, sine, right = memory.rotations[0], memory.rotations[1], memory.rotations[2]
-    new, length = memory.directions[j + 1], 0.0
+    weights, column = work.weights, work.hessenberg[:, j]
+    n = weights.size
+    cosine, sine, right = work.rotations[0], work.rotations[1], work.rotations[2]
+    new, length = work.directions[j + 1], 0.0
     for i in range(n):
-        new[i] = memory.directions[j, i]
+        new[i] = work.directions[j, i]
         if weights[i] > 0.0:
             new[i] -= product[i] / weights[i]
     for a in range(j + 1):
-        other, dot = memory.directions[a], 0.0
+        other, dot = work.directions[a], 0.0
         for i in range(n):
             dot += other[i] * new[i]
         column[a] = dot
@@ -141,16 +143,15 @@ def _extend(memory: Memory, weights: np.ndarray, product: np.ndarray, j: int) ->
 
 
 @inlined
-def _add_combination(memory: Memory, weights: np.ndarray, used: int, value: np.ndarray,
-                     x: np.ndarray) -> None:
+def _add_combination(work: NewtonWork, used: int, value: np.ndarray, x: np.ndarray) -> None:
     """Add the combination of the directions that leaves least of G(x) - x."""
-    right = memory.rotations[2]
+    right, weights = work.rotations[2], work.weights
     for j in range(used - 1, -1, -1):
         for a in range(j + 1, used):
-            right[j] -= memory.hessenberg[j, a] * right[a]
-        right[j] /= memory.hessenberg[j, j]
+            right[j] -= work.hessenberg[j, a] * right[a]
+        right[j] /= work.hessenberg[j, j]
         for i in range(x.size):
-            x[i] += weights[i] * right[j] * memory.directions[j, i]
+            x[i] += weights[i] * right[j] * work.directions[j, i]
     for i in range(x.size):
         if weights[i] == 0.0:
             x[i] = value[i]

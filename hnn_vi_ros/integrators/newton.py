@@ -7,8 +7,9 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge
+from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
@@ -23,7 +24,7 @@ _KEPT = 0.1
 
 @inlined
 def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+           work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
     Iterate (I - G'(y)) step = G(x) - x, the matrix built column by column; see the module.
 
@@ -35,9 +36,9 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     has turned over many times. The scale of the largest of a kind is so for all of them: terms
     may cancel in the sum that do not in H.
     """
-    n = x.size
-    value, defect, step = memory.values[0], memory.residuals[0], memory.residuals[1]
-    sizes = memory.scale, memory.own_scale, memory.accepted
+    n, iterates, own = x.size, work.iterates, work.newton
+    value, defect, step = iterates.values[0], iterates.residuals[0], own.direction
+    sizes = iterates.scale, iterates.own_scale, iterates.accepted
     previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
     bound, is_kept = max(8, n) * _EPS, False
     for k in range(1, max_iterations + 1):
@@ -46,23 +47,23 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         evaluations += 1
         if outcome != GO_ON:
             return outcome, residual, evaluations
-        if k == max_iterations or memory.matrix.shape[0] != n:
+        if k == max_iterations or own.matrix.shape[0] != n:
             break
         if stage == BACK:
             copy_array(value, x)
             continue
         # Residuals of the size of rounding say nothing about the matrix.
         if not is_kept or residual > max(bound, _KEPT * previous):
-            fill_matrix(tangent, problem, x, 1.0, memory)
-            raise_scales(memory.scale, memory.own_scale, memory.residuals[2])
+            fill_matrix(tangent, problem, x, 1.0, own)
+            raise_scales(iterates.scale, iterates.own_scale, own.known)
             evaluations += n
-            is_kept = factorise_rows(memory.matrix, memory.pivots)
+            is_kept = factorise_rows(own.matrix, own.pivots)
             if not is_kept:
                 break
         previous = residual
         for i in range(n):
             step[i] = value[i] - x[i]
-        solve_factorised(memory.matrix, memory.pivots, step)
+        solve_factorised(own.matrix, own.pivots, step)
         for i in range(n):
             x[i] += step[i]
     return NO_CONVERGENCE, residual, evaluations
@@ -70,16 +71,16 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
 
 @called
 def fill_matrix(tangent: Callable, problem: NamedTuple, x: np.ndarray, share: float,
-                memory: Memory) -> None:
-    """Fill the matrix with I - share G'(x), and the third residuals with sum_j abs(G'_ij x_j)."""
-    unit, column, known = memory.values[1], memory.values[2], memory.residuals[2]
+                work: NewtonWork) -> None:
+    """Fill the matrix with I - share G'(x), and ``known`` with sum_j abs(G'_ij x_j)."""
+    unit, column, known = work.direction, work.product, work.known
     known[:] = 0.0
     for j in range(x.size):
         unit[:] = 0.0
         unit[j] = 1.0
         tangent(problem, x, unit, column)
         for i in range(x.size):
-            memory.matrix[i, j] = unit[i] - share * column[i]
+            work.matrix[i, j] = unit[i] - share * column[i]
             known[i] += abs(column[i] * x[j])
 
 

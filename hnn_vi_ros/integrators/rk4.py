@@ -2,11 +2,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """The classical Runge-Kutta method, a control."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
+
+
+class StageWork(NamedTuple):
+    """
+    The workspace of a step; arrays of shape (n,).
+
+    Parameters
+    ----------
+    q, p : np.ndarray
+        A stage.
+    sum_q, sum_p : np.ndarray
+        The weighted sums of the slopes of the stages so far.
+
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    sum_q: np.ndarray
+    sum_p: np.ndarray
 
 
 class RK4(Integrator):
@@ -29,18 +51,17 @@ class RK4(Integrator):
         """Return no options: nothing is solved."""
         return ()
 
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the size of the working space: stage and sum, for q and p."""
-        return (n,)
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
+        """Return space for a stage and the sum over stages; see Integrator."""
+        return (StageWork(*np.zeros((4, n), dtype)),)
 
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[StageWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         n = z.q.size
-        q, p = memory[0].values[0], memory[0].values[1]
-        sum_q, sum_p = memory[0].values[2], memory[0].values[3]
+        q, p, sum_q, sum_p = memory[0]
         for i in range(n):
             sum_q[i], sum_p[i] = z.dH_dp[i], -z.dH_dq[i]
             q[i], p[i] = z.q[i] + 0.5 * h * z.dH_dp[i], z.p[i] - 0.5 * h * z.dH_dq[i]

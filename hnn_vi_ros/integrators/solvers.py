@@ -6,8 +6,8 @@ Solvers of the implicit equation x = G(x) of a step, each carried to round-off.
 Each method states its equation as two functions: ``equation(problem, x, value)`` fills G(x), and
 ``tangent(problem, x, v, product)`` fills G'(x) v; ``problem`` holds whatever they need.
 
-Every solver has the signature ``(equation, tangent, problem, x, memory, max_iterations)``. On
-entry x is a first guess, on return the solution; the scales of ``memory`` are read. It returns an
+Every solver has the signature ``(equation, tangent, problem, x, work, max_iterations)``. On entry
+x is a first guess, on return the solution; the scales of ``work.iterates`` are read. It returns an
 outcome, the largest relative residual [1] and the number of evaluations of G and of G' v.
 
 Iterates are accepted when the residual G(x) - x, relative to the largest unknown of its kind, is
@@ -23,12 +23,13 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
-from hnn_vi_ros.integrators.base import FAST_MATRIX, Memory, NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.integrators.workspaces import (
+    AndersonWork, DEPTH, FAST_MATRIX, History, Iterates, SolverWork)
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-_DEPTH = 3
 # Iterations of the secant method, as many as steps take that are resolved. Of the 6155 steps of
 # two methods that H = q sin(5 p) was tried with, one took another solution without a sign.
 _QUICK = 5
@@ -66,11 +67,12 @@ class SolverOptions(NamedTuple):
 
 @inlined
 def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-                memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+                work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """Iterate x = G(x), as the paper does; see the module."""
-    sizes = memory.scale, memory.own_scale, memory.accepted
+    iterates = work.iterates
+    sizes = iterates.scale, iterates.own_scale, iterates.accepted
     previous, residual, stage = math.inf, math.inf, COMMON
-    value, defect = memory.values[0], memory.residuals[0]
+    value, defect = iterates.values[0], iterates.residuals[0]
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
                                          stage, k == max_iterations)
@@ -84,13 +86,14 @@ def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: n
 
 @inlined
 def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+           work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """Solve unknowns that do not depend on each other by the secant method; see the module."""
     # No rounding of one enters the equation of another.
-    sizes = memory.own_scale, memory.own_scale, memory.accepted
+    iterates = work.iterates
+    sizes = iterates.own_scale, iterates.own_scale, iterates.accepted
     previous, residual, stage = math.inf, math.inf, COMMON
-    value, defect = memory.values[0], memory.residuals[0]
-    old_value, old_defect = memory.values[1], memory.residuals[1]
+    value, defect = iterates.values[0], iterates.residuals[0]
+    old_value, old_defect = iterates.values[1], iterates.residuals[1]
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
                                          stage, k == max_iterations)
@@ -99,7 +102,7 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
         if k == 2:
-            memory.slow_start[0] = residual > 0.5 * previous > _NOISE
+            iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
         previous = residual
         if k == max_iterations:
             break
@@ -114,7 +117,7 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
 
 @inlined
 def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-             memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+             work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
     Accelerate the fixed-point iteration by Anderson's method of depth 3; see the module.
 
@@ -124,11 +127,12 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     (2011).
 
     """
-    sizes = memory.scale, memory.own_scale, memory.accepted
+    iterates = work.iterates
+    sizes = iterates.scale, iterates.own_scale, iterates.accepted
     previous, residual, stage = math.inf, math.inf, COMMON
-    rows, origin, old_stage = _DEPTH + 1, 1, COMMON
+    rows, origin, old_stage = DEPTH + 1, 1, COMMON
     for k in range(1, max_iterations + 1):
-        value, defect = memory.values[k % rows], memory.residuals[k % rows]
+        value, defect = iterates.values[k % rows], iterates.residuals[k % rows]
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
                                          stage, k == max_iterations)
         if outcome != GO_ON:
@@ -136,20 +140,21 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
         if stage == COMMON and _is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
         if k == 2:
-            memory.slow_start[0] = residual > 0.5 * previous > _NOISE
+            iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
         previous = residual
         if stage != old_stage:
             # Residuals relative to something else are not to be combined with these.
             origin, old_stage = k, stage
         if k < max_iterations:
-            depth = min(k - origin, x.size, _DEPTH)
-            used = _project(memory, k, defect, depth)
-            _combine(memory, k, value, used, x)
+            depth = min(k - origin, x.size, DEPTH)
+            used = _project(work.anderson, iterates, k, defect, depth)
+            _combine(work.anderson, iterates, k, value, used, x)
     return NO_CONVERGENCE, residual, max_iterations
 
 
 @inlined
-def is_in_doubt(options: SolverOptions, memory: Memory, iterations: int, d: int) -> bool:
+def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarray,
+                iterations: int, d: int) -> bool:
     """
     Tell whether a solution of d coupled unknowns may not be the one that is connected to h = 0.
 
@@ -160,15 +165,15 @@ def is_in_doubt(options: SolverOptions, memory: Memory, iterations: int, d: int)
     # In this order: what is read from arrays costs more.
     if not options.connected or iterations < 3:
         return False
-    if iterations <= _QUICK + min(d - 1, _DEPTH) and memory.slow_start[0] == 0:
+    if iterations <= _QUICK + min(d - 1, DEPTH) and slow_start[0] == 0:
         return False
-    return 0 < memory.matrix.shape[0] <= FAST_MATRIX
+    return 0 < matrix.shape[0] <= FAST_MATRIX
 
 
 @inlined
-def extrapolate(memory: Memory, base: np.ndarray, x: np.ndarray) -> None:
+def extrapolate(history: History, base: np.ndarray, x: np.ndarray) -> None:
     """Start x from up to three earlier solutions, relative to their bases, where there are."""
-    count, increments = memory.count[0], memory.increments
+    count, increments = history.count[0], history.increments
     for i in range(x.size):
         if count == 1:
             x[i] = base[i] + increments[0, i]
@@ -179,14 +184,14 @@ def extrapolate(memory: Memory, base: np.ndarray, x: np.ndarray) -> None:
 
 
 @inlined
-def remember(memory: Memory, base: np.ndarray, x: np.ndarray) -> None:
+def remember(history: History, base: np.ndarray, x: np.ndarray) -> None:
     """Keep a solution relative to its base, for the next start."""
-    increments = memory.increments
+    increments = history.increments
     for i in range(x.size):
         increments[2, i] = increments[1, i]
         increments[1, i] = increments[0, i]
         increments[0, i] = x[i] - base[i]
-    memory.count[0] = min(memory.count[0] + 1, 3)
+    history.count[0] = min(history.count[0] + 1, 3)
 
 
 @inlined
@@ -243,11 +248,12 @@ def _is_hopeless(k: int, residual: float, previous: float) -> bool:
 
 
 @inlined
-def _project(memory: Memory, k: int, defect: np.ndarray, depth: int) -> int:
+def _project(work: AndersonWork, iterates: Iterates, k: int, defect: np.ndarray, depth: int
+             ) -> int:
     """Orthogonalise the changes of the defect, and project it on them; return how many."""
-    n, rows, basis, triangle = defect.size, _DEPTH + 1, memory.basis, memory.triangle
+    n, rows, basis, triangle = defect.size, DEPTH + 1, work.basis, work.triangle
     for j in range(depth):
-        earlier = memory.residuals[(k - 1 - j) % rows]
+        earlier = iterates.residuals[(k - 1 - j) % rows]
         size = 0.0
         for i in range(n):
             basis[j, i] = defect[i] - earlier[i]
@@ -268,22 +274,23 @@ def _project(memory: Memory, k: int, defect: np.ndarray, depth: int) -> int:
         for i in range(n):
             basis[j, i] /= left
             projection += basis[j, i] * defect[i]
-        triangle[j, j], triangle[j, _DEPTH] = left, projection
+        triangle[j, j], triangle[j, DEPTH] = left, projection
     return depth
 
 
 @inlined
-def _combine(memory: Memory, k: int, value: np.ndarray, used: int, x: np.ndarray) -> None:
+def _combine(work: AndersonWork, iterates: Iterates, k: int, value: np.ndarray, used: int,
+             x: np.ndarray) -> None:
     """Set x to G less the combination of its changes that takes the projection away."""
-    triangle = memory.triangle
+    triangle = work.triangle
     for i in range(x.size):
         x[i] = value[i]
     for j in range(used - 1, -1, -1):
-        weight = triangle[j, _DEPTH]
+        weight = triangle[j, DEPTH]
         for m in range(j + 1, used):
-            weight -= triangle[j, m] * triangle[m, _DEPTH]
+            weight -= triangle[j, m] * triangle[m, DEPTH]
         weight /= triangle[j, j]
-        triangle[j, _DEPTH] = weight
-        earlier = memory.values[(k - 1 - j) % (_DEPTH + 1)]
+        triangle[j, DEPTH] = weight
+        earlier = iterates.values[(k - 1 - j) % (DEPTH + 1)]
         for i in range(x.size):
             x[i] -= weight * (value[i] - earlier[i])

@@ -4,14 +4,67 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
 
 # Steps of its own in one step of the clock, beyond which it is given up.
 _MOST_STEPS = 100_000
+
+
+class Ahead(NamedTuple):
+    """
+    What the next step of the clock goes on from.
+
+    Parameters
+    ----------
+    count : np.ndarray, shape (1,)
+        1 where there is such a state, 0 before the first step.
+    clock : np.ndarray, shape (3,)
+        The density of steps [1], how far the state is ahead of the clock [s], and what was
+        rounded off that.
+    state : Point
+        At a time of its own.
+
+    """
+
+    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
+    clock: np.ndarray
+    state: Point
+
+
+class ControlledWork(NamedTuple):
+    """
+    The workspace of a clock; arrays of shape (n,).
+
+    Parameters
+    ----------
+    kept : Ahead
+        For the next step of the clock.
+    at : Point
+        The state that a step of the base begins with.
+    v_q, v_p, change_q, change_p : np.ndarray
+        The velocity, and the product of H'' with it.
+
+    """
+
+    kept: Ahead
+    at: Point
+    v_q: np.ndarray
+    v_p: np.ndarray
+    change_q: np.ndarray
+    change_p: np.ndarray
+
+    @classmethod
+    def empty(cls, n: int, dtype: type = np.float64) -> 'ControlledWork':
+        """Return the workspace for n coordinates, before the first step."""
+        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), Point.empty(n, dtype))
+        return cls(kept, Point.empty(n, dtype), *np.zeros((4, n), dtype))
 
 
 @cache
@@ -26,7 +79,7 @@ def controlled(base_step: Callable) -> Callable:
     the same backwards: with a symmetric base, the map of (z, rho) is symmetric, so that in a
     reversible motion the energy does not drift.
 
-    The memory is that of the base twice, for states at the clock and for its own, and space.
+    The memory is that of the base twice, for states at the clock and for its own, then its own.
 
     References
     ----------
@@ -36,28 +89,23 @@ def controlled(base_step: Callable) -> Callable:
     """
     @inlined
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, force, exponent = options
-        own, store = memory[1:2], memory[2]
-        ahead = Point(store.values[0], store.values[1], store.values[2], store.values[3],
-                      store.residuals[0], store.residuals[1])
-        at = Point(store.basis[0], store.basis[1], store.basis[2], store.basis[3],
-                   store.residuals[2], store.residuals[3])
-        # The density, and how far the state is ahead of the clock, with what was rounded off that.
-        kept = store.triangle[0]
-        fresh = store.count[0] == 0
+        at_clock, own, work = memory[0:1], memory[1:2], memory[2]
+        ahead, at, clock = work.kept.state, work.at, work.kept.clock
+        fresh = work.kept.count[0] == 0
         if fresh:
-            own[0].count[0] = 0
+            forget(own)
             copy_point(z, ahead)
-            kept[0], kept[1], kept[2] = 0.0, 0.0, 0.0
+            clock[0], clock[1], clock[2] = 0.0, 0.0, 0.0
         copy_point(ahead, at)
-        worst, gradients, density, time, carry = 0.0, 0, kept[0], kept[1], kept[2]
+        worst, gradients, density, time, carry = 0.0, 0, clock[0], clock[1], clock[2]
         for _ in range(_MOST_STEPS):
             if time >= h:
                 break
             kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
-            rate, square = _rate(kernel, at, force, exponent, store)
+            rate, square = _rate(kernel, at, force, exponent, work)
             if fresh:
                 # 1 / g at the start, and from there half a step back.
                 density = (1.0 + square) ** (0.5 * exponent) - 0.5 * h * rate
@@ -74,21 +122,22 @@ def controlled(base_step: Callable) -> Callable:
         if time < h:
             return NO_CONVERGENCE, worst, gradients
         kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
-        memory[0].count[0] = 0
-        outcome, residual, more = base_step(kernel, h - time, inner, at, z1, memory[0:1])
+        forget(at_clock)
+        outcome, residual, more = base_step(kernel, h - time, inner, at, z1, at_clock)
         worst, gradients = max(worst, residual), gradients + more + 1
         if outcome == OK:
             copy_point(at, ahead)
-            kept[0], kept[1], kept[2], store.count[0] = density, time - h, carry, 1
+            clock[0], clock[1], clock[2] = density, time - h, carry
+            work.kept.count[0] = 1
         return outcome, worst, gradients
     return step
 
 
 @inlined
-def _rate(kernel: Kernel, at: Point, force: float, exponent: float, store: Memory
+def _rate(kernel: Kernel, at: Point, force: float, exponent: float, work: ControlledWork
           ) -> tuple[float, float]:
     """Return G, and abs(H_q)^2 / F^2, at a state whose gradient is known."""
-    v_q, v_p, change_q, change_p = store.unknowns, store.base, store.scale, store.newton
+    v_q, v_p, change_q, change_p = work.v_q, work.v_p, work.change_q, work.change_p
     for i in range(at.q.size):
         v_q[i], v_p[i] = at.dH_dp[i], -at.dH_dq[i]
     # The derivative of H_q in time: H'' times the velocity (H_p, -H_q).

@@ -3,7 +3,7 @@
 """The Störmer-Verlet method, explicit, for separable Hamiltonians."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, Memory, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.modified import leapfrog_energy
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -12,7 +12,7 @@ from hnn_vi_ros.kernels.marks import inlined
 
 @inlined
 def _first_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-                memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                memory: tuple) -> tuple[int, float, int]:
     """Take the kick and the drift of a step of 2 h."""
     for i in range(z.q.size):
         z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z.dH_dq[i])
@@ -25,7 +25,7 @@ def _first_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
 
 @inlined
 def _second_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-                 memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                 memory: tuple) -> tuple[int, float, int]:
     """Take the drift and the kick of a step of 2 h."""
     kernel.gradient(kernel.parameters, z.q, z.p, z1.dH_dq, z1.dH_dp)
     for i in range(z.q.size):
@@ -64,7 +64,7 @@ class StormerVerlet(Integrator):
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         # V' does not depend on p: z.dH_dq is V'(q_n) from the step before.
         for i in range(z.q.size):

@@ -4,8 +4,8 @@
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, Point
-from hnn_vi_ros.integrators.equations import Known, solve_momenta, Sought
+from hnn_vi_ros.integrators.base import Point
+from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -35,10 +35,14 @@ class SymplecticEuler(ImplicitIntegrator):
     requirements = Requirements(symmetric=False, symplectic=True)
     no_solution = NO_SOLUTION_OF_EQ_6
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
+        """Return the workspace of the equation; see Integrator."""
+        return (EquationWork.empty(n, dtype),)
+
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[EquationWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_momenta(
             kernel, h, Known(z.q, z.p, z.p_carry, z.dH_dq),

@@ -4,8 +4,9 @@
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Memory, Point
-from hnn_vi_ros.integrators.equations import Known, solve_coordinates, Sought
+from hnn_vi_ros.integrators.base import Point
+from hnn_vi_ros.integrators.equations import (
+    EquationWork, HalfwayWork, Known, solve_coordinates, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -34,10 +35,14 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
     no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
                    'the way det(I - h H_qp) changes sign')
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
+        """Return the workspace of the equation; see Integrator."""
+        return (EquationWork.empty(n, dtype),)
+
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[EquationWork | HalfwayWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_coordinates(
             kernel, h, Known(z.p, z.q, z.q_carry, z.dH_dp),

@@ -6,14 +6,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.requirements import Requirements
-from hnn_vi_ros.integrators.step_size_control import controlled
+from hnn_vi_ros.integrators.step_size_control import Ahead, controlled, ControlledWork
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
+from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
@@ -26,6 +28,63 @@ CONTROLS: dict[str, dict[str, Callable[[], Integrator]]] = {
 _MOST_STEPS = 100_000
 # Spacing of the difference of gradients that stands for the second derivatives of K.
 _SPACING = float(np.finfo(np.float64).eps) ** (1.0 / 3.0)
+
+
+class GradientWork(NamedTuple):
+    """
+    Space for the gradient and the second derivatives of K, at up to s stages at once.
+
+    Parameters
+    ----------
+    q, p, dH_dq, dH_dp : np.ndarray, shape (s d,)
+        The stages without their times, and the gradient of H there.
+    zero, w_q, w_p : np.ndarray, shape (s d,)
+        Zeros, and the product of H'' with (H_q, 0).
+    ahead_q, ahead_p, behind_q, behind_p : np.ndarray, shape (s (d + 1),)
+        Where a difference is taken, and the gradient of K at the first of its ends.
+
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
+    zero: np.ndarray
+    w_q: np.ndarray
+    w_p: np.ndarray
+    ahead_q: np.ndarray
+    ahead_p: np.ndarray
+    behind_q: np.ndarray
+    behind_p: np.ndarray
+
+    @classmethod
+    def empty(cls, stages: int, d: int, dtype: type = np.float64) -> 'GradientWork':
+        """Return space for so many stages of d coordinates."""
+        return cls(*np.zeros((7, stages * d), dtype), *np.zeros((4, stages * (d + 1)), dtype))
+
+
+class TransformedWork(NamedTuple):
+    """
+    The workspace of a step of the clock, with t as the last coordinate of each point.
+
+    Parameters
+    ----------
+    kept : Ahead
+        For the next step of the clock; in place of the density, H_0 [J].
+    at, after : Point
+        The states that a step of the base begins with and ends in.
+
+    """
+
+    kept: Ahead
+    at: Point
+    after: Point
+
+    @classmethod
+    def empty(cls, n: int, dtype: type = np.float64) -> 'TransformedWork':
+        """Return the workspace for n coordinates, before the first step."""
+        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), Point.empty(n + 1, dtype))
+        return cls(kept, Point.empty(n + 1, dtype), Point.empty(n + 1, dtype))
 
 
 class TimeTransformed(Integrator):
@@ -111,44 +170,43 @@ class TimeTransformed(Integrator):
         return (self.base.options(link, dimension), self._force, self._exponent)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of H and of K, space for their gradients, and for states."""
+        """Return the equations of H at the clock, and those of the steps of its own."""
+        more = 0 if self._control == 'integrating' else 1
+        return (*self.base.unknowns(n), *self.base.unknowns(n + more))
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple:
+        """Return workspaces of the base for H and for its own steps, then those around them."""
         if self._control == 'integrating':
-            own = self.base.unknowns(n) or (1,)
-            return (*own, *own, n)
-        stages, = self.base.unknowns(1)
-        return (*self.base.unknowns(n), *self.base.unknowns(n + 1), stages * n, n + 1)
+            at_clock, own = (self.base.memory(n, dtype) or ((),) for _ in range(2))
+            return (*at_clock, *own, ControlledWork.empty(n, dtype))
+        stages = self.base.unknowns(1)[0] // 2
+        return (*self.base.memory(n, dtype), *self.base.memory(n + 1, dtype),
+                GradientWork.empty(stages, n, dtype), TransformedWork.empty(n, dtype))
 
 
 @cache
 def _transform(base_step: Callable) -> Callable:
     @inlined
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, force, exponent = options
-        n, own, store = z.q.size, memory[1:2], memory[3]
-        ahead = Point(store.values[0], store.values[1], store.values[2], store.values[3],
-                      store.residuals[0], store.residuals[1])
-        at = Point(store.basis[0], store.basis[1], store.basis[2], store.basis[3],
-                   store.residuals[2], store.residuals[3])
-        after = Point(store.increments[0], store.increments[1], store.increments[2],
-                      store.unknowns, store.base, store.accepted)
-        # H_0, and how far the state is ahead of the clock, with what was rounded off that.
-        kept = store.triangle[0]
-        fresh = store.count[0] == 0
+        n, at_clock, own, work = z.q.size, memory[0:1], memory[1:2], memory[3]
+        ahead, at, after, clock = work.kept.state, work.at, work.after, work.kept.clock
+        fresh = work.kept.count[0] == 0
         if fresh:
-            own[0].count[0] = 0
+            forget(own)
             for i in range(n):
                 ahead.q[i], ahead.p[i] = z.q[i], z.p[i]
                 ahead.q_carry[i], ahead.p_carry[i] = z.q_carry[i], z.p_carry[i]
             ahead.q[n], ahead.p[n], ahead.q_carry[n], ahead.p_carry[n] = 0.0, 0.0, 0.0, 0.0
-            kept[0], kept[1], kept[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
-        settings = (kept[0], force, exponent)
+            clock[0], clock[1], clock[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
+        settings = (clock[0], force, exponent)
         transformed = Kernel(kernel.energy, _gradient, _hessian_vector,
                              (kernel, memory[2], settings), n + 1, kernel.gradient_scale,
                              kernel.compiled, 1)
         copy_point(ahead, at)
-        worst, gradients, time, carry = 0.0, 0, kept[1], kept[2]
+        worst, gradients, time, carry = 0.0, 0, clock[1], clock[2]
         if fresh:
             transformed.gradient(transformed.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
         for _ in range(_MOST_STEPS):
@@ -169,13 +227,12 @@ def _transform(base_step: Callable) -> Callable:
         seen = Point(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
                      after.dH_dq[:n], after.dH_dp[:n])
         kernel.gradient(kernel.parameters, seen.q, seen.p, seen.dH_dq, seen.dH_dp)
-        memory[0].count[0] = 0
-        outcome, residual, more = base_step(
-            kernel, h - time, inner, seen, z1, memory[0:1])
+        forget(at_clock)
+        outcome, residual, more = base_step(kernel, h - time, inner, seen, z1, at_clock)
         worst, gradients = max(worst, residual), gradients + more + 1
         if outcome == OK:
             copy_point(at, ahead)
-            kept[1], kept[2], store.count[0] = time - h, carry, 1
+            clock[1], clock[2], work.kept.count[0] = time - h, carry, 1
         return outcome, worst, gradients
     return step
 
@@ -184,14 +241,12 @@ def _transform(base_step: Callable) -> Callable:
 def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
               dH_dp: np.ndarray) -> None:
     """Fill the gradient of K at one or more stages, each d coordinates and then t."""
-    kernel, space, (start, force, exponent) = parameters
+    kernel, work, (start, force, exponent) = parameters
     d = kernel.dimension
     stages = q.size // (d + 1)
     size = stages * d
-    at_q, at_p = space.values[0][:size], space.values[1][:size]
-    f_q, f_p = space.values[2][:size], space.values[3][:size]
-    zero = space.residuals[0][:size]
-    w_q, w_p = space.residuals[1][:size], space.residuals[2][:size]
+    at_q, at_p, f_q, f_p = work.q[:size], work.p[:size], work.dH_dq[:size], work.dH_dp[:size]
+    zero, w_q, w_p = work.zero[:size], work.w_q[:size], work.w_p[:size]
     for j in range(stages):
         for i in range(d):
             at_q[j * d + i], at_p[j * d + i] = q[j * (d + 1) + i], p[j * (d + 1) + i]
@@ -216,13 +271,12 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray
 def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill K'' v from a central difference: good enough for Newton's method to converge."""
-    space = parameters[1]
-    size = 0.0
+    work, size = parameters[1], 0.0
     for i in range(q.size):
         size = max(size, abs(v_q[i]), abs(v_p[i]))
     spacing = _SPACING / size if size > 0.0 else 1.0
-    back_q, back_p = space.basis[0][:q.size], space.basis[1][:q.size]
-    at_q, at_p = space.basis[2][:q.size], space.basis[3][:q.size]
+    back_q, back_p = work.behind_q[:q.size], work.behind_p[:q.size]
+    at_q, at_p = work.ahead_q[:q.size], work.ahead_p[:q.size]
     for i in range(q.size):
         at_q[i], at_p[i] = q[i] - spacing * v_q[i], p[i] - spacing * v_p[i]
     _gradient(parameters, at_q, at_p, back_q, back_p)

@@ -6,14 +6,44 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros import models
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
-from hnn_vi_ros.integrators.base import Memory, OK, Point
+from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
+
+
+class VariationalWork(NamedTuple):
+    """
+    The workspace of the equation for the new state; arrays of shape (2 n,) hold q, then p.
+
+    Parameters
+    ----------
+    kept : History
+        Earlier solutions.
+    solver : SolverWork
+        What its solvers work on.
+    end, start, middle : np.ndarray
+        The new state, the old one, and half-way between.
+    rates : np.ndarray
+        Rates of change, those of the last evaluation.
+    ahead, behind : np.ndarray
+        For differences; see newton.difference.
+
+    """
+
+    kept: History
+    solver: SolverWork
+    end: np.ndarray
+    start: np.ndarray
+    middle: np.ndarray
+    rates: np.ndarray
+    ahead: np.ndarray
+    behind: np.ndarray
 
 
 class _Problem(NamedTuple):
@@ -73,27 +103,32 @@ class VariationalMidpoint(ImplicitIntegrator):
         """Return the number of unknowns: the new q and p."""
         return (2 * n,)
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[VariationalWork]:
+        """Return the workspace of the equation; see Integrator."""
+        return (VariationalWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
+                                *np.zeros((6, 2 * n), dtype)),)
+
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-             memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+             memory: tuple[VariationalWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        n, store = z.q.size, memory[0]
-        x, rates = store.unknowns, store.newton
+        n, work, iterates = z.q.size, memory[0], memory[0].solver.iterates
+        x, start, rates = work.end, work.start, work.rates
         for i in range(n):
-            store.base[i], store.base[n + i] = z.q[i], z.p[i]
+            start[i], start[n + i] = z.q[i], z.p[i]
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
-        _set_scale(store.scale, kernel, h, z)
+        _set_scale(iterates.scale, kernel, h, z)
         # The rounding of H, of all coordinates together, enters the equation of each.
-        copy_array(store.scale, store.own_scale)
+        copy_array(iterates.scale, iterates.own_scale)
         if options.extrapolate:
-            extrapolate(store, store.base, x)
-        problem = _Problem(kernel, h, z, store.basis[3], rates, store.scale, store.values[3],
-                           store.residuals[3])
+            extrapolate(work.kept, start, x)
+        problem = _Problem(kernel, h, z, work.middle, rates, iterates.scale, work.ahead,
+                           work.behind)
         outcome, residual, gradients = options.solve(
-            _equation, _tangent, problem, x, store, options.max_iterations)
+            _equation, _tangent, problem, x, work.solver, options.max_iterations)
         if outcome == OK:
-            remember(store, store.base, x)
+            remember(work.kept, start, x)
         for i in range(n):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * rates[i])
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], h * rates[n + i])

@@ -13,6 +13,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
     BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
+from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.kernels.compilation import entry_point
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.simulation.dense_step import DenseStep
@@ -200,11 +201,11 @@ class Simulation:
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return, by name, all arrays that the next steps depend on."""
-        stores: dict[str, Any] = {'point': self._z, 'live': self._system.live} | {
-            f'memory{way}.{k}': store for way, memory in enumerate(self._memories)
-            for k, store in enumerate(memory)}
-        return {f'{name}.{field}': array for name, store in stores.items()
-                for field, array in store._asdict().items()}
+        groups: dict[str, Any] = {'point': self._z, 'live': self._system.live} | {
+            f'memory{way}.{k}': workspace.kept for way, memory in enumerate(self._memories)
+            for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
+        return {name: array for place, group in groups.items()
+                for name, array in arrays_of(place, group)}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Return copies of all that the next steps depend on; see ``restore``."""
@@ -333,8 +334,7 @@ class Simulation:
     def _change_way(self) -> None:
         """Go on by the other way of taking steps, from a state like an initial one."""
         self._way = 1 - self._way
-        for store in self._memories[self._way]:
-            store.count[0] = 0
+        forget(self._memories[self._way])
         self._evaluate_gradient()
         self.gradients += 1
 

@@ -62,7 +62,7 @@ class DenseStep:
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
                 and simulation.rescued == rescued):
             # H_q and H_p at the stages, which the step leaves for the start of the next solve.
-            H_q, H_p = np.split(simulation.snapshot()['memory0.0.increments'][0], 2)
+            H_q, H_p = np.split(simulation.snapshot()['memory0.0.slopes'], 2)
             self._slopes = np.hstack([H_p.reshape(stages, -1), -H_q.reshape(stages, -1)])
 
     def undo(self) -> None:

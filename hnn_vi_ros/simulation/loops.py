@@ -5,7 +5,8 @@
 from collections.abc import Callable
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
-from hnn_vi_ros.integrators.base import Integrator, Memory, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.compiled_workspaces import compile_forget  # noqa: F401  registers
 from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options
@@ -14,7 +15,7 @@ import numpy as np
 
 
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,
-            z: Point, z1: Point, memory: tuple[Memory, ...], q_out: np.ndarray,
+            z: Point, z1: Point, memory: tuple, q_out: np.ndarray,
             p_out: np.ndarray) -> tuple[int, int, int, float, int, int, int]:
     """Take the steps from the first on, and sample; stop before one that fails."""
     kernel, options, z, z1, memory, q_out, p_out = bare(
@@ -39,7 +40,7 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
 
 
 def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,
-                  most: int, z: Point, z1: Point, memory: tuple[Memory, ...]
+                  most: int, z: Point, z1: Point, memory: tuple
                   ) -> tuple[bool, int]:
     """Go by equal sub-steps, while they take at most so many gradients; end in z and z1."""
     kernel, options, z, z1, memory = bare((kernel, options, z, z1, memory))

@@ -12,8 +12,9 @@ from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest
 from hnn_vi_ros.integrators.base import (
-    BEYOND, Integrator, Memory, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
+    BEYOND, Integrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.compilation import entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -87,12 +88,12 @@ class Rescue:
                 self.ways = [Wrapped(system.integrator, StabilityWatch, (-math.inf, limit)),
                              Wrapped(self._implicit, StabilityWatch, (_BACK * limit, math.inf))]
 
-    def memories(self, n: int) -> list[tuple[Memory, ...]]:
-        """Return the memory of each way, for n coordinates; they share the watch's space."""
+    def memories(self, n: int) -> list[tuple]:
+        """Return the memory of each way, for n coordinates; they share the watch."""
         memories = [way.memory(n) for way in self.ways]
         return [memories[0], *((*memory[:-1], memories[0][-1]) for memory in memories[1:])]
 
-    def take_step(self, way: int, h: float, z: Point, z1: Point, memory: tuple[Memory, ...]
+    def take_step(self, way: int, h: float, z: Point, z1: Point, memory: tuple
                   ) -> 'Taken':
         """
         Take the step from z that has failed; z is as it was if none can.
@@ -105,8 +106,8 @@ class Rescue:
             Step size [s].
         z, z1 : Point
             The state, which the step changes, and working space.
-        memory : tuple of Memory
-            Of that way.
+        memory : tuple
+            The workspaces of that way.
 
         """
         solved = self._by_other_solvers(way, h, z, z1, memory)
@@ -120,8 +121,7 @@ class Rescue:
             spent += gradients
             if ok:
                 # What came before is no guide to the next start.
-                for store in memory:
-                    store.count[0] = 0
+                forget(memory)
                 return solved._replace(
                     ok=True, rescued=True, gradients=solved.gradients + spent)
             if spent > most:
@@ -129,7 +129,7 @@ class Rescue:
         return solved._replace(gradients=solved.gradients + spent)
 
     def _by_other_solvers(self, way: int, h: float, z: Point, z1: Point,
-                          memory: tuple[Memory, ...]) -> 'Taken':
+                          memory: tuple) -> 'Taken':
         """Take the step with the later links of the way's own chain."""
         kernel, method, spent = self._system.kernel, self.ways[way], 0
         residual, outcome = math.nan, NO_CONVERGENCE
@@ -201,6 +201,45 @@ class Taken(NamedTuple):
     given_up: int = 0
 
 
+class Watched(NamedTuple):
+    """
+    What a watch keeps of the steps so far.
+
+    Parameters
+    ----------
+    count : np.ndarray, shape (1,)
+        Calm steps one after another.
+    wanted : np.ndarray, shape (1,)
+        How many there are to be before the method is changed back.
+    v_q, v_p : np.ndarray, shape (n,)
+        The direction of the fastest oscillation.
+
+    """
+
+    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
+    wanted: np.ndarray
+    v_q: np.ndarray
+    v_p: np.ndarray
+
+
+class WatchWork(NamedTuple):
+    """
+    The workspace of a watch.
+
+    Parameters
+    ----------
+    kept : Watched
+        For the next steps.
+    w_q, w_p : np.ndarray, shape (n,)
+        The product of H'' with the direction.
+
+    """
+
+    kept: Watched
+    w_q: np.ndarray
+    w_p: np.ndarray
+
+
 class StabilityWatch:
     """
     A step that is taken only while h omega stays between two bounds, and else ends as BEYOND.
@@ -219,18 +258,24 @@ class StabilityWatch:
         return integrator.step
 
     @staticmethod
+    def workspace(n: int, settings: tuple) -> WatchWork:
+        """Return the workspace for n coordinates, before the first step."""
+        v_q, v_p, w_q, w_p = np.zeros((4, n))
+        return WatchWork(Watched(np.zeros(1, dtype=np.int64), np.zeros(1), v_q, v_p), w_q, w_p)
+
+    @staticmethod
     @cache
     def wrap(step: Callable, keeps_gradient: bool) -> Callable:
         """Return the step with its watch; its options are those of the step and the interval."""
         @inlined
         def watched(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
-                    memory: tuple[Memory, ...]) -> tuple[int, float, int]:
+                    memory: tuple) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, low, high = options
-            space = memory[len(memory) - 1]
-            calm, wanted = space.count, space.triangle[0]
+            work = memory[-1]
+            calm, wanted = work.kept.count, work.kept.wanted
             # NaN is neither low nor high: it will be found not finite.
-            extent = abs(h) * _frequency(kernel, z, space)
+            extent = abs(h) * _frequency(kernel, z, work)
             if extent >= high:
                 wanted[0] = max(_CALM, 2.0 * wanted[0])
                 return BEYOND, 0.0, 2
@@ -243,9 +288,9 @@ class StabilityWatch:
 
 
 @inlined
-def _frequency(kernel: Kernel, z: Point, space: Memory) -> float:
+def _frequency(kernel: Kernel, z: Point, work: WatchWork) -> float:
     """Return omega at z, and keep v."""
-    v_q, v_p, w_q, w_p = space.values[0], space.values[1], space.values[2], space.values[3]
+    v_q, v_p, w_q, w_p = work.kept.v_q, work.kept.v_p, work.w_q, work.w_p
     if max(largest(v_q), largest(v_p)) == 0.0:
         # A direction without a symmetry that a mode could have as well.
         for i in range(v_q.size):

@@ -19,10 +19,11 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, Memory, NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
+from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -152,21 +153,25 @@ class Undersolved(Integrator):
         """Return the equations of the base."""
         return self.base.unknowns(n)
 
+    def memory(self, n: int, dtype: type = np.float64) -> tuple:
+        """Return the workspaces of the base."""
+        return self.base.memory(n, dtype)
+
 
 @cache
 def _stop_early(tolerance: float, iterations: int) -> Callable:
     @inlined
     def solve(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-              memory: Memory, max_iterations: int) -> tuple[int, float, int]:
+              work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
         """Iterate x = G(x) until it is good enough, or was tried often enough."""
-        value, largest = memory.values[0], math.inf
+        value, scale, largest = work.iterates.values[0], work.iterates.scale, math.inf
         for k in range(1, max_iterations + 1):
             equation(problem, x, value)
             largest = 0.0
             for i in range(x.size):
                 defect = abs(value[i] - x[i])
-                if not defect <= largest * memory.scale[i]:
-                    largest = defect / memory.scale[i] if memory.scale[i] > 0.0 else defect
+                if not defect <= largest * scale[i]:
+                    largest = defect / scale[i] if scale[i] > 0.0 else defect
             if not math.isfinite(largest):
                 return NOT_FINITE, largest, k
             if largest <= tolerance or k == iterations:
