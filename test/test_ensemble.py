@@ -137,3 +137,38 @@ def test_energy_that_no_work_accounts_for_is_told_by_simulate_and_simulate_many(
         many = simulate_many(scene, [[1.0], [0.5]], [[0.0], [0.0]], 200.0, samples=20_000)
     assert tuple(alarm.kind for alarm in one.alarms) == said
     assert [tuple(alarm.kind for alarm in own) for own in many.alarms] == [said, said]
+
+
+PUSHED = [{'kind': 'external_force', 'coordinates': ['x']}]
+
+
+@pytest.mark.parametrize('more', [0, 1, 3])
+def test_last_part_of_a_run_takes_the_command_of_its_own_row(tmp_path, more):
+    """A row for each sample is one more than is needed; what comes later is not used."""
+    scene = free_particle(tmp_path)
+    rows = [[1.0], [2.0], [3.0], *[[100.0]] * more]
+    run = simulate(scene, 0.255, effects=PUSHED, commands=rows, every=10)
+    # Impulses of forces that are constant in parts: nothing but rounding.
+    assert run.p[:, 0] == pytest.approx([0.0, 0.1, 0.3, 0.3 + 3.0 * 0.055], abs=1e-14)
+
+
+@pytest.mark.parametrize('every', [np.int64(10), np.int32(10), 10])
+def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
+    assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.1, 0.2]
+
+
+@pytest.mark.parametrize('every', [100, 10 ** 12, 10 ** 30])
+def test_sample_at_the_duration_is_taken_however_large_every_is(tmp_path, every):
+    assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.2]
+
+
+def free_particle(tmp_path: Path) -> Scene:
+    """Return the scene of a mass of 1 kg at rest, in steps of 0.01 s."""
+    file = tmp_path / 'free.yaml'
+    file.write_text("""
+hamiltonian: {kind: free_particle, mass: 1.0, names: [x]}
+integrator: {kind: stormer_verlet}
+step_size: 0.01
+initial_state: {q: [0.0], p: [0.0]}
+""")
+    return load_scene(file)

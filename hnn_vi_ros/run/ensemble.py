@@ -91,7 +91,7 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     simulation = watched(build(scene), scene)
     watch = Watch(simulation, simulation.hamiltonian.barrier)
     parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
-    t, takers = recorders(simulation, duration, every, times, commands, watch)
+    t, takers = recorders(simulation, duration, int(every), times, commands, watch)
     try:
         for take in takers:
             parts.append(take())  # noqa: PERF401  what was taken before it stops is kept

@@ -50,19 +50,20 @@ def recorders(simulation: Simulation, duration: float, every: int,
             raise ValueError('times and commands cannot both be given: use every with commands')
         t = _check_times(times, duration)
         return np.append(0.0, t), [lambda: record_samples(simulation, t.size, t, watch)]
-    interval = simulation.step_size * every
-    _check_memory(duration, interval, simulation.q.size)
-    samples, share = whole_steps(duration, interval)
+    _check_memory(duration, simulation.step_size * every, simulation.q.size)
+    steps, part = whole_steps(duration, simulation.step_size)
+    every = min(every, steps + 1)  # as compiled code counts no further than 2^63
+    samples, rest = divmod(steps, every)
     t = np.arange(samples + 1) * every * simulation.step_size
     if commands is None:
         takers = [lambda: record_samples(simulation, samples, every, watch)]
     else:
-        commands = _check_commands(commands, samples + bool(share))
+        commands = _check_commands(commands, samples + bool(rest or part))
         takers = [lambda: _record_commanded(simulation, samples, every, commands, watch)]
-    if share:
+    if rest or part:
         t = np.append(t, duration)
         takers.append(lambda: _record_last(
-            simulation, int(share * every), duration, commands, watch))
+            simulation, samples, rest, duration, commands, watch))
     return t, takers
 
 
@@ -124,13 +125,12 @@ def _record_commanded(simulation: Simulation, samples: int, every: int, commands
     return q, p
 
 
-def _record_last(simulation: Simulation, steps: int, duration: float, commands: Commands | None,
-                 watch: Watch) -> tuple[np.ndarray, np.ndarray]:
-    """Take the sample at the end of a duration: some steps, and a part of one."""
+def _record_last(simulation: Simulation, sample: int, steps: int, duration: float,
+                 commands: Commands | None, watch: Watch) -> tuple[np.ndarray, np.ndarray]:
+    """Take the sample at the end of a duration, after another: some steps, and a part of one."""
     if commands is not None:
-        last = 0 if callable(commands) else len(commands) - 1
-        _advance_commanded(simulation, steps, commands, last)
-        simulation.set_command(_command(commands, simulation.time, last))
+        _advance_commanded(simulation, steps, commands, sample)
+        simulation.set_command(_command(commands, simulation.time, sample))
     return record_samples(simulation, 1, np.array([duration]), watch)
 
 
