@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors that a user can meet; each message is one line: what, where, remedy."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -89,13 +90,16 @@ class StoppedByEvent(HnnViRosError):
         Which.
     q, p : np.ndarray, shape (N, d)
         Samples that were taken before.
+    state : callable
+        Returns q and p at a share of the step in which it came; see ``DenseStep.state``.
 
     """
 
-    def __init__(self, event: 'Event', q: 'np.ndarray', p: 'np.ndarray'):
-        self.event, self.q, self.p = event, q, p
+    def __init__(self, event: 'Event', q: 'np.ndarray', p: 'np.ndarray',
+                 state: 'Callable[[float], tuple[np.ndarray, np.ndarray]]'):
+        self.event, self.q, self.p, self.state = event, q, p, state
         super().__init__(f'the event {event} ended the run')
 
     def after(self, q: 'np.ndarray', p: 'np.ndarray') -> 'StoppedByEvent':
         """Return it with samples that were taken before."""
-        return StoppedByEvent(self.event, q, p)
+        return StoppedByEvent(self.event, q, p, self.state)

@@ -128,6 +128,24 @@ def test_event_that_stops_ends_the_trajectory_there(path, arguments, samples):
     assert len(run.events) == 1
 
 
+# x = sin t is 1/2 at 0.5236 s, in the step from 0.4 s to 0.8 s.
+@pytest.mark.parametrize('duration, times, expected', [
+    (0.5, None, [0.0, 0.4, 0.5]), (0.5, [0.1, 0.45, 0.5], [0.1, 0.45, 0.5]),
+    (0.7, [0.1, 0.45, 0.5, 0.6], [0.1, 0.45, 0.5, np.pi / 6.0]),
+    (0.7, None, [0.0, 0.4, np.pi / 6.0])])
+@pytest.mark.parametrize('then', ['log', 'stop'])
+def test_events_after_the_last_sample_are_none_and_samples_before_them_are_taken(
+        path, then, duration, times, expected):
+    path.write_text(SCENE.replace('direction: up', f'then: {then}').replace('0.05', '0.4'))
+    run = simulate(path, duration, times=times)
+    if then == 'log':
+        expected = [*expected[:-1], duration if times is None else times[-1]]
+    # gauss8 errs by 1e-10 in two steps of 0.4.
+    assert run.t == pytest.approx(expected, abs=1e-9)
+    assert run.q[:, 0] == pytest.approx(np.sin(run.t), abs=1e-9)
+    assert len(run.events) == (duration > 0.6)
+
+
 def test_many_trajectories_with_events_are_refused(path):
     with pytest.raises(ValueError, match='leave the events out of mine'):
         simulate_many(path, [[0.0]], [[1.0]], 1.0)

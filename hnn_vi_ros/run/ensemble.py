@@ -106,7 +106,8 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
         watch.show(simulation, t / simulation.step_size, (q, p), energies)
     tell(watch.alarms, simulation.step_size)
     return Trajectory(t, q, p, energies[0], tuple(watch.alarms),
-                      tuple(getattr(simulation, 'events', ())))
+                      tuple(event for event in getattr(simulation, 'events', ())
+                            if event.t <= t[-1]))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:

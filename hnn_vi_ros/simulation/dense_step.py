@@ -165,10 +165,13 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
     Returns
     -------
     tuple of np.ndarray, shape (k, d) or (k, m, d)
-        q and p. The simulation ends at the first whole step that is not before the last time.
+        q and p. The simulation ends at the first whole step that is not before the last time,
+        or before the step in which an event ends the run after that.
 
     Raises
     ------
+    StoppedByEvent
+        One that ends the run came before the last of the times.
     StepFailure
         A step did not converge or is not finite.
 
@@ -182,8 +185,13 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
                 simulation.advance(step - simulation.steps)
                 dense = simulation.dense_step() if share else None
         except StoppedByEvent as stop:
-            # Samples inside of the step that may lie before the event are not taken.
-            raise stop.after(q[:k], p[:k]) from None
+            last = int(np.searchsorted(times, stop.event.t, side='right'))
+            for i in range(k, last):
+                q[i], p[i] = stop.state(times[i] / simulation.step_size - simulation.steps)
+            if last == len(times):
+                # The event comes after the last of the times.
+                return q, p
+            raise stop.after(q[:last], p[:last]) from None
         if dense is None:
             q[k], p[k] = simulation.q, simulation.p
         else:
