@@ -224,6 +224,26 @@ def test_events_between_impacts_in_a_step_lie_on_the_path_that_bounces():
     assert [event.t for event in simulation.events] == pytest.approx([0.25, 0.75], abs=1e-15)
 
 
+@pytest.mark.parametrize('method, h', [
+    ('stormer_verlet', 0.1), ('gauss6', 0.5), ('stormer_verlet', 0.37)])
+@pytest.mark.parametrize('when, at', [
+    ('x = 0.05', np.sqrt(2.0 * 0.95)), ('p_x = 1.3', np.sqrt(2.0) - 1.3), ('v_x = 0', 0.0)])
+def test_events_beside_impacts_are_found(method, h, when, at):
+    """A ball that falls from 1 m at 1 m/s^2, whose steps all these methods take exactly."""
+    simulation = WatchedSimulation(Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS[method](), h, [1.0],
+        [0.0], [EFFECTS['gravity']('x', 1.0, 1.0), EFFECTS['impact']('x')]),
+        [EventFunction(Condition(when))])
+    simulation.advance(int(20.0 / h))
+    end, fall = int(20.0 / h) * h, np.sqrt(2.0)
+    bounces = fall * np.arange(1, 15, 2)
+    both = {'x = 0.05': np.concatenate([bounces - fall + at, bounces + fall - at]),
+            'p_x = 1.3': np.concatenate([bounces, bounces + at]),
+            'v_x = 0': np.concatenate([bounces, bounces + fall])}[when]
+    assert [event.t for event in simulation.events] == pytest.approx(
+        np.sort(both[both <= end]), abs=1e-12)
+
+
 def test_simulation_stands_before_the_step_of_an_event_that_stops_it():
     simulation = oscillator('gauss8', 0.1, EventFunction(Condition('x = 0'), stops=True))
     with pytest.raises(StoppedByEvent, match=r'x = 0 \(down\) at t = 1\.57') as raised:

@@ -39,6 +39,8 @@ class DenseStep:
         Which takes the step.
     plain : bool
         Whether its steps are those of the method and of H alone.
+    smooth : bool
+        Whether the path within a step has no kinks, as it has at walls.
 
     Attributes
     ----------
@@ -52,8 +54,9 @@ class DenseStep:
 
     """
 
-    def __init__(self, simulation: 'Simulation', plain: bool):
-        self._simulation, self._plain, self.step = simulation, plain, simulation.steps
+    def __init__(self, simulation: 'Simulation', plain: bool, smooth: bool):
+        self._simulation, self._plain, self._smooth = simulation, plain, smooth
+        self.step = simulation.steps
         rescued = simulation.rescued
         self._before, self._start = simulation.snapshot(), _end(simulation)
         simulation.advance(1)
@@ -111,6 +114,36 @@ class DenseStep:
             return self._halves(np.concatenate(self.polynomial(theta)))
         simulation = self._simulation
         return simulation.trial(self._before, theta * simulation.step_size)
+
+    def outline(self, theta: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p near to where the path is, at places in the step.
+
+        By the polynomial, which costs next to nothing; where the path may have kinks, which it
+        does not show, by ``state``.
+
+        Parameters
+        ----------
+        theta : float or np.ndarray, shape (k,)
+            Shares of the step.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (d,) or (k, d)
+            q and p, of a simulation of one trajectory.
+
+        Raises
+        ------
+        StepFailure
+            See ``state``.
+
+        """
+        if self._smooth:
+            return self.polynomial(theta)
+        if np.ndim(theta) == 0:
+            return self.state(float(theta))
+        q, p = zip(*(self.state(float(one)) for one in theta), strict=True)
+        return np.array(q), np.array(p)
 
     def _halves(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return copies of q and p out of (q, p), in the simulation's shape."""

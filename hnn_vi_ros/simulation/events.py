@@ -49,11 +49,12 @@ class WatchedSimulation:
     """
     A simulation whose steps are searched for events.
 
-    Each step is looked at through its polynomial at nine places, for changes of sign and for
-    extrema that come close to zero; what is found there is found again, to round-off, on states
-    that are as accurate as the method (see DenseStep). So an event that comes and goes within a
-    step is found as well, as long as the polynomial shows it. The steps are those of the
-    simulation, bit by bit; an event at the initial state is none.
+    Each step is looked at through its polynomial at nine places (through the path itself in
+    scenes with walls), for changes of sign and for extrema that come close to zero; what is
+    found there is found again, to round-off, on states that are as accurate as the method (see
+    DenseStep). So an event that comes and goes within a step is found as well, as long as the
+    polynomial shows it. The steps are those of the simulation, bit by bit; an event at the
+    initial state is none.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ class WatchedSimulation:
     def dense_step(self) -> DenseStep:
         """Take one step, or raise as ``record``; return it with the states inside of it."""
         dense = self._simulation.dense_step()
-        q, p = dense.polynomial(_PLACES)
+        q, p = dense.outline(_PLACES)
         # The ends are known, and what is known of them decides.
         (q[0], p[0]), (q[-1], p[-1]) = dense.state(0.0), dense.state(1.0)
         found = sorted(((theta, rises, function) for function in self._functions
@@ -147,7 +148,7 @@ class WatchedSimulation:
             return float(condition.values(hamiltonian, *dense.state(theta)))
 
         def seen(theta: float | np.ndarray) -> np.ndarray:
-            return condition.values(hamiltonian, *dense.polynomial(theta))
+            return condition.values(hamiltonian, *dense.outline(theta))
 
         values = condition.values(hamiltonian, q, p)
         # Most steps are far from it: nearer to zero than they vary no values come within one.

@@ -160,6 +160,11 @@ class System:
         return not self._single_file
 
     @property
+    def smooth(self) -> bool:
+        """Whether the path within a step is smooth: no effect cuts the step, as walls do."""
+        return not self._in(Place.OUTSIDE)
+
+    @property
     def takes_commands(self) -> bool:
         """Whether an effect takes commands."""
         return any(isinstance(effect, Commanded) for effect in self._effects)
