@@ -40,6 +40,8 @@ class Wall(NamedTuple):
         Space for that of a crossing.
     kept : np.ndarray, shape (4, K)
         Space for what the K effects did before a part of the step, and before the step.
+    cuts : np.ndarray, shape (1,)
+        Impacts so far, those of trials as well.
 
     """
 
@@ -49,6 +51,7 @@ class Wall(NamedTuple):
     restitution: float
     search: Search
     kept: np.ndarray
+    cuts: np.ndarray
 
 
 class Motion(NamedTuple):
@@ -99,7 +102,7 @@ def bounce(step: Step, high: bool) -> Step:
     def bouncing(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                  memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, (c, position, sign, restitution, search, kept), live, effect = options
+        inner, (c, position, sign, restitution, search, kept, cuts), live, effect = options
         work, inside = memory[-1], memory[:-1]
         start, motion = work.start, work.motion
         copy_point(z, start)
@@ -151,6 +154,7 @@ def bounce(step: Step, high: bool) -> Step:
                     _put_back(live, kept, 2, draws)
                     return NO_CONVERGENCE, residual, total
                 live.pending[effect] += work
+                cuts[0] += 1
                 live.resting[effect] = 1.0 if rests else 0.0
                 if rest <= 0.0:
                     return OK, residual, total

@@ -70,7 +70,8 @@ class Impact(StepEffect):
     def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Wall:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""
         return Wall(coordinate_index(coordinates, self.coordinate), self.position, self.sign,
-                    self.restitution, Search.empty(), np.zeros((4, live.pending.size)))
+                    self.restitution, Search.empty(), np.zeros((4, live.pending.size)),
+                    np.zeros(1, dtype=np.int64))
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Wall, q: np.ndarray) -> None:
         """Raise ValueError if q, shape (d,), is behind the wall."""

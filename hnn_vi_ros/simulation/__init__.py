@@ -277,7 +277,7 @@ class Simulation:
     def dense_step(self) -> DenseStep:
         """Take one step, and return it with the states inside of it, or raise StepFailure."""
         return DenseStep(self, self._system.integrator is self.integrator
-                         and self._kernel.channels == 0, self._system.smooth)
+                         and self._kernel.channels == 0, lambda: self._system.cuts)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """

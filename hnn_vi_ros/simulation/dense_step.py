@@ -39,8 +39,8 @@ class DenseStep:
         Which takes the step.
     plain : bool
         Whether its steps are those of the method and of H alone.
-    smooth : bool
-        Whether the path within a step has no kinks, as it has at walls.
+    cuts : callable
+        Returns how often steps have been cut so far, as they are at walls.
 
     Attributes
     ----------
@@ -54,13 +54,12 @@ class DenseStep:
 
     """
 
-    def __init__(self, simulation: 'Simulation', plain: bool, smooth: bool):
-        self._simulation, self._plain, self._smooth = simulation, plain, smooth
-        self.step = simulation.steps
-        rescued = simulation.rescued
+    def __init__(self, simulation: 'Simulation', plain: bool, cuts: Callable[[], int]):
+        self._simulation, self._plain, self.step = simulation, plain, simulation.steps
+        rescued, uncut = simulation.rescued, cuts()
         self._before, self._start = simulation.snapshot(), _end(simulation)
         simulation.advance(1)
-        self._end, self._slopes = _end(simulation), None
+        self._end, self._slopes, self._smooth = _end(simulation), None, cuts() == uncut
         stages = getattr(simulation.integrator, 'stages', 0)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
                 and simulation.rescued == rescued):
@@ -119,8 +118,8 @@ class DenseStep:
         """
         Return q and p near to where the path is, at places in the step.
 
-        By the polynomial, which costs next to nothing; where the path may have kinks, which it
-        does not show, by ``state``.
+        By the polynomial, which costs next to nothing; in a step that was cut, where the path
+        has kinks, which it does not show, by ``state``.
 
         Parameters
         ----------

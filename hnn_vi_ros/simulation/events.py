@@ -50,7 +50,7 @@ class WatchedSimulation:
     A simulation whose steps are searched for events.
 
     Each step is looked at through its polynomial at nine places (through the path itself in
-    scenes with walls), for changes of sign and for extrema that come close to zero; what is
+    steps that meet a wall), for changes of sign and for extrema that come close to zero; what is
     found there is found again, to round-off, on states that are as accurate as the method (see
     DenseStep). So an event that comes and goes within a step is found as well, as long as the
     polynomial shows it. The steps are those of the simulation, bit by bit; an event at the

@@ -160,9 +160,9 @@ class System:
         return not self._single_file
 
     @property
-    def smooth(self) -> bool:
-        """Whether the path within a step is smooth: no effect cuts the step, as walls do."""
-        return not self._in(Place.OUTSIDE)
+    def cuts(self) -> int:
+        """How often walls have cut a step so far, in trials as well; the path has kinks there."""
+        return sum(int(self._parameters[i].cuts[0]) for i in self._in(Place.OUTSIDE))
 
     @property
     def takes_commands(self) -> bool:
