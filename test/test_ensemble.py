@@ -157,6 +157,20 @@ def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
     assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.1, 0.2]
 
 
+@pytest.mark.parametrize('argument, value, message', [
+    ('times', 'ab', "times = 'ab' must be numbers"),
+    ('times', (0.1 * k for k in range(2)), 'times = <generator .* must be numbers'),
+    ('commands', {'a': 1}, "commands = {'a': 1} must be numbers"),
+    ('commands', [[1.0], [2.0, 3.0]], 'commands = .* lists of equal lengths'),
+    ('initial_state', ([0.0], ['x']), r"p of initial_state = \['x'\] must be numbers"),
+    ('initial_state', ([1j], [0.0]), 'q of initial_state = .* must be numbers')])
+def test_arguments_that_are_no_numbers_are_named(tmp_path, argument, value, message):
+    with pytest.raises(TypeError, match=message):
+        simulate(free_particle(tmp_path), 0.2, effects=PUSHED, **{argument: value})
+    with pytest.raises(TypeError, match="q = 'a' must be numbers"):
+        simulate_many(free_particle(tmp_path), 'a', [[0.0]], 0.2)
+
+
 @pytest.mark.parametrize('every', [100, 10 ** 12, 10 ** 30])
 def test_sample_at_the_duration_is_taken_however_large_every_is(tmp_path, every):
     assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.2]

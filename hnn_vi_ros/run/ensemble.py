@@ -20,7 +20,7 @@ from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, rec
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.checks import check_count, check_seconds
+from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
@@ -127,7 +127,7 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
         return None
     if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
         raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p')
-    return {name: np.array(part, dtype=np.float64).tolist()
+    return {name: check_numbers(f'{name} of initial_state', part).tolist()
             for name, part in zip(('q', 'p'), state, strict=True)}
 
 
@@ -196,7 +196,8 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     effects = scene.create_effects()
     system = System(hamiltonian, effects, integrator)
     d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
-    q0, p0 = (part.reshape(-1, d) for part in check_state(q, p, d))
+    q0, p0 = (part.reshape(-1, d) for part in check_state(
+        check_numbers('q', q), check_numbers('p', p), d))
     if q0.size == 0:
         raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
     if q0.size * samples > MOST_NUMBERS:

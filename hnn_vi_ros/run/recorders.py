@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.checks import check_numbers
 from hnn_vi_ros.simulation.dense_step import record_at, whole_steps
 import numpy as np
 
@@ -81,7 +82,7 @@ def record_samples(simulation: Simulation, samples: int, every: int | np.ndarray
 
 def _check_times(times: Sequence[float], duration: float) -> np.ndarray:
     """Return times of samples as an array, or raise."""
-    t = np.array(times, dtype=np.float64)
+    t = check_numbers('times', times)
     if t.ndim != 1 or t.size == 0:
         raise ValueError(f'times has shape {t.shape}, expected (N,): a list of at least one time')
     if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all() and t[0] >= 0.0
@@ -103,7 +104,7 @@ def _check_commands(commands: Commands, samples: int) -> Commands:
     """Return rows of commands as an array, or raise if there are too few."""
     if callable(commands):
         return commands
-    rows = np.array(commands, dtype=np.float64)
+    rows = check_numbers('commands', commands)
     if rows.ndim != 2 or len(rows) < samples:
         raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
                          'for each sample but the last; or give a function of the time')

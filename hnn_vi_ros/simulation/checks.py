@@ -4,6 +4,9 @@
 
 import math
 from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
 
 
 def check_seconds(name: str, value: float) -> None:
@@ -50,3 +53,27 @@ def check_count(name: str, value: int) -> None:
         raise TypeError(f'{name} = {value!r} must be a whole number')
     if value < 1:
         raise ValueError(f'{name} = {value} must be at least 1')
+
+
+def check_numbers(name: str, values: Any) -> np.ndarray:
+    """
+    Return numbers as a fresh array of float64, or raise.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    values : sequence of float, of any depth
+        What the caller gave.
+
+    Raises
+    ------
+    TypeError
+        Not numbers, or lists of different lengths.
+
+    """
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f'{name} = {repr(values):.80} must be numbers, as an array or as lists of '
+                        'equal lengths') from None
