@@ -32,6 +32,7 @@ class RescueGuard(Guard):
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
         count = self._simulation.rescued
-        return Alarm(self.kind, sample.step, count, 0,
+        # Those who look at a path afterwards see the counts of its end.
+        return Alarm(self.kind, self._simulation.steps, count, 0,
                      f'{count} steps so far were taken otherwise than by the integrator, as '
                      'on_failure says; use a smaller step_size or another integrator', '1')

@@ -30,6 +30,7 @@ class SolutionGuard(Guard):
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
         count = self._simulation.several_solutions
-        return Alarm(self.kind, sample.step, count, 0,
+        # Those who look at a path afterwards see the counts of its end.
+        return Alarm(self.kind, self._simulation.steps, count, 0,
                      'the equation of a step has several solutions, of which the one connected to '
                      f'h = 0 is taken, in {count} steps so far; use a smaller step_size', '1')
