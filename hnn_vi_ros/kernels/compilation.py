@@ -10,7 +10,7 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import keep, Part, Whole
+from hnn_vi_ros.kernels.linking import keep, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 import numba
@@ -201,7 +201,7 @@ def _give_identity(dispatcher: Dispatcher, name: str) -> str:
     # up its cache on disk. Numba knows such a function by a random number, new in each process;
     # a name that changes with our sources makes the look-up succeed.
     identity = f'{name}-{_digest(dispatcher)}'
-    dispatcher._set_uuid(identity)
+    set_identity(dispatcher, identity)
     return identity
 
 

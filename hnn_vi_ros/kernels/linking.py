@@ -213,6 +213,11 @@ class _Cache(FunctionCache):
         return (*super()._index_key(signature, codegen), digest)
 
 
+def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
+    """Let numba know a function by a name, in place of a number that is new in each process."""
+    dispatcher._set_uuid(identity)
+
+
 def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """Have a function of this package found again on disk while its sources stay as they are."""
     dispatcher._cache = _Cache(dispatcher.py_func)

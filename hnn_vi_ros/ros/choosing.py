@@ -7,9 +7,9 @@ from typing import NamedTuple
 from hnn_vi_ros.accuracy.automatic_choice import budget_of, Chosen, resolve
 from hnn_vi_ros.accuracy.calibration import Choice
 from hnn_vi_ros.accuracy.trials import Budget
+from hnn_vi_ros.ros.rclpy_internals import Logger
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
-from rclpy.impl.rcutils_logger import RcutilsLogger
 
 
 class Event(NamedTuple):
@@ -19,7 +19,7 @@ class Event(NamedTuple):
     level: str
 
 
-def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: RcutilsLogger
+def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
            ) -> tuple[Scene, Chosen | None, list[Event]]:
     """
     Return a scene that names its method and step size, the choice, and what is to be told of it.
@@ -32,7 +32,7 @@ def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: R
         A time that the step must divide where the scene names none [s].
     real_time_factor : float
         The pace that is asked for; 0 for as fast as possible.
-    logger : RcutilsLogger
+    logger : Logger
         Told before, since trying methods takes a while.
 
     Raises

@@ -9,6 +9,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.graph import THREAD_TURN
+from hnn_vi_ros.ros.rclpy_internals import answer_changes, state_machine
 from hnn_vi_ros.ros.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
@@ -51,14 +52,15 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # All services of this group answer while a transition is under way.
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         # The mixin's own handler lets the error of an illegal transition end the process.
-        self._service_change_state.callback = self._on_change_state
+        answer_changes(self, self._on_change_state)
+        self._machine = state_machine(self)
         self._threads: list[threading.Thread] = []
         self._turn = sys.getswitchinterval()
 
     @property
     def state(self) -> int:
         """Return the number of the state, one of lifecycle_msgs/State."""
-        return self._state_machine.current_state[0]
+        return self._machine.current_state[0]
 
     @property
     def busy(self) -> bool:
@@ -80,16 +82,16 @@ class ManagedNode(LifecycleNodeMixin, Node):
             From the callback; the transition has failed then.
 
         """
-        available = {found[0] for found in self._state_machine.available_transitions}
+        available = {found[0] for found in self._machine.available_transitions}
         if transition not in _PUBLIC or transition not in available:
-            _, label = self._state_machine.current_state
+            _, label = self._machine.current_state
             self.get_logger().warning(
                 f'transition {transition} refused: the node is {label}',
                 throttle_duration_sec=1.0)
             return False
         before = LifecycleState(
-            state_id=self.state, label=self._state_machine.current_state[1])
-        self._state_machine.trigger_transition_by_id(transition, True)
+            state_id=self.state, label=self._machine.current_state[1])
+        self._machine.trigger_transition_by_id(transition, True)
         try:
             found = getattr(self, _PUBLIC[transition])(before)
             result = await found if isinstance(found, Awaitable) else found
@@ -102,12 +104,12 @@ class ManagedNode(LifecycleNodeMixin, Node):
         self._end_transition(result)
         if result == SUCCESS:
             self.get_logger().info(
-                f'{before.label} -> {self._state_machine.current_state[1]}')
+                f'{before.label} -> {self._machine.current_state[1]}')
         return result == SUCCESS
 
     def _end_transition(self, result: TransitionCallbackReturn) -> None:
         if self.state != State.PRIMARY_STATE_FINALIZED:
-            self._state_machine.trigger_transition_by_label(result.to_label(), True)
+            self._machine.trigger_transition_by_label(result.to_label(), True)
 
     async def in_thread(self, work: Callable[[], Any]) -> Any:
         """Let a thread do the work; return what it returns, raise what it raises."""
@@ -137,7 +139,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
         transition = request.transition.id
         if request.transition.label:
             # The state machine's own look-up raises where there is none of this name.
-            transition = next((found[0] for found in self._state_machine.available_transitions
+            transition = next((found[0] for found in self._machine.available_transitions
                                if found[1] == request.transition.label), 0)
         try:
             response.success = await self.change_state(transition)

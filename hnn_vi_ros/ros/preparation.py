@@ -14,6 +14,7 @@ from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.parameters import Settings
+from hnn_vi_ros.ros.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.remapped_topics import KEY
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -23,7 +24,6 @@ from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
-from rclpy.impl.rcutils_logger import RcutilsLogger
 
 # The last stage, from which on there are files.
 OPENING = 'opening the files'
@@ -68,7 +68,7 @@ class Prepared(NamedTuple):
     origin: int
 
 
-def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: RcutilsLogger,
+def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
             begin: Callable[[str], None]) -> Prepared:
     """
     Load the scene, compile it, look at how it moves, and open the files.
@@ -84,7 +84,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         What the bag holds.
     discovery : Discovery
         What the first step waits for.
-    logger : RcutilsLogger
+    logger : Logger
         Told of what is done.
     begin : callable
         Told of each stage, in a few words.
@@ -155,7 +155,7 @@ def check_pace(real_time_factor: float, tick: float) -> None:
                              f'{_LONGEST_WAIT:.0e} s would pass between two samples')
 
 
-def _compile(scene: Scene, logger: RcutilsLogger, begin: Callable[[str], None]) -> Simulation:
+def _compile(scene: Scene, logger: Logger, begin: Callable[[str], None]) -> Simulation:
     def tell(line: str) -> None:
         begin(line)
         logger.info(line)

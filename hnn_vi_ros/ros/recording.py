@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.bag_output import BagOutput
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.picture_output import PictureOutput
+from hnn_vi_ros.ros.rclpy_internals import Logger
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.sinks import Beginning, Sink
@@ -19,7 +20,6 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
-from rclpy.impl.rcutils_logger import RcutilsLogger
 
 
 class Recording:
@@ -31,7 +31,7 @@ class Recording:
 
     Parameters
     ----------
-    logger : RcutilsLogger
+    logger : Logger
         The node's.
     scene : Scene
         What is simulated.
@@ -62,7 +62,7 @@ class Recording:
 
     """
 
-    def __init__(self, logger: RcutilsLogger, scene: Scene, simulation: Simulation,
+    def __init__(self, logger: Logger, scene: Scene, simulation: Simulation,
                  settings: Settings, topics: BagTopics, box: tuple[np.ndarray, np.ndarray],
                  report: dict[str, Any], sampler: Sampler):
         self._logger, self._simulation = logger, simulation

@@ -22,6 +22,7 @@ from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.node_parameters import Parameters
 from hnn_vi_ros.ros.parameters import PARAMETERS, Settings
 from hnn_vi_ros.ros.preparation import OPENING, prepare, Prepared
+from hnn_vi_ros.ros.rclpy_internals import RCLError
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
@@ -30,7 +31,6 @@ from lifecycle_msgs.msg import State, Transition
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
@@ -244,13 +244,13 @@ def _spin(node: SimulatorNode, received: list[int]) -> None:
             continue
         try:
             executor.spin_once(timeout_sec=0.1)
-        except rclpy_implementation.RCLError as problem:
+        except RCLError as problem:
             # Such as a client that is gone before its answer: no reason to stop simulating.
             node.get_logger().warning(
                 f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
     if node.control is not None:
         # Those who wait for steps are answered; a client may be gone by now.
-        with suppress(rclpy_implementation.RCLError):
+        with suppress(RCLError):
             take_once(executor)
     if node.topics is not None:
         node.topics.wait_for_delivery()

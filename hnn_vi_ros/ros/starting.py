@@ -10,9 +10,9 @@ import warnings
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.standard_streams import ENDING, spare_output
+from hnn_vi_ros.ros.rclpy_internals import UnknownROSArgsError
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger_effective_level, LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -63,7 +63,7 @@ def plain_ros_errors(what: str) -> Iterator[None]:
     try:
         with warnings.catch_warnings(action='ignore', category=RuntimeWarning):
             yield
-    except rclpy_implementation.UnknownROSArgsError as problem:
+    except UnknownROSArgsError as problem:
         raise ParameterError(f'{what}: unknown ROS argument {problem}; {_SYNTAX}') from problem
     except (RuntimeError, ValueError, NameValidationException, ParameterException) as problem:
         text = ' '.join(str(problem).split()).partition(', at /')[0].rstrip('.')

@@ -1,0 +1,32 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is used of rclpy that it keeps to itself; nothing public of it does the same.
+
+Its errors RCLError and UnknownROSArgsError have no public name, and neither has the type of a
+node's logger. A managed node's own handler of ``change_state`` lets the error of an illegal
+transition end the process, which is prevented only by an answer of ours from the same service.
+"""
+
+from collections.abc import Callable
+from typing import Any, TYPE_CHECKING
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+if TYPE_CHECKING:
+    from rclpy.lifecycle import LifecycleNodeMixin
+
+RCLError = rclpy_implementation.RCLError
+UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
+Logger = RcutilsLogger
+
+
+def answer_changes(node: 'LifecycleNodeMixin', callback: Callable[..., Any]) -> None:
+    """Let a callback answer the service ``change_state`` of a node."""
+    node._service_change_state.callback = callback
+
+
+def state_machine(node: 'LifecycleNodeMixin') -> Any:
+    """Return the state machine of a node: its state, and what it can be asked for."""
+    return node._state_machine

@@ -1,0 +1,148 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is used of others that they keep to themselves: one file for each, and what it rests on."""
+
+import argparse
+import ast
+from collections.abc import Iterator
+import inspect
+from io import BytesIO
+from pathlib import Path
+
+from mcap.writer import Writer
+import numba
+from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.lowering import Lower
+from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
+import pytest
+import rerun as rr
+from rerun import bindings
+import rerun.blueprint as rrb
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
+# By file: whose it is, and what; the file says why. What is documented in spite of its name, such
+# as _replace of a named tuple, is no such thing.
+PRIVATE = {
+    'bags/mcap_index.py': ('mcap', {'_Writer__chunk_indices'}),
+    'command_line.py': ('argparse', {'_option_string_actions'}),
+    'kernels/linking.py': ('numba', {
+        '_cache', '_codegen', '_final_module', '_finalize_dynamic_globals',
+        '_get_module_for_linking', '_linking_libraries', '_loopvect', '_module_pass_manager',
+        '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
+        'numba._dynfunc'}),
+    'ros/rclpy_internals.py': ('rclpy', {
+        '_service_change_state', '_state_machine',
+        'rclpy.impl.implementation_singleton.rclpy_implementation',
+        'rclpy.impl.rcutils_logger.RcutilsLogger'}),
+    'viewer/rerun_stream.py': ('rerun', {'_from_native', '_log_to_stream', 'rerun.bindings'}),
+}
+DOCUMENTED = {'_asdict', '_exit', '_fields', '_make', '_replace'}
+# Parts of packages that are theirs alone although their names do not say so.
+INTERNAL = {'rclpy.impl', 'rerun.bindings'}
+
+
+def is_private(name: str) -> bool:
+    return name.startswith('_') and not name.endswith('__')
+
+
+def defined(tree: ast.AST) -> Iterator[str]:
+    """Yield what a file defines: functions, classes, what is in these, attributes of self."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.name
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) \
+                and ast.unparse(node.value) in ('self', 'cls'):
+            yield node.attr
+        if isinstance(node, ast.ClassDef):
+            for line in node.body:
+                targets = line.targets if isinstance(line, ast.Assign) else \
+                    [line.target] if isinstance(line, ast.AnnAssign) else []
+                yield from (target.id for target in targets if isinstance(target, ast.Name))
+
+
+def used(tree: ast.AST) -> Iterator[str]:
+    """Yield the private attributes that a file uses, and what it imports of others' internals."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and is_private(node.attr):
+            yield node.attr
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            module = getattr(node, 'module', None)
+            for alias in node.names:
+                full = f'{module}.{alias.name}' if module else alias.name
+                if not full.startswith('hnn_vi_ros') and (
+                        any(map(is_private, full.split('.'))) or full.startswith(tuple(INTERNAL))):
+                    yield full
+
+
+def test_what_others_keep_to_themselves_is_used_in_one_file_for_each():
+    trees = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text())
+             for path in PACKAGE.rglob('*.py')}
+    own = {name for tree in trees.values() for name in defined(tree)} | DOCUMENTED
+    found = {name: set(used(tree)) - own for name, tree in trees.items()}
+    assert {name: names for name, names in found.items() if names} == {
+        name: names for name, (_, names) in PRIVATE.items()}
+    owners = [owner for owner, _ in PRIVATE.values()]
+    assert len(set(owners)) == len(owners)
+
+
+def test_argparse_keeps_all_options_by_their_words():
+    parser = argparse.ArgumentParser()
+    parser.add_argument_group('more').add_argument('--own')
+    assert {'--help', '--own'} <= parser._option_string_actions.keys()
+
+
+def test_mcap_notes_the_chunks_of_a_file_in_a_list():
+    assert Writer(BytesIO())._Writer__chunk_indices == []
+
+
+@pytest.mark.parametrize('function, parameters', [
+    (JITCodeLibrary.finalize, 'self'), (JITCodeLibrary._raise_if_finalized, 'self'),
+    (JITCodeLibrary._optimize_final_module, 'self'),
+    (JITCodeLibrary._finalize_dynamic_globals, 'self'),
+    (JITCodeLibrary._get_module_for_linking, 'self'),
+    (NativeLowering.run_pass, 'self, state'), (Lower.emit_environment_object, 'self'),
+    (FunctionCache._index_key, 'self, sig, codegen'), (CPUDispatcher._set_uuid, 'self, u')])
+def test_numba_calls_and_has_what_is_put_in_its_place(function, parameters):
+    assert ', '.join(inspect.signature(function).parameters) == parameters
+
+
+def test_numba_keeps_in_libraries_and_functions_what_is_read_of_them():
+    @numba.njit
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    twice(1.0)
+    (result,) = twice.overloads.values()
+    library = result.library
+    assert {'_linking_libraries', '_reload_init', '_final_module', '_codegen',
+            '_finalized'} <= vars(library).keys()
+    assert library._finalized and isinstance(library._reload_init, set)
+    codegen = library._codegen
+    passes, _ = codegen._module_pass_manager(
+        loop_vectorize=codegen._loopvect, slp_vectorize=False, opt=codegen._opt_level,
+        cost='cheap')
+    assert callable(passes.run)
+    assert codegen._opt_level in range(4) and isinstance(codegen._loopvect, bool)
+    assert hasattr(twice, '_cache')
+    assert hasattr(FunctionCache(twice.py_func), '_py_func')
+    assert callable(numba._dynfunc.make_function)
+
+
+def test_rerun_makes_and_logs_a_blueprint_by_itself():
+    assert [*inspect.signature(rr.RecordingStream._from_native).parameters] == [
+        'native_recording']
+    assert [*inspect.signature(rrb.Blueprint._log_to_stream).parameters] == ['self', 'stream']
+    for function in (bindings.new_blueprint, bindings.send_blueprint):
+        assert callable(function)
+
+
+def test_rclpy_has_the_errors_the_logger_and_the_machine_of_a_managed_node():
+    internals = pytest.importorskip('hnn_vi_ros.ros.rclpy_internals', reason='needs rclpy')
+    from rclpy.lifecycle import LifecycleNodeMixin
+    assert issubclass(internals.RCLError, Exception)
+    assert issubclass(internals.UnknownROSArgsError, Exception)
+    assert callable(internals.Logger.warning)
+    assert {'_state_machine', '_service_change_state'} <= {
+        *LifecycleNodeMixin.__init__.__code__.co_names}
