@@ -75,5 +75,5 @@ def check_numbers(name: str, values: Any) -> np.ndarray:
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f'{name} = {repr(values):.80} must be numbers, as an array or as lists of '
+        raise TypeError(f'{name} = {values!r:.80} must be numbers, as an array or as lists of '
                         'equal lengths') from None

@@ -141,7 +141,7 @@ class DenseStep:
             return self.polynomial(theta)
         if np.ndim(theta) == 0:
             return self.state(float(theta))
-        q, p = zip(*(self.state(float(one)) for one in theta), strict=True)
+        q, p = zip(*(self.state(float(one)) for one in np.asarray(theta)), strict=True)
         return np.array(q), np.array(p)
 
     def _halves(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -127,7 +127,8 @@ class WatchedSimulation:
             self.events.append(event)
             if event.stops:
                 dense.undo()
-                raise StoppedByEvent(event, *np.empty((2, 0, event.q.size)), dense.state)
+                none = np.empty((0, event.q.size))
+                raise StoppedByEvent(event, none, none.copy(), dense.state)
         return dense
 
     def _event(self, dense: DenseStep, theta: float, rises: bool, function: EventFunction

@@ -162,7 +162,9 @@ class System:
     @property
     def cuts(self) -> int:
         """How often walls have cut a step so far, in trials as well; the path has kinks there."""
-        return sum(int(self._parameters[i].cuts[0]) for i in self._in(Place.OUTSIDE))
+        # An effect that cuts steps counts in its parameters how often it does.
+        counts = (getattr(self._parameters[i], 'cuts', None) for i in self._in(Place.OUTSIDE))
+        return sum(int(count[0]) for count in counts if count is not None)
 
     @property
     def takes_commands(self) -> bool:
