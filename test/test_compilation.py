@@ -14,7 +14,7 @@ from threading import Barrier, BrokenBarrierError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels import compilation
-from hnn_vi_ros.kernels.addresses import by_address, provide
+from hnn_vi_ros.kernels.addresses import by_address, fill_energies, provide
 from hnn_vi_ros.kernels.compilation import compiled_loop, identify
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import reached
@@ -84,10 +84,24 @@ def test_function_that_was_not_asked_for_is_compiled_when_it_is_called():
     assert [*(kernel.parameters.words[:3] != addresses)] == [True, False, False]
 
 
+@pytest.mark.parametrize('number', [np.float32(1.5), 3, True], ids=lambda one: type(one).__name__)
+def test_energy_by_address_is_a_float64_whatever_the_function_returns(number):
+    @numba.njit
+    def energy(parameters, q, p):
+        return number
+
+    kernel = by_address(HAMILTONIANS['tao']().kernel._replace(energy=energy))
+    energies = np.empty(2)
+    fill_energies(kernel.parameters, np.zeros(2), np.zeros(2), energies)
+    assert energies.tolist() == [number, number]
+
+
 def test_error_in_a_function_by_address_is_raised():
     @numba.njit
     def energy(parameters, q, p):
-        raise ValueError('no energy there')
+        if q.size:
+            raise ValueError('no energy there')
+        return 0.0
 
     kernel = by_address(HAMILTONIANS['tao']().kernel._replace(energy=energy))
 

@@ -210,7 +210,8 @@ def _flat(value: object) -> list[int]:
 
 
 def _energy_entry(block: int, q: int, p: int, n: int) -> float:
-    return function(_load(block, kind), _array(q, n), _array(p, n))
+    # A function may return a float32 or an integer; callers read a float64.
+    return np.float64(function(_load(block, kind), _array(q, n), _array(p, n)))
 
 
 def _gradient_entry(block: int, q: int, p: int, dH_dq: int, dH_dp: int, n: int) -> None:
