@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Workspaces of steps: what is forgotten, what outlives a step, and what is not allocated."""
 
+from typing import NamedTuple
+
 from effect_table import EFFECT_ROWS
 from helpers import Uncompiled
 from hnn_vi_ros.errors import RecordingError
@@ -30,6 +32,12 @@ PLACES = {'increments': ('increments', ...), 'slopes': ('increments', 0),
           **{f'state.{field}': place for field, place in POINT.items()}}
 
 
+class Keeping(NamedTuple):
+    """A workspace that keeps what no count goes with."""
+
+    kept: Point
+
+
 def plain(memory: tuple) -> None:
     forget(memory)
 
@@ -38,8 +46,9 @@ def plain(memory: tuple) -> None:
 def test_forget_takes_every_count_to_zero_and_nothing_else(run):
     assert compile_forget
     for name in ('generalized_leapfrog', 'time_transformed'):
-        # As a wrapper with a point of its own and one without anything leave it.
-        memory = (*INTEGRATORS[name]().memory(2), PointWork(Point.empty(2)), ())
+        # As wrappers leave it: with a point of their own, one that they keep, or nothing.
+        point = Point.empty(2)
+        memory = (*INTEGRATORS[name]().memory(2), PointWork(point), Keeping(point), ())
         for workspace in memory:
             for _, array in arrays_of('', workspace) if workspace else ():
                 array[...] = 3

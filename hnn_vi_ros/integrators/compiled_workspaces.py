@@ -30,7 +30,8 @@ def compile_forget(memory: Any) -> Callable[[Any], None]:
 
 def _counts(workspace: types.Type) -> bool:
     fields = getattr(workspace, 'fields', ())
-    return 'kept' in fields and 'count' in workspace[fields.index('kept')].fields
+    return 'kept' in fields and 'count' in getattr(
+        workspace[fields.index('kept')], 'fields', ())
 
 
 overload(forget, jit_options={'forceinline': True, **LINK_ONLY})(compile_forget)

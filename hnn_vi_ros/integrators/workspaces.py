@@ -30,7 +30,8 @@ def forget(memory: tuple) -> None:
     """
     for workspace in memory:
         kept: Any = getattr(workspace, 'kept', None)
-        if hasattr(kept, 'count'):
+        # Every tuple has a method of this name.
+        if 'count' in getattr(kept, '_fields', ()):
             kept.count[0] = 0
 
 
