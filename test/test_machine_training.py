@@ -12,9 +12,10 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.evaluation import constant_velocity, score
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, Structure
 from hnn_vi_ros.learning.machine_config import combination, MachineConfig
+from hnn_vi_ros.learning.machine_losses import (
+    balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
-from hnn_vi_ros.learning.machine_training import (
-    fit, mean_forces, runge_kutta, scales_of, split_motions)
+from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
@@ -70,13 +71,19 @@ def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structu
     q, v, tau = rng.uniform(-1.0, 1.0, (3, 4, d))
     p = (hamiltonian.masses(q).astype(float) @ v[:, :, None])[:, :, 0]
     with torch.no_grad():
-        found = network.accelerations(*map(torch.tensor, (q, v, tau))).numpy()
+        at, moving, driven = map(torch.tensor, (q, v, tau))
+        found = network.accelerations(at, moving, driven).numpy()
+        inverse = network.forces(at, moving, torch.tensor(found)).numpy()
+        momenta, rates = (part.numpy() for part in network.momenta(at, moving))
+        assert np.abs(network.velocities(at, torch.tensor(p)).numpy() - v).max() < 1e-12
+    assert np.abs(inverse - tau).max() < 1e-12 and np.abs(momenta - p).max() < 1e-12
     for i in range(len(q)):
         dH_dq, dH_dp = hamiltonian.gradient(q[i], p[i])
         force = tau[i].copy()
         effect.add_force(parameters, 0.0, q[i], p[i], dH_dp, np.zeros(d), force)
         expected = hamiltonian.hessian_vector(q[i], p[i], dH_dp, force - dH_dq)[1]
         assert np.abs(dH_dp - v[i]).max() < 1e-12
+        assert np.abs(rates[i] - (force - tau[i] - dH_dq)).max() < 1e-12
         assert np.abs(found[i] - expected).max() < 1e-11 * max(1.0, np.abs(expected).max())
 
 
@@ -126,18 +133,24 @@ def driven_pendulum(seed: int, seconds: float = 12.0) -> Motion:
     return smoothed(f'run{seed}', t, q, v, tau[:, None], 40.0)
 
 
-def test_driven_pendulum_with_friction_is_learned_from_positions_velocities_and_forces():
+@pytest.mark.parametrize('loss', [
+    {'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
+     'windows': [{'duration': 0.2, 'steps': 100}]},
+    {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 200},
+    {'kind': 'inverse', 'steps': 200, 'lbfgs_steps': 200},
+    {'kind': 'discrete', 'steps': 200, 'lbfgs_steps': 200},
+], ids=lambda loss: loss['kind'])
+def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
         'family': {'kind': 'mechanical', 'mass': 'constant', 'friction': {'coulomb': 1}},
-        'hidden': [12], 'loss': {
-            'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
-            'windows': [{'duration': 0.2, 'steps': 100}]}})
+        'hidden': [12], 'loss': loss})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
     scales = scales_of(train)
     network = MechanicalNetwork(config.structure(), config.hidden, scales, config.seed)
     losses = fit(network, config, train)
-    assert losses.keys() == {'forward', 'windows_0.2'}
+    assert losses.keys() == ({'forward', 'windows_0.2'} if loss['kind'] == 'trajectory' else
+                             {loss['kind'], f'{loss["kind"]}_lbfgs'})
     learned = score(predicted_by(network), test, [0.5], 0.25, 1.0)
     still = score(constant_velocity, test, [0.5], 0.25, 1.0)
     # Starts at the ends of a run, whose states the filter knows less of, are among them.
@@ -147,6 +160,44 @@ def test_driven_pendulum_with_friction_is_learned_from_positions_velocities_and_
                  ) == pytest.approx(1.0, abs=0.05)
     friction = network.friction(torch.tensor([[1.0]], dtype=torch.float64))
     assert float(friction.detach()) == pytest.approx(0.3, abs=0.05)
+
+
+def test_discrete_loss_is_zero_on_a_motion_of_the_midpoint_rule(tmp_path):
+    motions = random_motions(2)
+    config = MachineConfig.model_validate(CONFIG)
+    network = MechanicalNetwork(config.structure(), [6], scales_of(motions), 3)
+    checkpoint = describe(network, config, motions, 'none', {}, 'random', '')
+    save_checkpoint(tmp_path / 'm.safetensors', checkpoint)
+    h, n = 0.01, 60
+    simulation = Simulation(
+        MechanicalHamiltonian(checkpoint), INTEGRATORS['implicit_midpoint'](), h, [0.3, -0.2],
+        [0.1, 0.2], [EFFECTS['external_force'](['a', 'b'], timeout=100.0),
+                     EFFECTS['learned_friction'](str(tmp_path / 'm.safetensors'))])
+    tau = 0.3 * np.random.default_rng(0).normal(size=(n, 2))
+    q = np.empty((n, 2))
+    for k in range(n):
+        q[k] = simulation.q
+        simulation.set_command(tau[k])
+        simulation.advance(1)
+    motion = replace(motions[0], t=h * np.arange(n), q=q, tau=tau, held=True)
+    samples, rows = samples_of([motion], h), torch.arange(n - 2)
+    with torch.no_grad():
+        found = [float(discrete_loss(network, samples, rows)),
+                 float(discrete_loss(network, samples._replace(mean_tau=0.99 * samples.mean_tau),
+                                     rows))]
+    # Equations are solved to 8 eps, which a second difference makes 8 eps / h^2, squared.
+    assert found[0] < (8 * 2.2e-16 / h**2 / scales_of(motions).a.min())**2 < 1e-10 * found[1]
+
+
+def test_step_of_the_discrete_loss_balances_noise_and_the_rule():
+    t = 0.001 * np.arange(25000)
+    rng = np.random.default_rng(0)
+    quiet, noisy = ([smoothed('run', t, np.sin(3.0 * t)[:, None] + part, None, 0.0 * t[:, None],
+                              10.0)] for part in (0.0, 1e-4 * rng.normal(size=(25000, 1))))
+    # (12 sqrt(6) sigma / rms(81 sin))^(1/4), of white noise that the filter takes away.
+    assert balanced_step(noisy) == pytest.approx((12 * 6**0.5 * 1e-4 / 57.3)**0.25, rel=0.15)
+    # Without noise, 4e-6 is what the filter takes away of the motion.
+    assert balanced_step(quiet) < 0.6 * balanced_step(noisy)
 
 
 @pytest.mark.parametrize('text, row', [
@@ -210,6 +261,28 @@ def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
     assert split_runs(str(path)) == (path, [])
 
 
+def test_accelerations_that_were_measured_are_taken_and_choose_the_loss(tmp_path):
+    config = MachineConfig.model_validate(CONFIG)
+    path = write(tmp_path / 'arm.npz', ddq=np.full((40, 1), 2.0))
+    (estimated,), _ = read_arrays(path, ArraysData(), 1)
+    (measured,), _ = read_arrays(path, ArraysData(a='ddq', smoothing=10.0), 1)
+    assert np.abs(measured.a_smooth - 2.0).max() < 1e-12
+    assert not estimated.accelerations and config.loss_of(False).kind == 'trajectory'
+    assert measured.accelerations and config.loss_of(True).kind == 'forward'
+    with pytest.raises(DataError, match='no key one/ddq'):
+        read_arrays(write(tmp_path / 'arm2.npz'), ArraysData(a='ddq'), 1)
+
+
+def test_samples_that_come_too_seldom_for_the_filter_are_taken_as_they_are(tmp_path):
+    t = 0.04 * np.arange(40)
+    path = write(tmp_path / 'arm.npz', t=t, q=np.sin(t)[:, None], dq=np.cos(t)[:, None])
+    (motion,), _ = read_arrays(path, ArraysData(), 1)
+    assert np.array_equal(motion.q_smooth, motion.q)
+    assert np.abs(motion.v_smooth[:, 0] - np.cos(motion.t)).max() < 1e-12
+    # A spline's slope inside, of samples h apart: h^4 / 180 at most, more at the ends.
+    assert np.abs(motion.a_smooth[8:-8, 0] + np.sin(motion.t[8:-8])).max() < 0.04**4 / 180
+
+
 def test_late_samples_are_put_on_even_times(tmp_path):
     t = 0.01 * np.arange(400)
     late = t + 0.004 * (np.arange(400) % 7 == 3)
@@ -219,7 +292,8 @@ def test_late_samples_are_put_on_even_times(tmp_path):
     assert np.ptp(np.diff(motion.t)) < 1e-9
     # A cubic between samples 14 ms apart at most: (0.014)^4 / 384.
     assert np.abs(motion.q[:, 0] - np.sin(motion.t)).max() < 1e-9
-    assert np.abs(motion.a_smooth[50:-50, 0] + np.sin(motion.t[50:-50])).max() < 1e-3
+    # v is linear between them, off by 0.014^2 / 8, which 0.01 s later it is not.
+    assert np.abs(motion.a_smooth[50:-50, 0] + np.sin(motion.t[50:-50])).max() < 2.5e-3
 
 
 def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():

@@ -83,6 +83,35 @@ class Stage(StrictModel):
     steps: int = Field(ge=1, le=1_000_000)
 
 
+class _Regression(StrictModel):
+    steps: int = Field(400, ge=1, le=1_000_000, description='of Adam')
+    batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
+        'of L-BFGS, which follow; they end sooner when they make a tenth of the samples worse '
+        'that is left out of them'))
+
+
+class Forward(_Regression):
+    """The accelerations at each sample: best where they were measured, or are exact."""
+
+    kind: Literal['forward']
+
+
+class Inverse(_Regression):
+    """The forces of the motors at each sample, from its acceleration."""
+
+    kind: Literal['inverse']
+
+
+class Discrete(_Regression):
+    """The forced discrete Euler-Lagrange equations of the midpoint rule, from positions alone."""
+
+    kind: Literal['discrete']
+    step_size: float | None = Field(None, gt=0.0, description=(
+        'a multiple of the interval of the samples [s]; default: that at which noise and the '
+        'rule have about the same error'))
+
+
 class Trajectory(StrictModel):
     """Accelerations first; then windows that are simulated from their smoothed first state."""
 
@@ -93,11 +122,14 @@ class Trajectory(StrictModel):
         'of the windows, a multiple of the interval of the samples [s]; forces are averaged over '
         'it; default: the multiple that is next to 0.01 s'))
     windows: list[Stage] = Field(
-        [Stage(duration=0.1, steps=300), Stage(duration=0.25, steps=200)],
+        [Stage(duration=0.1, steps=600), Stage(duration=0.25, steps=400)],
         description='what follows, in this order')
     batch: int = Field(256, ge=1, description='windows in each of their steps')
     time_scale: float = Field(0.1, gt=0.0, description=(
         'an error of q counts as one of v does that makes it in this time [s]'))
+
+
+Loss = Annotated[Forward | Inverse | Discrete | Trajectory, Field(discriminator='kind')]
 
 
 class MachineConfig(StrictModel):
@@ -107,7 +139,8 @@ class MachineConfig(StrictModel):
     coordinates: list[MachineCoordinate] = Field(min_length=1, max_length=7)
     data: MachineData
     family: MechanicalChoice
-    loss: Trajectory = Field(Trajectory(kind='trajectory'), description='how')
+    loss: Loss | None = Field(None, description=(
+        'how; default: forward where the data hold accelerations, else trajectory'))
     hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
         [32, 32], min_length=1, max_length=16, description=(
             'widths of the hidden layers, of each network'))
@@ -119,6 +152,12 @@ class MachineConfig(StrictModel):
     def _check(self) -> 'MachineConfig':
         self.structure()
         return self
+
+    def loss_of(self, measured: bool) -> Forward | Inverse | Discrete | Trajectory:
+        """Return the loss, for data whose accelerations were measured or not."""
+        if self.loss is not None:
+            return self.loss
+        return Forward(kind='forward') if measured else Trajectory(kind='trajectory')
 
     def structure(self) -> Structure:
         """Return what the networks see; ValueError for what names no coordinate."""

@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.evaluate import judge, prediction, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
+from hnn_vi_ros.learning.machine_config import Forward, load_machine, MachineConfig, Trajectory
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion, run_of
@@ -71,21 +71,30 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
     scores = judge(predict, test, horizons, _EVERY, _LONGEST)
     print('for comparison, a plain network of (q, v, tau):', flush=True)
     plain = PlainNetwork(structure.kinds, config.hidden, scales, config.seed)
-    fit(plain, config, train)
+    fit(plain, _of_plain_network(config), train)
     for name, other in (('linear model', linear_model(train)),
                         ('plain network', predicted_by(plain))):
         scores[name] = score(other, test, horizons, _EVERY, _LONGEST)
+    same = _of_plain_network(config) is config
+    way = 'in the same way' if same else 'by windows'
     report = out.with_suffix('.report.md')
     held = ', '.join(config.data.test_runs) or 'the last fifth of each run'
     text = (f'# {out.stem}\n\n{config.description}\n\nData: {description}. Held out: {held}. '
-            f'Trained on the others in {seconds:.0f} s, seed {config.seed}: `{command}`\n\nFree '
+            f'Trained on the others by {", ".join(losses)} in {seconds:.0f} s, seed '
+            f'{config.seed}: `{command}`\n\nFree '
             f'simulation of what was held out, from a state every {_EVERY:g} s, with the measured '
             f'forces; root mean square of the error at the end of each horizon. The plain network '
-            f'of (q, v, tau) has the same hidden layers and was trained in the same way.\n\n'
+            f'of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}\n')
     report.write_text(text, encoding='utf-8')
     print(f'model: {out}\nreport: {report}\n\n{table(scores, names)}\n\n{verdict(scores)}\n'
           f'trained in {seconds:.1f} s')
+
+
+def _of_plain_network(config: MachineConfig) -> MachineConfig:
+    """Return how a plain network is trained: it has no masses, which some losses need."""
+    return config if isinstance(config.loss, Forward | Trajectory | None) else \
+        config.model_copy(update={'loss': Trajectory(kind='trajectory')})
 
 
 def fix_scale(network: MechanicalNetwork, motions: list[Motion]) -> None:

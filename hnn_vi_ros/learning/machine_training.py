@@ -1,97 +1,35 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Fit a mechanical network to measured motions: by accelerations, then by simulated windows.
+Fit a mechanical network to measured motions: at single samples, or by simulated windows.
 
-Accelerations of measured motions are noisy, and an error of them says little of where a motion
-goes. So they only find the beginning; then windows of the motions are simulated from their
-smoothed first states, with the measured forces, short ones first (multiple shooting).
+Accelerations that are estimated from measured motions are noisy, and an error of them says little
+of where a motion goes. So they only find the beginning; then windows of the motions are simulated
+from their smoothed first states, with the measured forces, short ones first (multiple shooting).
+Accelerations that were measured, or are exact, tell all.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from functools import partial
+import math
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.mechanical import MotionScales
-from hnn_vi_ros.learning.machine_config import MachineConfig
+from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
+from hnn_vi_ros.learning.machine_config import (
+    Discrete, Forward, Inverse, MachineConfig, Trajectory)
+from hnn_vi_ros.learning.machine_losses import (
+    acceleration_loss, balanced_step, discrete_loss, force_loss, Network, Samples, samples_of,
+    window_loss)
 from hnn_vi_ros.learning.motions import Motion, run_of
 import numpy as np
 import torch
 from tqdm import tqdm
 
-# Errors beyond this share of the usual size count by their size, no longer by their square.
-_USUAL_ERROR = 0.25
-# Step size of windows, unless it is given, and samples come as often [s].
-_STEP = 0.01
-
-
-class Network(Protocol):
-    """What is fitted."""
-
-    scales: MotionScales
-
-    def parameters(self) -> Iterator[torch.nn.Parameter]:
-        """Return what is changed."""
-
-    def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        """Return dv/dt, all of shape (N, d)."""
-
-
-class Samples(NamedTuple):
-    """
-    All motions, one after another, as tensors.
-
-    Parameters
-    ----------
-    q, v, a, tau : torch.Tensor, shape (N, d)
-        Smoothed states and accelerations; forces as measured.
-    mean_tau : torch.Tensor, shape (N, d)
-        The forces averaged over the step that begins at each sample.
-    left : torch.Tensor of int, shape (N,)
-        How many samples follow in the same motion.
-    every : int
-        Samples in one step.
-    step_size : float
-        How long it is [s].
-
-    """
-
-    q: torch.Tensor
-    v: torch.Tensor
-    a: torch.Tensor
-    tau: torch.Tensor
-    mean_tau: torch.Tensor
-    left: torch.Tensor
-    every: int
-    step_size: float
-
-
-def samples_of(motions: Sequence[Motion], step_size: float | None) -> Samples:
-    """Return the samples of motions, for windows of this step size [s], or DataError."""
-    if step_size is None:
-        step_size = max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
-    every = round(step_size / motions[0].spacing)
-    for motion in motions:
-        if every < 1 or abs(every * motion.spacing - step_size) > 0.05 * step_size:
-            raise DataError(f'{motion.name}: sampled every {motion.spacing:.4g} s; step_size must '
-                            f'be a multiple of that, such as {max(every, 1) * motion.spacing:.4g}')
-    parts = [np.concatenate([getattr(motion, name) for motion in motions])
-             for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau')]
-    means = np.concatenate([mean_forces(motion, every) for motion in motions])
-    left = np.concatenate([np.arange(len(motion.t))[::-1] for motion in motions])
-    return Samples(*map(torch.tensor, (*parts, means, left)), every,
-                   every * motions[0].spacing)
-
-
-def mean_forces(motion: Motion, every: int) -> np.ndarray:
-    """Return forces, shape (N, d), averaged over ``every`` intervals from each sample on."""
-    n, tau = len(motion.t), motion.tau
-    total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
-    starts = np.arange(n)
-    ends = np.minimum(starts + every, n - 1)
-    means = (total[ends] - total) / np.maximum(ends - starts, 1)[:, None]
-    return np.where(ends[:, None] > starts[:, None], means, tau)
+# L-BFGS: blocks of samples, of which every tenth is left out; how often it may make them worse
+# before it ends; samples at most; and pairs that it remembers.
+_BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS, _PAIRS = 50, 10, 5, 20000, 50
 
 
 def scales_of(motions: Sequence[Motion]) -> MotionScales:
@@ -118,7 +56,8 @@ def fit(network: Network, config: MachineConfig, motions: Sequence[Motion]) -> d
     Parameters
     ----------
     network : MechanicalNetwork or PlainNetwork
-        Changed in place.
+        Changed in place. A plain network, which has no masses, takes no loss but accelerations
+        and windows.
     config : MachineConfig
         How.
     motions : sequence of Motion
@@ -135,9 +74,73 @@ def fit(network: Network, config: MachineConfig, motions: Sequence[Motion]) -> d
         The motions are shorter than a window, or the loss is not finite any more.
 
     """
-    samples = samples_of(motions, config.loss.step_size)
+    loss = config.loss_of(all(motion.accelerations for motion in motions))
     generator = torch.Generator().manual_seed(config.seed)
-    loss, losses = config.loss, {}
+    if isinstance(loss, Trajectory):
+        return _fit_windows(network, config, loss, samples_of(motions, loss.step_size), generator)
+    step_size = motions[0].spacing
+    if isinstance(loss, Discrete):
+        step_size = loss.step_size or balanced_step(motions)
+    samples = samples_of(motions, step_size)
+    at: Callable[..., torch.Tensor] = {
+        'forward': acceleration_loss, 'inverse': force_loss, 'discrete': discrete_loss}[loss.kind]
+    ahead = 2 * samples.every if isinstance(loss, Discrete) else 0
+    rows = torch.nonzero(samples.left >= ahead)[:, 0]
+    if not len(rows):
+        raise DataError('no motion has three samples at distances of step_size; lower it')
+    return _regress(network, config, loss, partial(at, network, samples), rows, generator)
+
+
+def _regress(network: Network, config: MachineConfig, loss: Forward | Inverse | Discrete,
+             value: Callable[[torch.Tensor], torch.Tensor], rows: torch.Tensor,
+             generator: torch.Generator) -> dict[str, float]:
+    """Fit at single samples: Adam, then L-BFGS as long as it helps on samples left out."""
+    def batch() -> torch.Tensor:
+        return value(rows[torch.randint(len(rows), (loss.batch,), generator=generator)])
+    losses = {loss.kind: _descend(network, batch, loss.steps, config.learning_rate, loss.kind)}
+    if not loss.lbfgs_steps:
+        return losses
+    # Blocks, since samples next to each other tell the same.
+    block = torch.arange(len(rows)) * _BLOCKS // len(rows)
+    left_out = block % _TENTH == _TENTH - 1
+    learnt = rows[~left_out]
+    learnt = learnt[::max(1, len(learnt) // _MOST_ROWS)]
+    parameters = [*network.parameters()]
+    lbfgs = torch.optim.LBFGS(
+        parameters, max_iter=INTERVAL, max_eval=10 * INTERVAL, history_size=_PAIRS,
+        tolerance_grad=0.0, tolerance_change=0.0, line_search_fn='strong_wolfe')
+
+    def scaled() -> torch.Tensor:
+        lbfgs.zero_grad()
+        scaled_loss = LBFGS_SCALE * value(learnt)
+        scaled_loss.backward()
+        return scaled_loss
+    least, best, waited, before = math.inf, [], 0, math.inf
+    with tqdm(total=loss.lbfgs_steps, desc=f'{loss.kind}, L-BFGS', unit='step',
+              disable=None) as progress:
+        while True:
+            with torch.no_grad():
+                after, outside = float(value(learnt)), float(value(rows[left_out]))
+            if outside < least:
+                least, best = outside, [parameter.detach().clone() for parameter in parameters]
+                waited, losses[f'{loss.kind}_lbfgs'] = 0, after
+            else:
+                waited += 1
+            gained = before - after >= LEAST_GAIN * after
+            if waited > _PATIENCE or progress.n >= loss.lbfgs_steps or not gained:
+                break
+            before = after
+            lbfgs.step(scaled)
+            progress.update(INTERVAL)
+    with torch.no_grad():
+        for parameter, values in zip(parameters, best, strict=True):
+            parameter.copy_(values)
+    return losses
+
+
+def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samples: Samples,
+                 generator: torch.Generator) -> dict[str, float]:
+    losses = {}
 
     def forward() -> torch.Tensor:
         rows = torch.randint(len(samples.q), (loss.forward_batch,), generator=generator)
@@ -179,44 +182,6 @@ def _descend(network: Network, loss: Callable[[], torch.Tensor], steps: int,
         adam.step()
         schedule.step()
     return float(np.mean(values[-max(1, steps // 10):]))
-
-
-def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor
-                      ) -> torch.Tensor:
-    """Return the soft size of the errors of the accelerations, in units of their usual size."""
-    predicted = network.accelerations(samples.q[rows], samples.v[rows], samples.tau[rows])
-    return _soft((predicted - samples.a[rows]) / torch.tensor(network.scales.a))
-
-
-def window_loss(network: Network, samples: Samples, starts: torch.Tensor, count: int,
-                time_scale: float) -> torch.Tensor:
-    """Return the soft size of the errors of windows of ``count`` steps from these samples."""
-    unit = _USUAL_ERROR * torch.tensor(network.scales.v)
-    q, v, errors = samples.q[starts], samples.v[starts], []
-    for k in range(count):
-        at = starts + k * samples.every
-        q, v = runge_kutta(network.accelerations, q, v, samples.mean_tau[at],
-                           samples.step_size)
-        at = at + samples.every
-        errors += [(q - samples.q[at]) / (time_scale * unit), (v - samples.v[at]) / unit]
-    return _soft(torch.stack(errors))
-
-
-def _soft(z: torch.Tensor) -> torch.Tensor:
-    return 2.0 * ((1.0 + z.square()).sqrt() - 1.0).mean()
-
-
-def runge_kutta(accelerations: Callable[..., torch.Tensor], q: torch.Tensor, v: torch.Tensor,
-                tau: torch.Tensor, h: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return (q, v) after a step h [s] of the classical method of order 4, at a held force."""
-    a1 = accelerations(q, v, tau)
-    v2 = v + 0.5 * h * a1
-    a2 = accelerations(q + 0.5 * h * v, v2, tau)
-    v3 = v + 0.5 * h * a2
-    a3 = accelerations(q + 0.5 * h * v2, v3, tau)
-    v4 = v + h * a3
-    a4 = accelerations(q + h * v3, v4, tau)
-    return q + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
 
 def split_motions(motions: Sequence[Motion], test_runs: Sequence[str]

@@ -25,6 +25,8 @@ class ArraysData(MotionData):
     q: str = Field('q', description='key of the coordinates, shape (N, d)')
     v: str | None = Field('dq', description=(
         'key of the velocities, shape (N, d); null: they are estimated from q'))
+    a: str | None = Field(None, description=(
+        'key of the accelerations, shape (N, d); null: they are estimated'))
     tau: str | None = Field('tau', description=(
         'key of the generalised forces of the motors, shape (N, d); null: there are none'))
 
@@ -104,6 +106,7 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
 
     name = f'{run}/{data.time}' if run else data.time
     n = arrays[name].size
+    v, tau, a = (None if key is None else array(key, (n, d))
+                 for key in (data.v, data.tau, data.a))
     return Run(run or path.stem, f'{path}: {name}', array(data.time, (n,)),
-               array(data.q, (n, d)), None if data.v is None else array(data.v, (n, d)),
-               None if data.tau is None else array(data.tau, (n, d)))
+               array(data.q, (n, d)), v, tau, a=a)

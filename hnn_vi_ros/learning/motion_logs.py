@@ -25,15 +25,17 @@ class LogMotions(MotionData):
     q: Names = Field(min_length=1, description='columns of the coordinates')
     v: Names | None = Field(None, description=(
         'columns of dq/dt; none: they are estimated from q'))
+    a: Names | None = Field(None, description=(
+        'columns of the accelerations; none: they are estimated'))
     tau: Names | None = Field(None, description='columns of the forces of the motors; none: none')
 
     @model_validator(mode='after')
     def _check(self) -> 'LogMotions':
-        for key in ('v', 'tau'):
+        for key in ('v', 'a', 'tau'):
             group = getattr(self, key)
             if group is not None and len(group) != len(self.q):
                 raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
-        used = [self.time, *self.q, *(self.v or []), *(self.tau or [])]
+        used = [self.time, *self.q, *(self.v or []), *(self.a or []), *(self.tau or [])]
         used += [] if self.trial is None else [self.trial]
         for name in used:
             if self.columns.count(name) != 1 or used.count(name) != 1:
@@ -76,5 +78,6 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Motion], str]:
         rows = np.flatnonzero(trials == trial)
         name = f'{trial:g}' if data.trial else path.stem
         runs.append(Run(name, f'{path}: {name}', column[data.time][rows], stacked(data.q, rows),
-                        stacked(data.v, rows), stacked(data.tau, rows)))
+                        stacked(data.v, rows), stacked(data.tau, rows),
+                        a=stacked(data.a, rows)))
     return as_motions(runs, data, path.name, sha256(raw).hexdigest()[:16])

@@ -20,6 +20,8 @@ from scipy.signal import butter, sosfiltfilt
 MIN_SAMPLES = 20
 # Order of the low-pass; run forth and back it counts twice and shifts no phase.
 _ORDER = 2
+# Of the fastest motion that samples can hold: a filter of a higher cut-off takes nothing away.
+_WHOLE = 0.9
 # Samples further apart than this many usual intervals are a gap, over which nothing is known.
 _GAP = 10.0
 # With more bad samples than this share the data are not what they are taken for.
@@ -30,7 +32,8 @@ class MotionData(StrictModel):
     """What is done with measured motions, wherever they come from."""
 
     smoothing: float = Field(40.0, gt=0.0, description=(
-        'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]'))
+        'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]; '
+        'samples that come too seldom to hold so fast a motion are taken as they are'))
     on_bad: Literal['drop', 'split', 'fail'] = Field('drop', description=(
         'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
         'split the motion there; or fail. At a gap of more than ten intervals a new motion '
@@ -59,6 +62,8 @@ class Run(NamedTuple):
         the motors, None for none.
     held : bool
         Whether each force acts until the next, unless the data say otherwise.
+    a : np.ndarray, shape (N, d), or None
+        Accelerations, None where they are to be estimated.
 
     """
 
@@ -69,6 +74,7 @@ class Run(NamedTuple):
     v: np.ndarray | None
     tau: np.ndarray | None
     held: bool = False
+    a: np.ndarray | None = None
 
 
 @dataclass
@@ -108,6 +114,8 @@ class Motion:
         Coordinates, velocities and accelerations through a zero-phase low-pass filter.
     held : bool
         Whether each force acts until the next; else it goes over into it.
+    accelerations : bool
+        Whether they were measured; else they were estimated.
 
     """
 
@@ -120,6 +128,7 @@ class Motion:
     v_smooth: np.ndarray
     a_smooth: np.ndarray
     held: bool = False
+    accelerations: bool = False
 
     @property
     def forces(self) -> np.ndarray:
@@ -220,10 +229,12 @@ def _motion(name: str, run: Run, rows: np.ndarray, spacing: float, data: MotionD
     tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] if held else \
         _linear(times, t, tau)
     # q by its slope v as well: clocks of drivers jitter by a large part of the interval.
-    v = None if run.v is None else run.v[rows]
+    v, a = (None if part is None else part[rows] for part in (run.v, run.a))
     q = CubicSpline(t, q)(times) if v is None else CubicHermiteSpline(t, q, v)(times)
-    return replace(smoothed(name, times, q, None if v is None else _linear(times, t, v), tau,
-                            data.smoothing), held=held)
+    if v is not None:
+        v = _linear(times, t, v) if a is None else CubicHermiteSpline(t, v, a)(times)
+    a = None if a is None else _linear(times, t, a)
+    return replace(smoothed(name, times, q, v, tau, data.smoothing, a), held=held)
 
 
 def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -231,16 +242,19 @@ def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
-             cutoff: float) -> Motion:
-    """Return a motion at even times with its smoothed states, and velocities if it has none."""
-    spacing = t[1] - t[0]
-    # At most nine tenths of what the sampling can hold: then there is nothing to take away.
-    share = min(2.0 * spacing * cutoff, 0.9)
-    filtered = butter(_ORDER, share, output='sos')
-    q_smooth = np.ascontiguousarray(sosfiltfilt(filtered, q, axis=0))
-    if v is None:
-        v = v_smooth = np.gradient(q_smooth, spacing, axis=0)
-    else:
-        v_smooth = np.ascontiguousarray(sosfiltfilt(filtered, v, axis=0))
-    return Motion(name, t, q, v, tau, q_smooth, v_smooth,
-                  np.gradient(v_smooth, spacing, axis=0))
+             cutoff: float, a: np.ndarray | None = None) -> Motion:
+    """Return a motion at even times, smoothed, with what it lacks of velocities and more."""
+    share = 2.0 * float(t[1] - t[0]) * cutoff
+
+    def low_pass(values: np.ndarray) -> np.ndarray:
+        # What is faster than the samples can hold is not there to be taken away.
+        return values if share > _WHOLE else np.ascontiguousarray(
+            sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
+
+    def rate(values: np.ndarray) -> np.ndarray:
+        return CubicSpline(t, values)(t, 1)
+
+    q_smooth = low_pass(q)
+    v_smooth = rate(q_smooth) if v is None else low_pass(v)
+    return Motion(name, t, q, v_smooth if v is None else v, tau, q_smooth, v_smooth,
+                  rate(v_smooth) if a is None else low_pass(a), accelerations=a is not None)

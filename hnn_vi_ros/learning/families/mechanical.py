@@ -207,18 +207,42 @@ class MechanicalNetwork(torch.nn.Module):
 
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
         """Return dv/dt, all of shape (N, d)."""
+        gram, needed = self._equations(q, v)
+        return _solve(gram, tau / self.root_inertia - needed) / self.root_inertia
+
+    def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the tau that gives accelerations a, all of shape (N, d)."""
+        gram, needed = self._equations(q, v)
         S = self.root_inertia
+        return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
+
+    def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
+        L, _, u, w, rest = self._parts(q, v)
+        return self.root_inertia * (L @ w + _FLOOR * u)[:, :, 0], rest
+
+    def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
+        """Return M^-1 p, all of shape (N, d)."""
+        L, S = self._matrix(self.roots(q)[0]), self.root_inertia
+        return _solve(L @ L.transpose(1, 2) + _FLOOR * self.identity, p / S) / S
+
+    def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
+        L, entries_q, u, w, rest = self._parts(q, v)
+        L_dot = self._matrix((entries_q @ v[:, :, None])[:, :, 0])
+        inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
+        return (L @ L.transpose(1, 2) + _FLOOR * self.identity,
+                inertial - rest / self.root_inertia)
+
+    def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
         entries, entries_q = self.roots(q)
-        L, L_dot = self._matrix(entries), self._matrix((entries_q @ v[:, :, None])[:, :, 0])
-        u = (S * v)[:, :, None]
+        L, u = self._matrix(entries), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
         c = (u[:, self._rows, 0] * w[:, self._columns, 0])[:, None, :]
-        inertial = S * (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
         x, x_q = self.inputs('potential', q)
         potential = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
-        force = tau - self.friction(v) - potential + (c @ entries_q)[:, 0] - inertial
-        gram = L @ L.transpose(1, 2) + _FLOOR * self.identity
-        return _solve(gram, force / S) / S
+        return L, entries_q, u, w, (c @ entries_q)[:, 0] - potential - self.friction(v)
 
     def scale_energy(self, factor: float) -> None:
         """Multiply M, V and the friction by a factor, which changes no motion without tau."""
