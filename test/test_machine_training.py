@@ -273,6 +273,15 @@ def test_accelerations_that_were_measured_are_taken_and_choose_the_loss(tmp_path
         read_arrays(write(tmp_path / 'arm2.npz'), ArraysData(a='ddq'), 1)
 
 
+def test_runs_without_times_come_at_an_interval(tmp_path):
+    path = write(tmp_path / 'arm.npz', t=None)
+    with pytest.raises(DataError, match='no key t, nor any RUN/t'):
+        read_arrays(path, ArraysData(), 1)
+    (motion,), _ = read_arrays(path, ArraysData(interval=0.01), 1)
+    assert motion.name == 'one' and motion.spacing == pytest.approx(0.01, rel=1e-12)
+    assert np.abs(motion.q[:, 0] - np.sin(0.01 * np.arange(40))).max() < 1e-12
+
+
 def test_samples_that_come_too_seldom_for_the_filter_are_taken_as_they_are(tmp_path):
     t = 0.04 * np.arange(40)
     path = write(tmp_path / 'arm.npz', t=t, q=np.sin(t)[:, None], dq=np.cos(t)[:, None])

@@ -22,6 +22,8 @@ class ArraysData(MotionData):
     runs: list[str] = Field([], description=(
         'the runs to take, RUN of the keys RUN/t, RUN/q, ...; none for all'))
     time: str = Field('t', description='key of the times [s], shape (N,)')
+    interval: float | None = Field(None, gt=0.0, description=(
+        'time from one sample to the next [s], where the file holds no times'))
     q: str = Field('q', description='key of the coordinates, shape (N, d)')
     v: str | None = Field('dq', description=(
         'key of the velocities, shape (N, d); null: they are estimated from q'))
@@ -77,14 +79,15 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
     except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
         raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
                         'numpy.savez') from problem
-    found = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == data.time]
+    first = data.time if data.interval is None else data.q
+    found = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == first]
     wanted = [*(runs or data.runs)] or found
     for run in wanted:
         if run not in found:
-            raise DataError(f'{path}: no run {run!r} with a key {data.time}; its runs: '
+            raise DataError(f'{path}: no run {run!r} with a key {first}; its runs: '
                             f'{", ".join(found) or "none"}; name the keys in data')
     if not wanted:
-        raise DataError(f'{path}: no key {data.time}, nor any RUN/{data.time}; it has '
+        raise DataError(f'{path}: no key {first}, nor any RUN/{first}; it has '
                         f'{", ".join([*arrays][:8])}; name the keys in data')
     found_runs = [_run(path, run, arrays, data, d) for run in wanted]
     named = ', '.join(run for run in wanted if run)
@@ -104,9 +107,12 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
                             f'numbers of shape {shape}')
         return values.astype(np.float64)
 
-    name = f'{run}/{data.time}' if run else data.time
-    n = arrays[name].size
-    v, tau, a = (None if key is None else array(key, (n, d))
-                 for key in (data.v, data.tau, data.a))
-    return Run(run or path.stem, f'{path}: {name}', array(data.time, (n,)),
-               array(data.q, (n, d)), v, tau, a=a)
+    name = f'{run}/' if run else ''
+    if data.interval is None:
+        t = array(data.time, (arrays[name + data.time].size,))
+    else:
+        t = data.interval * np.arange(arrays[name + data.q].size // d)
+    q, v, tau, a = (None if key is None else array(key, (len(t), d))
+                    for key in (data.q, data.v, data.tau, data.a))
+    assert q is not None
+    return Run(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a)

@@ -55,8 +55,13 @@ def published_tables() -> Parser:
                              'here)')
     parser.add_argument('--quick', action='store_true',
                         help='a few steps of one seed: whether everything runs, no results')
-    parser.add_argument('--page', action='store_true',
-                        help='measure nothing: write the page anew from the values in DIR')
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument('--page', action='store_true',
+                      help='measure nothing: write the page anew from the values in DIR')
+    what.add_argument('--machines', action='store_true',
+                      help='measure the models of machines alone, whose data sets are in folders '
+                           'of --data: lutter_peters_2021, dfki_double_pendulum, '
+                           'multiarm_pendulum; the other values are those in DIR')
     return parser
 
 

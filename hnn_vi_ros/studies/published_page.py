@@ -5,6 +5,7 @@
 from collections.abc import Iterator, Sequence
 import csv
 from dataclasses import astuple, dataclass, fields
+import json
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
@@ -12,6 +13,7 @@ from hnn_vi_ros.studies.published_text import PAGE_TEXT, QUICK_TEXT
 import numpy as np
 
 PAGE, FOLDER, CSV = 'learning.md', 'learning', 'published_tables.csv'
+MACHINES = 'machines.json'
 REAL = 'real_pendulum'
 SYSTEMS = {'mass_spring': 'mass-spring', 'pendulum': 'pendulum', 'two_body': 'two-body',
            REAL: 'real pendulum'}
@@ -113,14 +115,15 @@ def read_results(folder: Path) -> list[Result]:
 def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
     """Write the page; return the file."""
     path = folder / PAGE
-    path.write_text(as_page(Results(results), quick), encoding='utf-8')
+    machines = '\n'.join(_machines_table(folder / FOLDER / MACHINES))
+    path.write_text(as_page(Results(results), quick, machines), encoding='utf-8')
     return path
 
 
-def as_page(results: Results, quick: bool) -> str:
+def as_page(results: Results, quick: bool, machines: str) -> str:
     """Return the page."""
     return PAGE_TEXT.format(
-        quick=QUICK_TEXT if quick else '', csv=f'{FOLDER}/{CSV}',
+        quick=QUICK_TEXT if quick else '', csv=f'{FOLDER}/{CSV}', machines=machines,
         machine=results.names('machine'), commit=results.names('commit'),
         summary=_summary(results),
         hnn_published='\n'.join(_published_table(results, 'hnn')),
@@ -193,6 +196,21 @@ def _real_table(results: Results) -> Iterator[str]:
             'published energy MSE', 'least energy MSE', 'path error')]
         if len(rows[0]):
             yield (f'| {table} | {spread(rows[0])} | {rows[1][0]:.2e} | {spread(rows[2])} |')
+
+
+def _machines_table(path: Path) -> Iterator[str]:
+    """Yield what was measured on machines."""
+    if not path.is_file():
+        yield 'Not measured.'
+        return
+    yield '| machine | measure | others | goal | ours, mean (worst of seeds) | plain network | met |'
+    yield '|---' * 7 + '|'
+    for row in json.loads(path.read_text(encoding='utf-8')):
+        others, goal, ours, worst, plain = (
+            ' '.join(f'{value:.3g}' for value in row[key])
+            for key in ('reference', 'goal', 'ours', 'worst', 'plain_network'))
+        yield (f'| {row["case"]} | {row["measure"]} | {others} | {goal} | {ours} ({worst} of '
+               f'{len(row["seeds"])}) | {plain} | {"yes" if row["met"] else "**no**"} |')
 
 
 def spread(values: np.ndarray) -> str:

@@ -11,23 +11,41 @@ from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.files.yaml_file import load_yaml
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.published_page import (
-    FOLDER, PAGE, read_results, Result, write_page, write_results)
+    FOLDER, MACHINES, PAGE, read_results, Result, write_page, write_results)
 from hnn_vi_ros.studies.published_pendulum import FILE
 from hnn_vi_ros.studies.published_runs import Plan, run_table
 from hnn_vi_ros.studies.results import commit, machine
 from tqdm import tqdm
+
+# Of each machine, from 0 on.
+_SEEDS = 5
 
 
 def main(argv: list[str]) -> int:
     """Train and measure every model of the tables, then write the page and its data."""
     arguments = command_lines.published_tables().parse_args(argv)
     try:
-        results = read_results(arguments.out) if arguments.page else measure(arguments)
+        if arguments.machines:
+            print(measure_on_machines(arguments))
+        page = arguments.page or arguments.machines
+        results = read_results(arguments.out) if page else measure(arguments)
         print(write_page(arguments.out, results, arguments.quick))
     except OSError as problem:
         raise ParameterError(f'--out {arguments.out}: cannot be written ({problem.strerror}); '
                              'give a folder that can be written') from problem
     return 0
+
+
+def measure_on_machines(arguments: argparse.Namespace) -> Path:
+    """Train and measure the models of machines, and write down every value; return the file."""
+    # Imported late: torch takes seconds, which a mistake should not wait for.
+    from hnn_vi_ros.studies.machine_tables import measure_machines
+    import torch
+    torch.set_num_threads(1)
+    out: Path = arguments.out / FOLDER / MACHINES
+    out.parent.mkdir(parents=True, exist_ok=True)
+    return measure_machines(arguments.data, out, range(1 if arguments.quick else _SEEDS),
+                            arguments.quick)
 
 
 def measure(arguments: argparse.Namespace) -> list[Result]:

@@ -113,6 +113,25 @@ time, fitted to the energy of the test itself.
 
 {real_physics}
 
+## Machines
+
+The family `mechanical`, networks alone, each trained by `train --config NAME` as shipped
+(`two_link_arm_characters`, `dfki_double_pendulum`, `multiarm_double_pendulum`), with no
+hyper-parameter of its own; of several coordinates, one number each. *Others* is the best that was
+published with the data, or a rigid body fitted to it. The plain network is of (q, v, tau), with
+the same hidden layers, trained in the same way. Every value:
+[machines.json](learning/machines.json).
+
+{machines}
+
+- *two-link arm that writes letters* (M. Lutter, J. Peters, 2021): how long a letter that was not
+  learned is followed from its first sample, with its forces held over each sample of 0.04 s,
+  until sum_i (error of q_i)^2 / var_i reaches 0.01. More is better.
+- *real actuated double pendulum* (DFKI, hardware C.1): free simulation with the measured forces
+  from a state every 50 ms; the *later* runs are swing-ups of another day.
+- *real free double pendulum* (K. Kaheman et al., HardwareX 2023): from the first sample of each
+  segment.
+
 ## How the published measures are defined
 
 As in the papers' public code, told here in our words:

@@ -1,0 +1,243 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measure the family mechanical on published data of machines, beside what others reached."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+import json
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.learning.config import find_config
+from hnn_vi_ros.learning.evaluate import prediction
+from hnn_vi_ros.learning.evaluation import Predict, score, variance_of
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
+from hnn_vi_ros.learning.machine_train import describe, fix_scale
+from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
+from hnn_vi_ros.learning.motion_sources import read_motions
+from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+import numpy as np
+from tqdm import tqdm
+
+_FOREVER = 1e9
+# Where a prediction of the letters ends to be valid (M. Lutter, J. Peters, 2021), and the steps
+# that each of its samples is simulated in: forces are held over 0.04 s.
+_VALID, _LETTER_STEPS = 0.01, 20
+_EVERY = 0.05
+
+# Values by the name of the measure; of several coordinates, one each.
+Measures = dict[str, list[float]]
+Measure = Callable[[Predict, Sequence[Motion], Path], Measures]
+
+
+@dataclass(frozen=True)
+class Case:
+    """
+    A published data set, with what is measured on it.
+
+    Parameters
+    ----------
+    config : str
+        The shipped training configuration.
+    file : str
+        Below the folder of the data.
+    measure : callable
+        Of a prediction, the motions to test with, and the folder of the data.
+    references : dict
+        Of each measure, what others reached.
+    goals : dict
+        Of each measure, what ours is to reach.
+    steps : int
+        In which a model is simulated from each sample to the next.
+    longer : bool
+        Whether more is better; else less is.
+
+    """
+
+    config: str
+    file: str
+    measure: Measure
+    references: dict[str, list[float]]
+    goals: dict[str, list[float]]
+    steps: int = 1
+    longer: bool = False
+
+
+def valid_times(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
+    """Return how long each letter is followed from its first sample [s], as published."""
+    variance = variance_of(test)
+    times = []
+    for motion in test:
+        n = len(motion.t)
+        error = predict(motion, np.array([0]), n - 1)[0] - motion.q
+        beyond = np.flatnonzero((error**2 / variance).sum(axis=1) >= _VALID)
+        times.append(motion.spacing * (beyond[0] if len(beyond) else n))
+    by_name = dict(zip([motion.name for motion in test], times, strict=True))
+    return {'valid prediction time [s], e and v': [float(np.mean([by_name['e'], by_name['v']]))],
+            'valid prediction time [s], e, q and v': [float(np.mean(times))]}
+
+
+def dfki_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
+    """Return errors at the end of horizons, on the test runs and on runs of later."""
+    found = score(predict, test, [0.1, 0.5], _EVERY, 0.5).horizons
+    measures = {f'RMS error [rad] after {horizon:g} s, test': found[horizon].tolist()
+                for horizon in (0.1, 0.5)}
+    config = load_machine(find_config('dfki_double_pendulum'))
+    names = [coordinate.name for coordinate in config.coordinates]
+    later, _ = read_motions(Path('later.npz'), config.data, names, [str(
+        folder / 'dfki_double_pendulum' / 'later.npz')])
+    for task in ('acrobot', 'pendubot'):
+        runs = [motion for motion in later if motion.name.startswith(task)]
+        measures[f'RMS error [rad] after 0.1 s, later {task}'] = score(
+            predict, runs, [0.1], _EVERY, 0.1).horizons[0.1].tolist()
+    return measures
+
+
+def multiarm_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
+    """Return errors over the first seconds of each segment."""
+    measures = {}
+    for duration in (0.5, 1.0, 2.0):
+        squares = []
+        for motion in test:
+            n = round(duration / motion.spacing)
+            q = predict(motion, np.array([0]), n)[0, 1:]
+            squares.append(np.mean((q - motion.q[1:n + 1])**2, axis=0))
+        measures[f'RMS error [rad] over {duration:g} s, validation'] = np.sqrt(
+            np.mean(squares, axis=0)).tolist()
+    return measures
+
+
+CASES = {
+    'two-link arm that writes letters': Case(
+        'two_link_arm_characters', 'lutter_peters_2021/two_link_arm_characters.npz', valid_times,
+        {'valid prediction time [s], e and v': [2.90],
+         'valid prediction time [s], e, q and v': [2.73]},
+        {'valid prediction time [s], e and v': [3.2],
+         'valid prediction time [s], e, q and v': [3.1]}, steps=_LETTER_STEPS, longer=True),
+    'real actuated double pendulum': Case(
+        'dfki_double_pendulum', 'dfki_double_pendulum/sysid.npz', dfki_errors,
+        {'RMS error [rad] after 0.1 s, test': [.0105, .0155],
+         'RMS error [rad] after 0.5 s, test': [.124, .248],
+         'RMS error [rad] after 0.1 s, later acrobot': [.011, .019],
+         'RMS error [rad] after 0.1 s, later pendubot': [.025, .020]},
+        {'RMS error [rad] after 0.1 s, test': [.0105, .0155],
+         'RMS error [rad] after 0.5 s, test': [.090, .140],
+         'RMS error [rad] after 0.1 s, later acrobot': [.0085, .0120],
+         'RMS error [rad] after 0.1 s, later pendubot': [.030, .037]}),
+    'real free double pendulum': Case(
+        'multiarm_double_pendulum', 'multiarm_pendulum/double.npz', multiarm_errors,
+        {'RMS error [rad] over 0.5 s, validation': [.0038, .0045],
+         'RMS error [rad] over 1 s, validation': [.0039, .0054],
+         'RMS error [rad] over 2 s, validation': [.0044, .0064]},
+        {'RMS error [rad] over 2 s, validation': [.0050, .0072]}),
+}
+
+
+def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -> Path:
+    """
+    Train and measure every case whose data are there, and write docs/learning/machines.json.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the data sets, each in a folder of its own.
+    out : Path
+        The file to write.
+    seeds : sequence of int
+        Of the models of each case.
+    quick : bool
+        Whether a few steps are enough.
+
+    Raises
+    ------
+    ParameterError
+        No data set is there.
+
+    """
+    there = {name: case for name, case in CASES.items() if (data / case.file).is_file()}
+    if not there:
+        raise ParameterError(f'--data {data}: none of {", ".join(c.file for c in CASES.values())} '
+                             'is there; give the folder that holds them')
+    rows: list[dict[str, Any]] = []
+    jobs = [(name, seed) for name in there for seed in seeds]
+    found: dict[str, list[tuple[Measures, Measures]]] = {name: [] for name in there}
+    for name, seed in tqdm(jobs, unit='model', disable=None):
+        found[name].append(run_case(there[name], data, seed, quick))
+    for name, results in found.items():
+        rows += rows_of(name, there[name], results)
+    out.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
+    return out
+
+
+def run_case(case: Case, data: Path, seed: int, quick: bool) -> tuple[Measures, Measures]:
+    """Train a model and a plain network, and measure both."""
+    config = load_machine(find_config(case.config))
+    if quick:
+        config = _quick(config)
+    config = config.model_copy(update={'seed': seed})
+    names = [coordinate.name for coordinate in config.coordinates]
+    with tempfile.TemporaryDirectory() as folder:
+        file = data / case.file
+        if case.measure is valid_times:
+            file = letters_by_name(file, Path(folder) / 'letters.npz')
+        motions, description = read_motions(file, config.data, names, [str(file)])
+        train, test = split_motions(motions, config.data.test_runs)
+        scales = scales_of(train)
+        network = MechanicalNetwork(config.structure(), config.hidden, scales, seed)
+        losses = fit(network, config, train)
+        driven = any(motion.tau.any() for motion in train)
+        if not driven:
+            fix_scale(network, train)
+        model = Path(folder) / 'model.safetensors'
+        checkpoint = describe(network, config, train, description, losses, case.config, '')
+        save_checkpoint(model, checkpoint)
+        effects = [LearnedFriction(str(model)), *(
+            [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
+        predict = prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects, test,
+                             [_FOREVER], test[0].spacing / case.steps)
+        plain = PlainNetwork(config.structure().kinds, config.hidden, scales, seed)
+        fit(plain, config, train)
+        return (case.measure(predict, test, data),
+                case.measure(predicted_by(plain), test, data))
+
+
+def _quick(config: MachineConfig) -> MachineConfig:
+    loss = {'kind': 'forward', 'steps': 2, 'lbfgs_steps': 0}
+    return MachineConfig.model_validate(config.model_dump() | {'loss': loss})
+
+
+def letters_by_name(file: Path, out: Path) -> Path:
+    """Write the letters, which stand one after another, as runs that have their names."""
+    with np.load(file, allow_pickle=False) as archive:
+        ends = np.cumsum(archive['length'])
+        runs = {f'{label}/{key}': archive[key][end - length:end]
+                for label, length, end in zip(archive['label'], archive['length'], ends,
+                                              strict=True)
+                for key in ('t', 'q', 'dq_dt', 'ddq_dt2', 'tau')}
+    np.savez(out, **runs)
+    return out
+
+
+def rows_of(name: str, case: Case, results: Sequence[tuple[Measures, Measures]]
+            ) -> Iterator[dict[str, Any]]:
+    """Yield a row for each measure: means over the seeds, and whether the goal is met."""
+    sign = -1.0 if case.longer else 1.0
+    for measure in results[0][0]:
+        seeds = [ours[measure] for ours, _ in results]
+        ours = np.mean(seeds, axis=0)
+        goal = case.goals.get(measure, case.references[measure])
+        worst = np.min(seeds, axis=0) if case.longer else np.max(seeds, axis=0)
+        yield {'case': name, 'measure': measure, 'ours': ours.tolist(), 'worst': worst.tolist(),
+               'plain_network': np.mean([plain[measure] for _, plain in results],
+                                        axis=0).tolist(),
+               'reference': case.references[measure], 'goal': goal,
+               'met': bool(np.all(sign * ours <= sign * np.array(goal))), 'seeds': seeds}

@@ -1,0 +1,97 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tables of machines: their measures on motions that are known, and that all is written."""
+
+import json
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.studies import published_tables
+from hnn_vi_ros.studies.machine_tables import CASES, multiarm_errors, rows_of, valid_times
+import numpy as np
+import pytest
+
+
+def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Motion:
+    t = spacing * np.arange(n)
+    q = np.stack([np.sin(t), np.cos(2.0 * t)], axis=-1)
+    return smoothed(name, t, q, np.stack([np.cos(t), -2.0 * np.sin(2.0 * t)], axis=-1),
+                    np.zeros_like(q), 40.0)
+
+
+def off_by(error: float, after: int = 0):
+    """Return what predicts each motion with an error of both coordinates, from a sample on."""
+    def predict(motion, starts, count):
+        rows = starts[:, None] + np.arange(count + 1)
+        return motion.q[rows] + error * (np.arange(count + 1) >= after)[:, None]
+    return predict
+
+
+def test_valid_time_is_that_of_the_first_sample_which_is_off(tmp_path):
+    letters = [motion(name) for name in ('e', 'q', 'v')]
+    found = valid_times(off_by(1.0, after=250), letters, tmp_path)
+    assert found == {'valid prediction time [s], e and v': [pytest.approx(0.25)],
+                     'valid prediction time [s], e, q and v': [pytest.approx(0.25)]}
+    # One that never is counts its full length.
+    assert valid_times(off_by(0.0), letters, tmp_path)[
+        'valid prediction time [s], e and v'] == [pytest.approx(3.0)]
+
+
+def test_errors_of_the_free_pendulum_are_means_over_each_duration(tmp_path):
+    found = multiarm_errors(off_by(0.5, after=501), [motion('val_00')], tmp_path)
+    # Of 500, 1000 and 2000 samples, 0, 500 and 1500 are off by 0.5.
+    expected = 0.5 * np.sqrt([0.0, 0.5, 0.75])
+    assert np.allclose([*found.values()], expected[:, None], rtol=1e-12)
+
+
+def test_goal_is_met_by_the_mean_of_every_coordinate():
+    case = CASES['real free double pendulum']
+    measure = 'RMS error [rad] over 2 s, validation'
+    for ours, met in (([.0050, .0072], True), ([.0030, .0080], False)):
+        values = {name: ours for name in case.references}
+        (row,) = (row for row in rows_of('x', case, [(values, values)])
+                  if row['measure'] == measure)
+        assert row['met'] is met and row['ours'] == ours
+
+
+def test_data_that_are_not_there_are_named(tmp_path):
+    with pytest.raises(ParameterError, match='none of lutter_peters_2021/.*is there'):
+        published_tables.main(['--machines', '--data', str(tmp_path), '--out', str(tmp_path)])
+
+
+@pytest.mark.timeout(300)
+def test_every_machine_is_measured_and_stands_on_the_page(tmp_path):
+    rng = np.random.default_rng(0)
+
+    def run(name: str, n: int, spacing: float) -> dict[str, np.ndarray]:
+        one = motion(name, n, spacing)
+        return {f'{name}/t': one.t, f'{name}/q': one.q, f'{name}/dq': one.v,
+                f'{name}/tau': rng.normal(size=one.q.shape)}
+
+    (tmp_path / 'lutter_peters_2021').mkdir()
+    letter = motion('letters', 60, 0.04)
+    np.savez(tmp_path / CASES['two-link arm that writes letters'].file,
+             label=['a', 'e', 'q', 'v'], length=[60] * 4, t=np.tile(letter.t, 4),
+             **{key: np.tile(values, (4, 1)) for key, values in (
+                 ('q', letter.q), ('dq_dt', letter.v), ('ddq_dt2', letter.a_smooth),
+                 ('tau', letter.v))})
+    (tmp_path / 'dfki_double_pendulum').mkdir()
+    for name, runs in (('sysid', ['1', '143524', '143704', '144115', '154548']),
+                       ('later', ['acrobot_01', 'pendubot_01'])):
+        np.savez(tmp_path / 'dfki_double_pendulum' / f'{name}.npz',
+                 **{key: values for one in runs for key, values in run(one, 400, 0.002).items()})
+    (tmp_path / 'multiarm_pendulum').mkdir()
+    np.savez(tmp_path / 'multiarm_pendulum' / 'double.npz', **{
+        key: values for one in ('train_00', 'val_00', 'val_01', 'val_02', 'val_03')
+        for key, values in run(one, 2100, 0.001).items() if key[-2:] != '/t'})
+    out = tmp_path / 'docs'
+    (out / 'learning').mkdir(parents=True)
+    (out / 'learning' / 'published_tables.csv').write_text(
+        'table,system,seed,measure,value,commit,machine\n')
+    assert published_tables.main(['--machines', '--quick', '--data', str(tmp_path),
+                                  '--out', str(out)]) == 0
+    rows = json.loads((out / 'learning' / 'machines.json').read_text())
+    assert [(row['case'], row['measure']) for row in rows] == [
+        (name, measure) for name, case in CASES.items() for measure in case.references]
+    page = (out / 'learning.md').read_text()
+    assert all(f'| {row["case"]} | {row["measure"]} |' in page for row in rows)
