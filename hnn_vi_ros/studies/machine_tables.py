@@ -146,6 +146,8 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     """
     Train and measure every case whose data are there, and write docs/learning/machines.json.
 
+    Cases whose data are not there keep what the file says of them.
+
     Parameters
     ----------
     data : Path
@@ -167,14 +169,17 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     if not there:
         raise ParameterError(f'--data {data}: none of {", ".join(c.file for c in CASES.values())} '
                              'is there; give the folder that holds them')
-    rows: list[dict[str, Any]] = []
-    jobs = [(name, seed) for name in there for seed in seeds]
-    found: dict[str, list[tuple[Measures, Measures]]] = {name: [] for name in there}
-    for name, seed in tqdm(jobs, unit='model', disable=None):
-        found[name].append(run_case(there[name], data, seed, quick))
-    for name, results in found.items():
-        rows += rows_of(name, there[name], results)
-    out.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
+    rows = json.loads(out.read_text(encoding='utf-8')) if out.is_file() else []
+    by_case = {name: [row for row in rows if row['case'] == name] for name in CASES}
+    with tqdm(total=len(there) * len(seeds), unit='model', disable=None) as progress:
+        for name, case in there.items():
+            results = []
+            for seed in seeds:
+                results.append(run_case(case, data, seed, quick))
+                progress.update()
+            by_case[name] = [*rows_of(name, case, results)]
+            rows = [row for found in by_case.values() for row in found]
+            out.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
     return out
 
 
