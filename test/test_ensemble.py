@@ -6,7 +6,7 @@ from pathlib import Path
 import warnings
 
 from helpers import EPS
-from hnn_vi_ros.errors import AlarmWarning, StepFailure
+from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
 from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
@@ -60,6 +60,10 @@ def test_many_trajectories_refuse_bad_arguments():
     scene = load_scene('harmonic_oscillator')
     with pytest.raises(ValueError, match='expected'):
         simulate_many(scene, [[1.0, 2.0]], [[0.0, 0.0]], 1.0)
+    with pytest.raises(ValueError, match=r'q has shape \(2,\), expected \(m, 1\): a row for each'):
+        simulate_many(scene, [1.0, 2.0], [0.0, 0.0], 1.0)
+    with pytest.raises(SceneError, match='auto needs an error to hold'):
+        simulate(scene, 1.0, integrator='auto')
     with pytest.raises(ValueError, match='finite'):
         simulate_many(scene, [[np.nan]], [[0.0]], 1.0)
     with pytest.raises(ValueError, match='duration = 0 s'):

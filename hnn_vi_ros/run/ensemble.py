@@ -196,8 +196,12 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     effects = scene.create_effects()
     system = System(hamiltonian, effects, integrator)
     d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
-    q0, p0 = (part.reshape(-1, d) for part in check_state(
-        check_numbers('q', q), check_numbers('p', p), d))
+    states = check_numbers('q', q), check_numbers('p', p)
+    for name, part in zip('qp', states, strict=True):
+        if part.ndim == 1 and part.size != d:
+            raise ValueError(f'{name} has shape {part.shape}, expected (m, {d}): a row for each '
+                             'trajectory, a number in it for each coordinate')
+    q0, p0 = (part.reshape(-1, d) for part in check_state(*states, d))
     if q0.size == 0:
         raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
     if q0.size * samples > MOST_NUMBERS:

@@ -100,6 +100,9 @@ class Scene(StrictModel):
             An unknown integrator, or a part that does not fit the schema.
 
         """
+        if integrator == 'auto':
+            raise SceneError('integrator auto needs an error to hold: write it into the scene, as '
+                             'integrator: {kind: auto, path_error: 1.0e-6, horizon: 100.0}')
         if integrator not in (None, *INTEGRATORS):
             raise SceneError(f'unknown integrator {integrator!r}; valid: '
                              f'{", ".join(sorted(INTEGRATORS))}')

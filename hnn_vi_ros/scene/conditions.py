@@ -53,6 +53,9 @@ class Condition:
                              f'characters: expected {_GRAMMAR}')
         self._names: set[str] = set()
         left, right = (self._read(side) for side in sides)
+        if not self._names:
+            raise ValueError(f'{self.text!r} depends on nothing of the system: expected '
+                             f'{_GRAMMAR}')
         self._difference: Value = lambda values: left(values) - right(values)
 
     def check(self, hamiltonian: Hamiltonian) -> None:
@@ -99,7 +102,15 @@ class Condition:
         except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
             raise ValueError(f'{self.text!r}: {side.strip()!r} cannot be read: expected '
                              f'{_GRAMMAR}') from problem
-        return self._build(tree)
+        value = self._build(tree)
+        for part in ast.walk(tree):
+            if isinstance(part, ast.BinOp | ast.Call) and not _names_in(part):
+                with np.errstate(all='ignore'):
+                    number = self._build(part)({})
+                if not np.isfinite(number):
+                    raise ValueError(f'{self.text!r}: {ast.unparse(part)} is {number}, so this '
+                                     'never comes true')
+        return value
 
     def _build(self, node: ast.AST) -> Value:
         """Return the function of a part of an expression; nothing else than these is taken."""
@@ -126,3 +137,9 @@ class Condition:
                 return lambda values: function(part(values))
         raise ValueError(f'{self.text!r}: {ast.unparse(node)!r} is not allowed: expected '
                          f'{_GRAMMAR}')
+
+
+def _names_in(node: ast.AST) -> bool:
+    """Tell whether an expression has quantities of a system in it."""
+    return any(isinstance(part, ast.Name) and part.id not in ('pi', *_FUNCTIONS)
+               for part in ast.walk(node))
