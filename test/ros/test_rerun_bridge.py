@@ -27,10 +27,10 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from recorded import as_received, record_run
+from rerun_reader import read
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from test_health import events_of
-from test_rerun_sink import read
 
 README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
 

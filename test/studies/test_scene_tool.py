@@ -18,7 +18,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.studies.scene_tool import json_schema, lyapunov_line, main
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SCHEMA = json.loads(json_schema())
 # Those whose model is shipped.
 SCENES = [name for name in shipped_names('scene') if name != 'air_track']

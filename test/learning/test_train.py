@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 import torch
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 AIR_TRACK_LOG = Path(os.environ.get('HNN_VI_ROS_AIR_TRACK_LOG') or (
     ROOT.parent / 'shared' / 'data' / 'schmidt_lipson_2009' / 'real_linear_h_1.txt'))
 

@@ -25,6 +25,7 @@ import numpy as np
 from ports import free_port
 import pytest
 from rerun.chunk import RrdReader
+from rerun_reader import read
 
 STEP, EPOCH = 10_000_000, 1_780_000_000_000_000_000
 BOX = (np.array([[-1.5, 1.5]]), np.array([[-1.5, 1.5]]))
@@ -54,21 +55,6 @@ def record(path: Path, count: int, **options) -> list[Sample]:
         sink.write(sample)
     sink.close()
     return samples
-
-
-def read(path: Path) -> dict[str, dict[str, list]]:
-    """Return entity -> column -> rows of everything that has a time."""
-    entities: dict[str, dict[str, list]] = {}
-    for chunk in RrdReader(path).stream():
-        if not chunk.is_static:
-            rows = entities.setdefault(chunk.entity_path, {})
-            batch = chunk.to_record_batch()
-            for name, column in zip(batch.schema.names, batch.columns, strict=True):
-                # As integers: a column of times becomes datetime objects otherwise.
-                if name in ('sim_time', 'ros_time'):
-                    column = column.cast('int64')
-                rows.setdefault(name, []).extend(column.to_pylist())
-    return entities
 
 
 def still_entities(path: Path) -> set[str]:

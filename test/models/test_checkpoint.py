@@ -241,7 +241,7 @@ def test_model_with_one_changed_byte_gives_model_error_or_a_valid_model(
 def test_loading_a_model_imports_no_torch():
     code = ('import sys; from hnn_vi_ros.models.checkpoint import load_checkpoint; '
             'load_checkpoint(sys.argv[1]); assert "torch" not in sys.modules')
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
         [str(root), os.environ.get('PYTHONPATH', '')])}
     subprocess.run(

@@ -8,7 +8,7 @@ from hnn_vi_ros.studies import paper_figures
 import numpy as np
 from PIL import Image
 
-COMMITTED = Path(__file__).parents[1] / 'docs' / 'paper_figures.csv'
+COMMITTED = Path(__file__).parents[2] / 'docs' / 'paper_figures.csv'
 
 
 def read(path: Path) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import torch
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FUNNEL = ROOT.parent / 'shared' / 'data' / 'foreign' / 'neal_funnel_hnn.tar'
 FUNCTIONS = {'tanh': torch.tanh, 'sine': torch.sin, 'relu': torch.relu,
              'softplus': torch.nn.functional.softplus}

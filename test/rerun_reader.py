@@ -1,0 +1,22 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a rerun recording holds, read back."""
+
+from pathlib import Path
+
+from rerun.chunk import RrdReader
+
+
+def read(path: Path) -> dict[str, dict[str, list]]:
+    """Return entity -> column -> rows of everything that has a time."""
+    entities: dict[str, dict[str, list]] = {}
+    for chunk in RrdReader(path).stream():
+        if not chunk.is_static:
+            rows = entities.setdefault(chunk.entity_path, {})
+            batch = chunk.to_record_batch()
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                # As integers: a column of times becomes datetime objects otherwise.
+                if name in ('sim_time', 'ros_time'):
+                    column = column.cast('int64')
+                rows.setdefault(name, []).extend(column.to_pylist())
+    return entities
