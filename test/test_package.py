@@ -107,6 +107,13 @@ def test_imports_run_downwards(path):
         assert FLOORS.index(room) <= FLOORS.index(own), f'{own} imports {module}'
 
 
+def test_tests_stand_in_the_rooms_of_what_they_test():
+    folders = {path.relative_to(ROOT / 'test').parts[0] for path in TEST_FILES
+               if path.parent != ROOT / 'test'}
+    # Beside them, what is asked of all methods and effects, and the study of the hard cases.
+    assert folders - {'verification', 'hard_cases'} <= set(FLOORS) - {'__init__'}
+
+
 def test_no_module_imports_itself_around_a_circle():
     graph = {name_of(path): {module for module in own_imports(path)
                              if (name_of(path), module) not in DELIBERATE} for path in MODULES}
