@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.calibration import Choice, remembered
-from hnn_vi_ros.accuracy.trials import Budget, Problem
+from hnn_vi_ros.accuracy.trials import Problem, Tolerance
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 import numpy as np
@@ -15,16 +15,16 @@ import numpy as np
 class Chosen(NamedTuple):
     """What the integrator auto was asked for, its energy scale known now, and what it chose."""
 
-    budget: Budget
+    tolerance: Tolerance
     choice: Choice
 
 
-def budget_of(choice: AutoChoice) -> Budget:
+def tolerance_of(choice: AutoChoice) -> Tolerance:
     """Return what the integrator auto is asked for."""
     if choice.energy_error is not None:
-        return Budget('energy_error', choice.energy_error, choice.horizon)
+        return Tolerance('energy_error', choice.energy_error, choice.horizon)
     assert choice.path_error is not None, 'its schema asks for one of them'
-    return Budget('path_error', choice.path_error, choice.horizon)
+    return Tolerance('path_error', choice.path_error, choice.horizon)
 
 
 def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Chosen | None]:
@@ -49,17 +49,17 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     Raises
     ------
     HnnViRosError
-        No method holds the budget, or the scene cannot be built.
+        No method holds the tolerance, or the scene cannot be built.
 
     """
     if not isinstance(scene.integrator, AutoChoice):
         return scene, None
     problem = Problem(scene.create_hamiltonian(), tuple(scene.create_effects()),
                       np.array(scene.initial_state.q), np.array(scene.initial_state.p))
-    budget = budget_of(scene.integrator)
+    tolerance = tolerance_of(scene.integrator)
     with scene.placed('integrator'):
-        choice = remembered(problem, budget, scene.step_size or largest_step,
+        choice = remembered(problem, tolerance, scene.step_size or largest_step,
                             scene.model_dump_json())
     resolved = scene.changed({'step_size': choice.step_size,
                               'integrator': {'kind': choice.method, **choice.arguments}})
-    return resolved, Chosen(replace(budget, energy_scale=choice.energy_scale), choice)
+    return resolved, Chosen(replace(tolerance, energy_scale=choice.energy_scale), choice)

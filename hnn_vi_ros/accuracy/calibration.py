@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choose the cheapest method and step size that hold a budget of error, by trying them."""
+"""Choose the cheapest method and step size that hold a tolerance, by trying them."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -17,7 +17,7 @@ from typing import Any
 from hnn_vi_ros.accuracy.path_reference import find_reference, PathJudge
 from hnn_vi_ros.accuracy.step_search import Search, search
 from hnn_vi_ros.accuracy.survey import Survey, survey
-from hnn_vi_ros.accuracy.trials import Budget, EnergyJudge, Judge, Method, Problem, Trial
+from hnn_vi_ros.accuracy.trials import EnergyJudge, Judge, Method, Problem, Tolerance, Trial
 from hnn_vi_ros.errors import CalibrationError, UnsupportedSystem
 from hnn_vi_ros.version import __version__
 import numba
@@ -32,7 +32,7 @@ CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet'
 _CLOSE, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
 # First steps: this share of what resolves the path, times the root of the order.
 _FIRST = 0.25
-# Where one method has reached round-off without holding the budget, others are tried up to so
+# Where one method has reached round-off without holding the tolerance, others are tried up to so
 # many times its cost.
 _BEYOND_FLOOR = 10.0
 # Wall time in which the cost that is told is measured [s], and in how many pieces.
@@ -53,7 +53,7 @@ class Choice:
     step_size : float
         h [s].
     error : float
-        The largest error seen, in the budget's measure, at the horizon.
+        The largest error seen, in the tolerance's measure, at the horizon.
     checked : float
         The simulated time over which it was seen [s]; less than the horizon where that is long.
     seconds_per_simulated_second : float
@@ -79,24 +79,24 @@ class Choice:
     energy_scale: float
     largest_step: float | None = None
 
-    def explain(self, budget: Budget) -> str:
+    def explain(self, tolerance: Tolerance) -> str:
         """Say what was chosen and why, on one line."""
-        extent = '' if self.checked >= 0.999 * budget.horizon else (
-            f', seen over {self.checked:.3g} s and carried on to {budget.horizon:g} s')
-        relative = f' of {self.energy_scale:.3g} J' if budget.kind == 'energy_error' else ''
+        extent = '' if self.checked >= 0.999 * tolerance.horizon else (
+            f', seen over {self.checked:.3g} s and carried on to {tolerance.horizon:g} s')
+        relative = f' of {self.energy_scale:.3g} J' if tolerance.kind == 'energy_error' else ''
         limit = '' if self.largest_step is None else (
             f'; h is no longer than the {self.largest_step:g} s between two samples: a lower '
             'publish rate may allow a cheaper choice')
         return (f'chose {Method(self.method, self.arguments)} with h = {self.step_size:g} s for '
-                f'{budget.kind} {budget.error:g}{relative} up to {budget.horizon:g} s: the '
-                f'cheapest that holds it, with {self.error:.2g}{extent}, at '
+                f'{tolerance.kind} {tolerance.error:g}{relative} up to {tolerance.horizon:g} s: '
+                f'the cheapest that holds it, with {self.error:.2g}{extent}, at '
                 f'{self.gradients_per_simulated_second:.3g} gradients and '
                 f'{1e6 * self.seconds_per_simulated_second:.3g} us per simulated second{limit}')
 
 
-def calibrate(problem: Problem, budget: Budget, largest_step: float | None = None) -> Choice:
+def calibrate(problem: Problem, tolerance: Tolerance, largest_step: float | None = None) -> Choice:
     """
-    Try methods and step sizes, and return the cheapest that holds a budget.
+    Try methods and step sizes, and return the cheapest that holds a tolerance.
 
     Cost is counted in gradients, and so is how long trials run: the same problem gives the same
     choice, however busy the machine is.
@@ -105,7 +105,7 @@ def calibrate(problem: Problem, budget: Budget, largest_step: float | None = Non
     ----------
     problem : Problem
         What is simulated.
-    budget : Budget
+    tolerance : Tolerance
         What must be held.
     largest_step : float, optional
         Steps must divide this time [s], such as that between two samples; without it a tenth of
@@ -119,18 +119,19 @@ def calibrate(problem: Problem, budget: Budget, largest_step: float | None = Non
     Raises
     ------
     CalibrationError
-        No method holds the budget; says how near the best comes. Or the path cannot be known up
+        No method holds the tolerance; says how near the best comes. Or the path cannot be known up
         to the horizon, since it is chaotic or round-off is larger than the error.
     UnsupportedSystem
         No candidate takes the effects.
 
     """
-    base = largest_step or 0.1 * budget.horizon
-    known = survey(problem, budget.horizon, base)
-    if budget.kind == 'path_error':
-        judge: Judge = PathJudge(problem, budget, find_reference(problem, budget, base, known))
+    base = largest_step or 0.1 * tolerance.horizon
+    known = survey(problem, tolerance.horizon, base)
+    if tolerance.kind == 'path_error':
+        reference = find_reference(problem, tolerance, base, known)
+        judge: Judge = PathJudge(problem, tolerance, reference)
     else:
-        judge = EnergyJudge(problem, budget, known.energy_scale, known.extent)
+        judge = EnergyJudge(problem, tolerance, known.energy_scale, known.extent)
     searches, best = [], None
     bound = math.inf
     for method in _candidates(known):
@@ -147,7 +148,7 @@ def calibrate(problem: Problem, budget: Budget, largest_step: float | None = Non
         if parts is not None and found.tried[parts].cost < bound:
             best, bound = (found, parts), found.tried[parts].cost
     if best is None:
-        raise CalibrationError(_refusal(budget, base, searches))
+        raise CalibrationError(_refusal(tolerance, base, searches))
     return _choice(problem, *best, known, largest_step)
 
 
@@ -194,9 +195,9 @@ def _seconds(problem: Problem, method: Method, h: float, trial: Trial) -> float:
     return float(np.median(costs))
 
 
-def _refusal(budget: Budget, base: float, searches: list[Search]) -> str:
-    """Say that no method holds the budget, which comes nearest, and what keeps it from more."""
-    wanted = f'no method holds {budget.kind} {budget.error:g} up to {budget.horizon:g} s'
+def _refusal(tolerance: Tolerance, base: float, searches: list[Search]) -> str:
+    """Say that no method holds the tolerance, which comes nearest, and what keeps it from more."""
+    wanted = f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s'
     tried = [(trial.error, found, parts) for found in searches
              for parts, trial in found.tried.items() if trial.complete]
     if not tried:
@@ -209,13 +210,14 @@ def _refusal(budget: Budget, base: float, searches: list[Search]) -> str:
             f'errs by {error:.2g}: {reason}; allow a larger error or a shorter horizon')
 
 
-def remembered(problem: Problem, budget: Budget, largest_step: float | None, name: str) -> Choice:
+def remembered(problem: Problem, tolerance: Tolerance, largest_step: float | None, name: str
+               ) -> Choice:
     """
     Return what ``calibrate`` chooses, from the last time that it did so on this machine.
 
     Parameters
     ----------
-    problem, budget, largest_step
+    problem, tolerance, largest_step
         See calibrate.
     name : str
         What tells the problem from others, beside the model behind H.
@@ -228,7 +230,7 @@ def remembered(problem: Problem, budget: Budget, largest_step: float | None, nam
         return Choice(**json.loads(file.read_text()))
     except (OSError, ValueError, TypeError):
         # Not yet, or not readable: it is made anew.
-        choice = calibrate(problem, budget, largest_step)
+        choice = calibrate(problem, tolerance, largest_step)
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         part = file.with_suffix(f'.{os.getpid()}')

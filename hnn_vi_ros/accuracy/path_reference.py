@@ -7,7 +7,7 @@ import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.accuracy.survey import Survey
-from hnn_vi_ros.accuracy.trials import Budget, carried, ENOUGH, FAILED, Problem, Trial
+from hnn_vi_ros.accuracy.trials import carried, ENOUGH, FAILED, Problem, Tolerance, Trial
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
@@ -18,7 +18,8 @@ _LEAST, _MOST, _FEW = 320, 2000, 40
 _SLOW = 1_000_000
 # References may take this many times the gradients of a trial.
 _PATIENCE = 6
-# A reference is good enough when it is known to this share of the budget, and usable up to half.
+# A reference is good enough when it is known to this share of the tolerance, and usable up to
+# half.
 _KNOWN, _USABLE = 0.02, 0.5
 # Refinements without progress after which round-off is what is left, or chaos.
 _STUCK = 3
@@ -93,7 +94,8 @@ class PathReference:
     accuracy: float
 
 
-def find_reference(problem: Problem, budget: Budget, base: float, known: Survey) -> PathReference:
+def find_reference(problem: Problem, tolerance: Tolerance, base: float, known: Survey
+                   ) -> PathReference:
     """
     Return the path, refined until two of them agree.
 
@@ -101,7 +103,7 @@ def find_reference(problem: Problem, budget: Budget, base: float, known: Survey)
     ----------
     problem : Problem
         What is simulated.
-    budget : Budget
+    tolerance : Tolerance
         How well it must be known, and until when.
     base : float
         What the steps of trials divide [s].
@@ -115,7 +117,7 @@ def find_reference(problem: Problem, budget: Budget, base: float, known: Survey)
 
     """
     limit = _PATIENCE * problem.gradients
-    instants = Instants.of(budget.horizon, base, _LEAST if limit >= _SLOW else _FEW)
+    instants = Instants.of(tolerance.horizon, base, _LEAST if limit >= _SLOW else _FEW)
     steps = max(1, math.ceil(instants.gap / known.step_size))
     before, best, last, stuck = None, None, math.inf, 0
     while stuck < _STUCK:
@@ -129,11 +131,11 @@ def find_reference(problem: Problem, budget: Budget, base: float, known: Survey)
             last = min(last, distance)
             if best is None or distance < best.accuracy:
                 best = PathReference(instants, states[:n], distance)
-            if distance <= _KNOWN * budget.error or n < min(instants.count, _FEW):
+            if distance <= _KNOWN * tolerance.error or n < min(instants.count, _FEW):
                 break
         before, steps = states, math.ceil(_RATIO * steps)
-    if best is None or best.accuracy > _USABLE * budget.error:
-        raise CalibrationError(_refusal(problem, budget, known, best))
+    if best is None or best.accuracy > _USABLE * tolerance.error:
+        raise CalibrationError(_refusal(problem, tolerance, known, best))
     return best
 
 
@@ -152,9 +154,10 @@ def _path(problem: Problem, method: str, instants: Instants, steps: int, limit: 
     return np.concatenate(rows)
 
 
-def _refusal(problem: Problem, budget: Budget, known: Survey, best: PathReference | None) -> str:
+def _refusal(problem: Problem, tolerance: Tolerance, known: Survey, best: PathReference | None
+             ) -> str:
     """Say why the path cannot be known so well."""
-    wanted = f'path_error {budget.error:g} up to {budget.horizon:g} s: '
+    wanted = f'path_error {tolerance.error:g} up to {tolerance.horizon:g} s: '
     if best is None:
         return f'{wanted}no path can be computed; take a shorter horizon'
     near = (f'two references differ by {best.accuracy:.2g} at best up to '
@@ -162,7 +165,7 @@ def _refusal(problem: Problem, budget: Budget, known: Survey, best: PathReferenc
     try:
         time = time_between_motions(
             problem.hamiltonian, problem.effects, INTEGRATORS[known.method](), known.step_size,
-            problem.q, problem.p, max(_CHAOS_STEPS, 2.0 * budget.horizon / known.step_size))
+            problem.q, problem.p, max(_CHAOS_STEPS, 2.0 * tolerance.horizon / known.step_size))
     except (HnnViRosError, ValueError) as problem_of_measure:
         return f'{wanted}{near} (Lyapunov time not measured: {problem_of_measure}); take ' \
                'energy_error, a shorter horizon or a larger error'
@@ -171,7 +174,7 @@ def _refusal(problem: Problem, budget: Budget, known: Survey, best: PathReferenc
                 'precision its path is not known better; take a larger error or a shorter '
                 'horizon')
     size = float(np.abs(best.states).max())
-    reach = time * math.log(max(budget.error / (np.finfo(float).eps * size), 1.0))
+    reach = time * math.log(max(tolerance.error / (np.finfo(float).eps * size), 1.0))
     return (f'{wanted}{near}: the motion is chaotic, with a Lyapunov time of {time:.3g} s, so '
             f'that round-off alone reaches this error after some {reach:.2g} s; take '
             'energy_error, a shorter horizon or a larger error')
@@ -185,15 +188,15 @@ class PathJudge:
     ----------
     problem : Problem
         What is simulated.
-    budget : Budget
+    tolerance : Tolerance
         What must be held.
     reference : PathReference
         The path.
 
     """
 
-    def __init__(self, problem: Problem, budget: Budget, reference: PathReference):
-        self._limit, self._reference, self.budget = problem.gradients, reference, budget
+    def __init__(self, problem: Problem, tolerance: Tolerance, reference: PathReference):
+        self._limit, self._reference, self.tolerance = problem.gradients, reference, tolerance
         self.known = reference.accuracy
 
     def __call__(self, simulation: Simulation, bound: float) -> Trial:
@@ -215,7 +218,7 @@ class PathJudge:
             done += more
             cost = simulation.gradients / simulation.time
             dear = simulation.gradients > most and done < len(reference)
-            if dear or errors[-1] > ENOUGH * self.budget.error:
+            if dear or errors[-1] > ENOUGH * self.tolerance.error:
                 return Trial(max(errors), simulation.time, cost, False, dear)
-        return Trial(carried(errors, simulation.time, self.budget.horizon, 1.0),
+        return Trial(carried(errors, simulation.time, self.tolerance.horizon, 1.0),
                      simulation.time, cost)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The largest step of a method that holds a budget, found by trials."""
+"""The largest step of a method that holds a tolerance, found by trials."""
 
 from dataclasses import dataclass
 import math
@@ -9,8 +9,8 @@ from hnn_vi_ros.accuracy.trials import (
     FAILED, Judge, Method, parts_between, parts_for, Problem, Trial)
 from hnn_vi_ros.errors import StepFailure
 
-# What is measured must stay this far below the budget: where all up to the horizon was seen, and
-# where it is carried on from a shorter time.
+# What is measured must stay this far below the tolerance: where all up to the horizon was seen,
+# and where it is carried on from a shorter time.
 _SEEN, _CARRIED = 0.95, 0.5
 # The most trials of a method.
 _TRIALS = 24
@@ -44,11 +44,11 @@ class Search:
 
     def allowed(self, trial: Trial, judge: Judge) -> float:
         """Return the error that a trial may have."""
-        seen = trial.checked >= judge.budget.horizon * (1.0 - 1e-9)
-        return (_SEEN if seen else _CARRIED) * judge.budget.error - judge.known
+        seen = trial.checked >= judge.tolerance.horizon * (1.0 - 1e-9)
+        return (_SEEN if seen else _CARRIED) * judge.tolerance.error - judge.known
 
     def holds(self, trial: Trial, judge: Judge) -> bool:
-        """Tell whether a trial held the budget."""
+        """Tell whether a trial held the tolerance."""
         return trial.complete and trial.error <= self.allowed(trial, judge)
 
     def dear(self, parts: int, judge: Judge, bound: float) -> bool:
@@ -65,7 +65,7 @@ class Search:
             min(coarser, default=math.inf) <= trial.cost)
 
     def best(self, judge: Judge) -> int | None:
-        """Return the parts of the cheapest trial that held the budget."""
+        """Return the parts of the cheapest trial that held the tolerance."""
         good = [k for k, trial in self.tried.items() if self.holds(trial, judge)]
         return min(good, key=lambda k: (self.tried[k].cost, k), default=None)
 
@@ -100,7 +100,7 @@ class Search:
 def search(problem: Problem, method: Method, base: float, judge: Judge, guess: float,
            bound: float) -> Search:
     """
-    Try steps until the largest that holds a budget is found, or it is shown that none does.
+    Try steps until the largest that holds a tolerance is found, or it is shown that none does.
 
     None does where the round-off floor is shown, see ``Search.at_floor``, or where steps small
     enough would cost more than is affordable, or than is known to do.
@@ -134,7 +134,7 @@ def search(problem: Problem, method: Method, base: float, judge: Judge, guess: f
 
 def _wish(found: Search, parts: int, now: Trial, judge: Judge, bound: float) -> int | None:
     """Return the parts to try next; None if no other can be better."""
-    # Smaller steps than these hold the budget, or cost too much; larger ones than those do not.
+    # Smaller steps than these hold the tolerance, or cost too much; larger ones than those do not.
     enough = [k for k, trial in found.tried.items()
               if found.holds(trial, judge) or found.dear(k, judge, bound)]
     bad = [k for k, trial in found.tried.items() if trial.error > found.allowed(trial, judge)]

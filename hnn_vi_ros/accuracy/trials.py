@@ -30,7 +30,7 @@ _PARTS = sorted({k * 2 ** e for e in range(40) for k in (4, 5, 6)} | {1, 2, 3})
 
 
 @dataclass(frozen=True)
-class Budget:
+class Tolerance:
     """
     The error that a simulation may make.
 
@@ -137,7 +137,7 @@ class Trial:
     Parameters
     ----------
     error : float
-        In the measure of the budget, at the horizon; infinity where a step failed.
+        In the measure of the tolerance, at the horizon; infinity where a step failed.
     checked : float
         Simulated time that was seen [s].
     cost : float
@@ -165,14 +165,14 @@ class Judge(Protocol):
 
     Attributes
     ----------
-    budget : Budget
+    tolerance : Tolerance
         What must be held.
     known : float
         What of its error is the reference's.
 
     """
 
-    budget: Budget
+    tolerance: Tolerance
     known: float
 
     def __call__(self, simulation: Simulation, bound: float, /) -> Trial:
@@ -206,7 +206,7 @@ class EnergyJudge:
     ----------
     problem : Problem
         What is simulated.
-    budget : Budget
+    tolerance : Tolerance
         What must be held.
     scale : float
         The energy scale of the path [J].
@@ -215,15 +215,15 @@ class EnergyJudge:
 
     """
 
-    def __init__(self, problem: Problem, budget: Budget, scale: float, extent: float):
+    def __init__(self, problem: Problem, tolerance: Tolerance, scale: float, extent: float):
         self._limit, self._scale, self._extent = problem.gradients, scale, extent
-        self.budget, self.known = budget, 0.0
+        self.tolerance, self.known = tolerance, 0.0
         self._conservative = all(effect.conservative for effect in problem.effects)
 
     def __call__(self, simulation: Simulation, bound: float) -> Trial:
         """Run up to the horizon, as far as gradients allow; see Trial."""
         h = simulation.step_size
-        steps = math.ceil(self.budget.horizon / h * (1.0 - 1e-12))
+        steps = math.ceil(self.tolerance.horizon / h * (1.0 - 1e-12))
         every = math.ceil(steps / (_SAMPLES if self._conservative else _SAMPLES_OF_WORK))
         count = math.ceil(steps / every)
         most = min(4.0 * self._limit, bound * self._extent)
@@ -236,18 +236,18 @@ class EnergyJudge:
                 return FAILED
             cost = simulation.gradients / simulation.time
             dear = simulation.gradients > most and simulation.time < self._extent
-            if dear or max(errors) > ENOUGH * self.budget.error:
+            if dear or max(errors) > ENOUGH * self.tolerance.error:
                 return Trial(max(errors), simulation.time, cost, False, dear)
             if simulation.gradients > self._limit and simulation.time >= self._extent:
                 break
-        return Trial(carried(errors, simulation.time, self.budget.horizon, 0.0),
+        return Trial(carried(errors, simulation.time, self.tolerance.horizon, 0.0),
                      simulation.time, cost)
 
     def _next(self, simulation: Simulation, every: int, count: int, start: float) -> float:
         """Return the largest error of the next samples."""
         if not self._conservative:
             simulation.advance(every)
-            return abs(simulation.budget) / self._scale
+            return abs(simulation.energy_balance) / self._scale
         more = min(_CHUNK, count - simulation.steps // every)
         energy = simulation.hamiltonian.energy(*simulation.record(more, every))
         return float(np.abs(energy - start).max()) / self._scale

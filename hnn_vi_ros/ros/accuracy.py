@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)
 # The entries of its message.
 ENTRIES = (
-    'H', 'modified_H', 'energy_error', 'work', 'energy_budget', 'residual', 'iterations',
+    'H', 'modified_H', 'energy_error', 'work', 'energy_balance', 'residual', 'iterations',
     'modified_energy_band', 'drift_per_hour', 'microseconds_per_step_median',
     'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale',
     'local_error')
@@ -27,7 +27,7 @@ class AccuracyEncoder:
     """
     Serialise the accuracy of a sample, in the order of ENTRIES.
 
-    ``energy_budget`` is H - H0 - W [J]; ``residual`` is the relative one of the last implicit
+    ``energy_balance`` is H - H0 - W [J]; ``residual`` is the relative one of the last implicit
     step; ``iterations`` are the gradients that each step since the sample before took, on average.
     What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
     the size of the energies in play [J], by which an error is judged; see EnergyScale.

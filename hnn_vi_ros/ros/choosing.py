@@ -4,9 +4,9 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.accuracy.automatic_choice import budget_of, Chosen, resolve
+from hnn_vi_ros.accuracy.automatic_choice import Chosen, resolve, tolerance_of
 from hnn_vi_ros.accuracy.calibration import Choice
-from hnn_vi_ros.accuracy.trials import Budget
+from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.ros.rclpy_internals import Logger
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
@@ -38,26 +38,26 @@ def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: L
     Raises
     ------
     HnnViRosError
-        No method holds the budget, or the scene cannot be built.
+        No method holds the tolerance, or the scene cannot be built.
 
     """
     if isinstance(scene.integrator, AutoChoice):
-        budget = budget_of(scene.integrator)
+        tolerance = tolerance_of(scene.integrator)
         logger.info(
-            f'scene {scene.source}: calibrating for {budget.kind} {budget.error:g} up to '
-            f'{budget.horizon:g} s; some seconds once, longer where methods are to be compiled')
+            f'scene {scene.source}: calibrating for {tolerance.kind} {tolerance.error:g} up to '
+            f'{tolerance.horizon:g} s; some seconds once, longer where methods are to be compiled')
     scene, chosen = resolve(scene, largest_step)
     return scene, chosen, told(*chosen, real_time_factor) if chosen else []
 
 
-def told(budget: Budget, choice: Choice, real_time_factor: float) -> list[Event]:
+def told(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[Event]:
     """Return what is to be told of a choice at a pace."""
-    events = [Event(choice.explain(budget), 'INFO')]
+    events = [Event(choice.explain(tolerance), 'INFO')]
     cost = choice.seconds_per_simulated_second
     if cost * real_time_factor > 1.0:
         events.append(Event(
-            f'no method holds {budget.kind} {budget.error:g} up to {budget.horizon:g} s at '
-            f'real_time_factor {real_time_factor:g} on this machine: the cheapest takes '
+            f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s '
+            f'at real_time_factor {real_time_factor:g} on this machine: the cheapest takes '
             f'{cost:.3g} s for each simulated second; use a real_time_factor of at most about '
             f'{1.0 / cost:.2g}, or allow a larger error', 'WARN'))
     return events

@@ -88,7 +88,7 @@ class Run:
         if settings.real_time_factor:
             guards.append(OverrunGuard(self.pacer))
         return Monitor(
-            self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.budget,
+            self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.tolerance,
             lambda text, first: self.tell(text, 'WARN', first), guards, scale)
 
     def _begin(self, monitor: Monitor) -> None:

@@ -100,16 +100,17 @@ class RunStatus:
             'residual [1]': simulation.residual, 'rescued_steps [1]': simulation.rescued})
 
     def _energy(self) -> Status:
-        record, sample, budget = (
-            self._monitor.energy, self._monitor.newest, self._monitor.energy.budget)
+        record, sample, tolerance = (
+            self._monitor.energy, self._monitor.newest, self._monitor.energy.tolerance)
         level, message, allowed = OK, 'conservative', {}
         if not self._simulation.conservative:
             message = 'not conservative: the error is what the work does not account for'
-        if budget is not None:
-            allowed = {f'budget_of_{budget.kind}': budget.error, 'budget_spent': record.spent}
-            message = f'{budget.kind} within its budget'
-            if record.spent > budget.error:
-                level, message = WARN, self._monitor.over_budget()
+        if tolerance is not None:
+            allowed = {f'tolerance_of_{tolerance.kind}': tolerance.error,
+                       f'largest_{tolerance.kind}': record.largest}
+            message = f'{tolerance.kind} within its tolerance'
+            if record.largest > tolerance.error:
+                level, message = WARN, self._monitor.over_tolerance()
         return Status('energy', level, message, {
             **_energies(sample), 'energy_scale [J]': self._monitor.energy_scale,
             f'energy_error [{record.unit}]': _of(sample, 'energy_error'),

@@ -5,7 +5,7 @@
 import math
 
 from hnn_vi_ros.accuracy.diagnostics import secular_change
-from hnn_vi_ros.accuracy.trials import Budget, Problem, time_scale
+from hnn_vi_ros.accuracy.trials import Problem, time_scale, Tolerance
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
@@ -18,7 +18,7 @@ _HOUR = 3600.0
 
 class EnergyRecord:
     """
-    Follow the energy error, its drift, the band of the modified energy, and a budget.
+    Follow the energy error, its drift, the band of the modified energy, and a tolerance.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class EnergyRecord:
         In its initial state.
     tick : float
         Simulated time from sample to sample [s].
-    budget : Budget, optional
+    tolerance : Tolerance, optional
         What the scene allows, if it does so.
 
     Attributes
@@ -37,15 +37,15 @@ class EnergyRecord:
         Slope of the energy error, as last evaluated [1/h] or [J/h]; NaN as long as it is none.
     unit : str
         Of the energy error: ``'1'``, or ``'J'`` where H0 is zero.
-    budget : Budget or None
+    tolerance : Tolerance or None
         What the scene allows.
-    spent : float
-        The largest error so far, in the measure of the budget; see ``_error``.
+    largest : float
+        The largest error so far, in the measure of the tolerance; see ``_error``.
 
     """
 
-    def __init__(self, simulation: Simulation, tick: float, budget: Budget | None = None):
-        self.budget, self.spent = budget, 0.0
+    def __init__(self, simulation: Simulation, tick: float, tolerance: Tolerance | None = None):
+        self.tolerance, self.largest = tolerance, 0.0
         modified = simulation.modified_energy if simulation.conservative else None
         self._conservative = simulation.conservative
         self._modified0 = math.nan if modified is None else modified
@@ -62,7 +62,7 @@ class EnergyRecord:
         self._length, self._open = 1, (math.inf, -math.inf)
 
     def add(self, sample: Sample) -> bool:
-        """Take the next sample; tell whether it is beyond the budget, up to its horizon."""
+        """Take the next sample; tell whether it is beyond the tolerance, up to its horizon."""
         error = sample.energy_error
         deviation = abs(sample.modified_energy - self._modified0)
         if deviation > self.band:
@@ -72,10 +72,10 @@ class EnergyRecord:
         self._samples += 1
         if self._samples % self._length == 0:
             self._end_block()
-        if self.budget is None or self._samples * self._tick > self.budget.horizon:
+        if self.tolerance is None or self._samples * self._tick > self.tolerance.horizon:
             return False
-        self.spent = max(self.spent, self._error(sample))
-        return self.spent > self.budget.error
+        self.largest = max(self.largest, self._error(sample))
+        return self.largest > self.tolerance.error
 
     def evaluate(self) -> None:
         """Renew the drift."""
@@ -96,18 +96,18 @@ class EnergyRecord:
 
     def _error(self, sample: Sample) -> float:
         """
-        Return the error of a sample in the measure of the budget.
+        Return the error of a sample in the measure of the tolerance.
 
         With that of the energy the band of the modified energy counts, the larger of the two,
-        over the energy scale of the budget.
+        over the energy scale of the tolerance.
         On the path, a coordinate or momentum deviates by at least what makes up for the error of
         H: that error over the sum of abs(dH_dq) and abs(dH_dp) where H is steepest. Where work is
         done these are no derivatives of H, and no such bound is known.
         """
         error = abs(sample.energy_error) * self._size
-        if self.budget.kind == 'energy_error':
+        if self.tolerance.kind == 'energy_error':
             largest = error if math.isnan(self.band) else max(error, self.band)
-            return largest / (self.budget.energy_scale or self._size)
+            return largest / (self.tolerance.energy_scale or self._size)
         if not self._conservative:
             return 0.0
         steepness = float(np.abs(sample.dH_dq).sum() + np.abs(sample.dH_dp).sum())

@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured and watched of a run: its timing, its energy, its budget of error, guards."""
+"""What is measured and watched of a run: its timing, its energy, its tolerance, guards."""
 
 from collections.abc import Callable, Iterable
 import math
 import time
 
-from hnn_vi_ros.accuracy.trials import Budget
+from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.run.energy_record import EnergyRecord
@@ -30,10 +30,10 @@ class Monitor:
         Steps from sample to sample.
     tick : float
         Simulated time from sample to sample [s].
-    budget : Budget, optional
+    tolerance : Tolerance, optional
         What the scene allows, if it does so.
     warn : callable
-        Told when the budget is exceeded, now and then while it is: the text, and whether it is
+        Told when the tolerance is exceeded, now and then while it is: the text, and whether it is
         the first time.
     guards : iterable of Guard, optional
         What must hold.
@@ -54,10 +54,10 @@ class Monitor:
     """
 
     def __init__(self, simulation: Simulation, every: int, tick: float,
-                 budget: Budget | None, warn: Callable[[str, bool], None],
+                 tolerance: Tolerance | None, warn: Callable[[str, bool], None],
                  guards: Iterable[Guard] = (), scale: SampledScale | None = None):
         self.timing = Timing(every, tick)
-        self.energy = EnergyRecord(simulation, tick, budget)
+        self.energy = EnergyRecord(simulation, tick, tolerance)
         self.newest: Sample | None = None
         self._scale = scale or SampledScale(simulation.hamiltonian)
         self.guards = list(guards)
@@ -93,7 +93,7 @@ class Monitor:
         self.newest = sample
         if self.energy.add(sample) and time.monotonic() >= self._due:
             self._due = time.monotonic() + _REPEATED
-            self._warn(self.over_budget(), not self._warned)
+            self._warn(self.over_tolerance(), not self._warned)
             self._warned = True
 
     def evaluate(self) -> bool:
@@ -107,10 +107,10 @@ class Monitor:
             self.energy.evaluate()
         return evaluated
 
-    def over_budget(self) -> str:
-        """Say by how much the budget is exceeded, and what to do about it."""
-        budget = self.energy.budget
-        least = 'at least ' if budget.kind == 'path_error' else ''
-        return (f'the budget is exceeded: {budget.kind} {least}{self.energy.spent:.3g}, allowed '
-                f'is {budget.error:g} up to {budget.horizon:g} s; use a smaller step_size, or '
-                'ask for a smaller error or a longer horizon')
+    def over_tolerance(self) -> str:
+        """Say by how much the tolerance is exceeded, and what to do about it."""
+        tolerance = self.energy.tolerance
+        least = 'at least ' if tolerance.kind == 'path_error' else ''
+        return (f'the tolerance is exceeded: {tolerance.kind} {least}{self.energy.largest:.3g}, '
+                f'allowed is {tolerance.error:g} up to {tolerance.horizon:g} s; use a smaller '
+                'step_size, or ask for a smaller error or a longer horizon')

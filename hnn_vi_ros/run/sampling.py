@@ -121,11 +121,11 @@ class Sampler:
         """Return the state, and the energies that belong to it."""
         simulation = self._simulation
         (energy, modified), work = simulation.energies, simulation.work
-        budget = energy - self._energy0 - work
+        balance = energy - self._energy0 - work
         return Sample(
             step=simulation.steps, stamp=self.stamp,
             q=simulation.q.copy(), p=simulation.p.copy(),
             dH_dq=simulation.dH_dq.copy(), dH_dp=simulation.dH_dp.copy(), energy=energy,
             modified_energy=math.nan if modified is None else modified,
-            energy_error=budget / abs(self._energy0) if self._energy0 else budget,
+            energy_error=balance / abs(self._energy0) if self._energy0 else balance,
             work=work)

@@ -31,7 +31,7 @@ def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_
 
     """
     choice = {} if chosen is None else {
-        'budget': asdict(chosen.budget), 'choice': asdict(chosen.choice)}
+        'tolerance': asdict(chosen.tolerance), 'choice': asdict(chosen.choice)}
     begin = {'source': _place(scene.source), 'origin': origin, 'first_step': first_step}
     return (scene.model_dump() | choice | simulation.hamiltonian.provenance
             | {'model_files': scene.model_digests} | begin)

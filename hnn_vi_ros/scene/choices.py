@@ -64,10 +64,10 @@ class EventChoice(StrictModel):
 
 
 class AutoChoice(StrictModel):
-    """The cheapest method and step size that hold a budget, found by trying them."""
+    """The cheapest method and step size that hold a tolerance, found by trying them."""
 
     kind: Literal['auto'] = Field(
-        description='the cheapest method and step size that hold a budget; give one error')
+        description='the cheapest method and step size that hold a tolerance; give one error')
     energy_error: float | None = Field(None, gt=0.0, description=(
         'largest abs(H - H0 - W) over the energies in play: the mean of abs(p . H_p) along the '
         'path, which no constant in H changes [1]'))

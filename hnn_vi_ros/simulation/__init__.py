@@ -174,7 +174,7 @@ class Simulation:
         return float(self._system.live.work.sum()) if self._system.labels else 0.0
 
     @property
-    def budget(self) -> float:
+    def energy_balance(self) -> float:
         """Return H - H0 - W [J], which closes at the order of the method."""
         return self.energy - self._energy0 - self.work
 

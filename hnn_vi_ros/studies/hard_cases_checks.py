@@ -34,18 +34,18 @@ def run_dissipation(job: Job) -> Measured:
     """
     simulation, measured = _start(job)
     start, peaks = simulation.energy, []
-    budget = 0.0
+    balance = 0.0
     try:
         for q, p in blocks(job, simulation):
             energy = simulation.hamiltonian.energy(q, p)
             peaks.append(float(energy.max()))
-            budget = max(budget, abs(simulation.budget))
+            balance = max(balance, abs(simulation.energy_balance))
             _note(measured, simulation, q, p)
     except StepFailure as failure:
         measured.failure = failure
         return measured
     rises = np.array(peaks[1:]) / np.array(peaks[:-1]) - 1.0
-    measured.band = budget
+    measured.band = balance
     measured.measures = {'rise': float(max(rises.max(), 0.0)), 'left': peaks[-1] / start}
     if measured.measures['rise'] > RISE:
         measured.broken.append('energy rises')

@@ -133,7 +133,7 @@ def explain(scene: Scene) -> Iterator[str]:
     yield from _choice('integrator', scene.integrator)
     yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
     if chosen is not None:
-        yield f'  {chosen.choice.explain(chosen.budget)}'
+        yield f'  {chosen.choice.explain(chosen.tolerance)}'
     for event in scene.events:
         yield f'event {event.when} ({event.direction}): {event.then}'
     yield f'conservative: {"yes" if simulation.conservative else "no"}'

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The integrator auto: what it chooses holds the budget, and what cannot be held is said."""
+"""The integrator auto: what it chooses holds the tolerance, and what cannot be held is said."""
 
 from dataclasses import replace
 from functools import cache
@@ -9,7 +9,7 @@ import math
 from benchmarks import campaign
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES, Choice, remembered
-from hnn_vi_ros.accuracy.trials import Budget, Method, Problem
+from hnn_vi_ros.accuracy.trials import Method, Problem, Tolerance
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.kepler import Kepler
@@ -25,19 +25,19 @@ import pytest
 ENERGY, PATH = 'energy_error', 'path_error'
 # None of these was looked at when the constants of the calibration were chosen.
 PAIRS = [
-    *[('exact_pendulum', Budget(ENERGY, error, horizon))
+    *[('exact_pendulum', Tolerance(ENERGY, error, horizon))
       for error in (3e-3, 2e-5, 7e-8, 4e-11) for horizon in (40.0, 700.0)],
-    *[('pendulum', Budget(ENERGY, error, horizon))
+    *[('pendulum', Tolerance(ENERGY, error, horizon))
       for error, horizon in ((5e-4, 300.0), (3e-7, 60.0), (2e-9, 500.0))],
-    *[('kepler', Budget(ENERGY, error, horizon))
+    *[('kepler', Tolerance(ENERGY, error, horizon))
       for error, horizon in ((2e-3, 90.0), (4e-6, 800.0), (5e-10, 200.0))],
-    *[('henon_heiles', Budget(ENERGY, error, horizon))
+    *[('henon_heiles', Tolerance(ENERGY, error, horizon))
       for error, horizon in ((6e-4, 1000.0), (1e-7, 150.0))],
-    *[('exact_pendulum', Budget(PATH, error, horizon))
+    *[('exact_pendulum', Tolerance(PATH, error, horizon))
       for error, horizon in ((4e-3, 15.0), (6e-6, 80.0), (3e-8, 250.0))],
-    *[('kepler', Budget(PATH, error, horizon))
+    *[('kepler', Tolerance(PATH, error, horizon))
       for error, horizon in ((5e-3, 12.0), (8e-6, 60.0), (4e-7, 200.0))],
-    ('exact_damped_driven_pendulum', Budget(ENERGY, 2e-4, 60.0)),
+    ('exact_damped_driven_pendulum', Tolerance(ENERGY, 2e-4, 60.0)),
 ]
 
 
@@ -49,37 +49,38 @@ def problem(name: str) -> Problem:
                    np.array(scene.initial_state.q), np.array(scene.initial_state.p))
 
 
-def error_of(name: str, budget: Budget, choice: Choice) -> float:
+def error_of(name: str, tolerance: Tolerance, choice: Choice) -> float:
     """Return the error that a choice makes up to the horizon, looked at a thousand times."""
     method = Method(choice.method, choice.arguments)
     simulation = problem(name).simulation(method, choice.step_size)
-    if budget.kind == PATH:
+    if tolerance.kind == PATH:
         reference = make_reference(
-            problem(name).hamiltonian, problem(name).q, problem(name).p, budget.horizon, 0.1)
+            problem(name).hamiltonian, problem(name).q, problem(name).p, tolerance.horizon, 0.1)
         errors = []
         for k in range(10):
-            simulation.advance(round((k + 1) * budget.horizon / 10 / choice.step_size)
+            simulation.advance(round((k + 1) * tolerance.horizon / 10 / choice.step_size)
                                - simulation.steps)
             z = np.concatenate([simulation.q, simulation.p])
             errors.append(np.abs(z - reference.path[k]).max())
         return max(errors)
     size, worst = choice.energy_scale, 0.0
-    steps = round(budget.horizon / choice.step_size)
+    steps = round(tolerance.horizon / choice.step_size)
     every = math.ceil(steps / 1000)
     while simulation.steps < steps:
         simulation.advance(every)
-        worst = max(worst, abs(simulation.budget) / size)
+        worst = max(worst, abs(simulation.energy_balance) / size)
     return worst
 
 
-@pytest.mark.parametrize('name, budget', PAIRS, ids=lambda value: str(value) if isinstance(
+@pytest.mark.parametrize('name, tolerance', PAIRS, ids=lambda value: str(value) if isinstance(
     value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
-def test_choice_holds_its_budget_up_to_the_horizon(name: str, budget: Budget, measured):
-    choice = calibrate(problem(name), budget)
-    error = error_of(name, budget, choice)
-    measured('error of what auto chose', f'{name}, {budget.kind} up to {budget.horizon:g} s, '
-             f'{choice.method}, h = {choice.step_size:.3g}', error, f'<= {budget.error:g}')
-    assert error <= budget.error
+def test_choice_holds_its_budget_up_to_the_horizon(name: str, tolerance: Tolerance, measured):
+    choice = calibrate(problem(name), tolerance)
+    error = error_of(name, tolerance, choice)
+    measured('error of what auto chose', f'{name}, {tolerance.kind} up to '
+             f'{tolerance.horizon:g} s, {choice.method}, h = {choice.step_size:.3g}', error,
+             f'<= {tolerance.error:g}')
+    assert error <= tolerance.error
 
 
 ORBITS = {
@@ -93,50 +94,51 @@ def orbit(eccentricity: float, end: str) -> Problem:
                    np.array([0.0, math.sqrt(2.0 / r - 1.0)]))
 
 
-@pytest.mark.parametrize('budget', [Budget(ENERGY, 1e-3, 200.0), Budget(PATH, 1e-4, 30.0)],
-                         ids=lambda budget: budget.kind)
+@pytest.mark.parametrize('tolerance', [Tolerance(ENERGY, 1e-3, 200.0),
+                                       Tolerance(PATH, 1e-4, 30.0)],
+                         ids=lambda tolerance: tolerance.kind)
 @pytest.mark.parametrize('end', ORBITS)
 @pytest.mark.parametrize('eccentricity', [0.9, 0.99])
-def test_close_encounters_are_resolved_from_either_end(eccentricity, end, budget):
+def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolerance):
     """From afar the encounter is not in sight; next to it the rest of the orbit is not."""
     mine = orbit(eccentricity, end)
-    choice = calibrate(mine, budget)
+    choice = calibrate(mine, tolerance)
     simulation = mine.simulation(Method(choice.method, choice.arguments), choice.step_size)
-    steps = math.ceil(budget.horizon / choice.step_size - 1e-6)
+    steps = math.ceil(tolerance.horizon / choice.step_size - 1e-6)
     states = np.hstack(simulation.record(steps, 1))
-    if budget.kind == ENERGY:
+    if tolerance.kind == ENERGY:
         # Over 2 abs(H0), which the virial theorem makes the mean of abs(p . H_p).
         error = np.abs(mine.hamiltonian.energy(*np.split(states, 2, axis=1)) + 0.5).max()
     else:
         t = choice.step_size * np.arange(1, steps + 1)
         error = np.abs(states - EXACT[Kepler](mine.hamiltonian, mine.q, mine.p, t)[0]).max()
-    assert error <= budget.error
+    assert error <= tolerance.error
 
 
 def test_choice_is_the_same_each_time_however_busy_the_machine_is(monkeypatch):
     """Nothing is chosen by the clock: one that runs wild changes what is told, and no more."""
-    budget = Budget(PATH, 1e-4, 30.0)
-    first = calibrate(orbit(0.9, 'apocentre'), budget)
+    tolerance = Tolerance(PATH, 1e-4, 30.0)
+    first = calibrate(orbit(0.9, 'apocentre'), tolerance)
     clock = iter(np.cumsum(np.random.default_rng(0).exponential(3.0, 10_000)))
     monkeypatch.setattr('time.perf_counter', lambda: float(next(clock)))
-    again = calibrate(orbit(0.9, 'apocentre'), budget)
+    again = calibrate(orbit(0.9, 'apocentre'), tolerance)
     assert again.seconds_per_simulated_second != first.seconds_per_simulated_second
     assert replace(again, seconds_per_simulated_second=0.0) == replace(
         first, seconds_per_simulated_second=0.0)
 
 
 def test_step_that_the_publish_rate_bounds_is_said():
-    budget = Budget(ENERGY, 1e-2, 40.0)
-    bounded, free = (calibrate(problem('exact_pendulum'), budget, largest)
+    tolerance = Tolerance(ENERGY, 1e-2, 40.0)
+    bounded, free = (calibrate(problem('exact_pendulum'), tolerance, largest)
                      for largest in (1e-3, None))
     assert bounded.step_size == 1e-3
-    assert 'h is no longer than the 0.001 s between two samples' in bounded.explain(budget)
-    assert 'samples' not in free.explain(budget)
+    assert 'h is no longer than the 0.001 s between two samples' in bounded.explain(tolerance)
+    assert 'samples' not in free.explain(tolerance)
 
 
 def test_path_that_round_off_hides_is_not_called_chaotic():
     with pytest.raises(CalibrationError, match='round-off: the motion is regular'):
-        calibrate(problem('exact_pendulum'), Budget(PATH, 1e-17, 20.0))
+        calibrate(problem('exact_pendulum'), Tolerance(PATH, 1e-17, 20.0))
 
 
 def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
@@ -149,16 +151,16 @@ def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
     end = Plain(lambda q, p: 0.5 * float(p @ p + q[0] ** 2), gradient, 2)
     slow = Problem(end, (), np.array([1.0, 0.0]), np.array([0.0, 5e-3]))
     with pytest.raises(CalibrationError, match='no path can be computed'):
-        calibrate(slow, Budget(PATH, 1e-5, 6400.0))
+        calibrate(slow, Tolerance(PATH, 1e-5, 6400.0))
 
 
 def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(monkeypatch):
     """In gradients, which do not depend on the machine; the campaign has more of these."""
     monkeypatch.setattr(campaign, '_METHODS', [
         Method(name) for name in CANDIDATES if name != 'time_transformed'])
-    mine, budget = problem('exact_pendulum'), Budget(ENERGY, 1e-5, 40.0)
-    _, least, _ = campaign.sweep(mine, campaign.Truth(mine, budget.horizon), budget)
-    assert calibrate(mine, budget).gradients_per_simulated_second <= 1.5 * least
+    mine, tolerance = problem('exact_pendulum'), Tolerance(ENERGY, 1e-5, 40.0)
+    _, least, _ = campaign.sweep(mine, campaign.Truth(mine, tolerance.horizon), tolerance)
+    assert calibrate(mine, tolerance).gradients_per_simulated_second <= 1.5 * least
 
 
 def test_there_are_twenty_held_back_pairs():
@@ -166,19 +168,19 @@ def test_there_are_twenty_held_back_pairs():
 
 
 def test_step_divides_the_time_between_two_samples():
-    choice = calibrate(problem('exact_pendulum'), Budget(ENERGY, 1e-4, 100.0), 0.01)
+    choice = calibrate(problem('exact_pendulum'), Tolerance(ENERGY, 1e-4, 100.0), 0.01)
     parts = 0.01 / choice.step_size
     assert choice.step_size <= 0.01 and parts == pytest.approx(round(parts), rel=1e-12)
 
 
 def test_budget_below_round_off_is_refused_with_the_nearest():
     with pytest.raises(CalibrationError, match=r'no method holds .* the nearest is gauss\d+'):
-        calibrate(problem('exact_pendulum'), Budget(ENERGY, 1e-18, 10.0))
+        calibrate(problem('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0))
 
 
 def test_path_of_a_chaotic_motion_is_refused():
     with pytest.raises(CalibrationError, match=r'chaotic, with a Lyapunov time of \d'):
-        calibrate(problem('henon_heiles'), Budget(PATH, 1e-6, 2000.0))
+        calibrate(problem('henon_heiles'), Tolerance(PATH, 1e-6, 2000.0))
 
 
 def test_candidates_all_keep_their_energy():
@@ -211,7 +213,7 @@ def test_choice_is_remembered(scene, monkeypatch):
     _, first = resolve(mine)
     monkeypatch.setattr('hnn_vi_ros.accuracy.calibration.calibrate', None)
     assert resolve(mine)[1] == first
-    # Another budget is another question.
+    # Another tolerance is another question.
     with pytest.raises(TypeError):
         resolve(scene('energy_error: 1e-6, horizon: 100.0'))
 
@@ -259,7 +261,7 @@ def test_effect_that_no_candidate_takes_is_refused(scene):
 
 def test_remembered_tells_largest_steps_apart(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    budget = Budget(ENERGY, 1e-3, 50.0)
-    steps = [remembered(problem('exact_pendulum'), budget, largest, 'name').step_size
+    tolerance = Tolerance(ENERGY, 1e-3, 50.0)
+    steps = [remembered(problem('exact_pendulum'), tolerance, largest, 'name').step_size
              for largest in (None, 0.01)]
     assert steps[1] <= 0.01 < steps[0]

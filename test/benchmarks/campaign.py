@@ -19,7 +19,7 @@ import time
 from benchmarks.systems import System, systems
 from hnn_vi_ros.accuracy.calibration import calibrate
 from hnn_vi_ros.accuracy.energy_scale import energy_scale
-from hnn_vi_ros.accuracy.trials import Budget, Method, Problem
+from hnn_vi_ros.accuracy.trials import Method, Problem, Tolerance
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.studies.references import EXACT
 from hnn_vi_ros.studies.results import commit, machine
@@ -27,7 +27,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 # Horizons in periods, and errors.
-BUDGETS = (('energy_error', 1e-3, 30.0), ('energy_error', 1e-8, 30.0), ('path_error', 1e-5, 6.0))
+TOLERANCES = (
+    ('energy_error', 1e-3, 30.0), ('energy_error', 1e-8, 30.0), ('path_error', 1e-5, 6.0))
 _METHODS = [*(Method('time_transformed', {'base': base, 'force': force})
               for base in ('gauss8', 'gauss6', 'gauss4') for force in (1.0, 0.2)),
             *(Method(f'gauss{order}') for order in range(16, 2, -2)), Method('stormer_verlet'),
@@ -41,7 +42,7 @@ _SAMPLES = 20_000
 @dataclass(frozen=True)
 class Row:
     """
-    A system and a budget.
+    A system and a tolerance.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class Row:
     """
 
     system: str
-    budget: str
+    tolerance: str
     allowed: float
     chosen: str
     error: float
@@ -75,7 +76,7 @@ class Row:
 
     @property
     def good(self) -> bool:
-        """Tell whether the budget was held at 1.5 times the gradients of the best at most."""
+        """Tell whether the tolerance was held at 1.5 times the gradients of the best at most."""
         if math.isnan(self.error):
             return math.isnan(self.best_gradients)
         return self.error <= self.allowed and not self.gradients > 1.5 * self.best_gradients
@@ -114,29 +115,29 @@ class Truth:
         return exact(self._problem.hamiltonian, self._problem.q, self._problem.p, times)[0]
 
 
-def measure(problem: Problem, truth: Truth, budget: Budget, method: Method, steps: int,
+def measure(problem: Problem, truth: Truth, tolerance: Tolerance, method: Method, steps: int,
             most: float) -> tuple[float, float]:
     """Return the error at every step, or some thousand, and gradients a simulated second."""
-    simulation = problem.simulation(method, budget.horizon / steps)
+    simulation = problem.simulation(method, tolerance.horizon / steps)
     every, start, worst = math.ceil(steps / _SAMPLES), simulation.energy, 0.0
     while simulation.steps < steps:
         first = simulation.steps
         count = min(200, (steps - first) // every) or 1
         states = np.hstack(simulation.record(count, every))
-        if budget.kind == 'energy_error':
+        if tolerance.kind == 'energy_error':
             energy = problem.hamiltonian.energy(*np.split(states, 2, axis=1))
             error = np.abs(energy - start).max() / truth.scale
         else:
             times = simulation.step_size * (first + every * np.arange(1, count + 1))
-            inside = times <= budget.horizon * (1.0 + 1e-12)
+            inside = times <= tolerance.horizon * (1.0 + 1e-12)
             error = np.abs(states - truth.at(times))[inside].max(initial=0.0)
         worst = max(worst, float(error))
-        if worst > budget.error or simulation.gradients > most:
+        if worst > tolerance.error or simulation.gradients > most:
             return math.inf, math.inf
     return worst, simulation.gradients / simulation.time
 
 
-def sweep(problem: Problem, truth: Truth, budget: Budget, least: float = 1.0
+def sweep(problem: Problem, truth: Truth, tolerance: Tolerance, least: float = 1.0
           ) -> tuple[str, float, float]:
     """
     Return the cheapest of all methods and of at least so many steps, its gradients and its time.
@@ -150,23 +151,23 @@ def sweep(problem: Problem, truth: Truth, budget: Budget, least: float = 1.0
         held = 0
         for steps in (n for n in counts if n <= _MOST):
             try:
-                error, cost = measure(problem, truth, budget, method, steps, limit)
+                error, cost = measure(problem, truth, tolerance, method, steps, limit)
             except StepFailure:
                 continue
             except UnsupportedSystem:
                 break
-            if error <= budget.error:
+            if error <= tolerance.error:
                 held += 1
                 if not cost >= found[0]:
-                    found, limit = (cost, method, steps), _DEARER * cost * budget.horizon
+                    found, limit = (cost, method, steps), _DEARER * cost * tolerance.horizon
             # More steps cost more: one gradient each at least.
             if held == 3 or steps > limit:
                 break
     cost, method, steps = found
     if method is None:
         return 'none', math.nan, math.nan
-    h = budget.horizon / steps
-    return f'{method}, h = {h:.3g}', cost, seconds(problem, method, h, budget.horizon)
+    h = tolerance.horizon / steps
+    return f'{method}, h = {h:.3g}', cost, seconds(problem, method, h, tolerance.horizon)
 
 
 def seconds(problem: Problem, method: Method, h: float, horizon: float) -> float:
@@ -183,34 +184,34 @@ def seconds(problem: Problem, method: Method, h: float, horizon: float) -> float
 
 
 def row(name: str, system: System, kind: str, error: float, periods: float) -> Row:
-    """Measure one system with one budget."""
-    problem, budget = system.problem, Budget(kind, error, periods * system.period)
+    """Measure one system with one tolerance."""
+    problem, tolerance = system.problem, Tolerance(kind, error, periods * system.period)
     begin = time.perf_counter()
-    text = f'{kind} {error:g} up to {budget.horizon:.4g} s'
-    truth = Truth(problem, budget.horizon)
+    text = f'{kind} {error:g} up to {tolerance.horizon:.4g} s'
+    truth = Truth(problem, tolerance.horizon)
     begin = time.perf_counter()
     try:
-        choice = calibrate(problem, budget)
+        choice = calibrate(problem, tolerance)
     except CalibrationError as refusal:
         taken = time.perf_counter() - begin
         return Row(name, text, error, f'refused: {refusal}', math.nan, math.nan, math.nan,
-                   *sweep(problem, truth, budget, 2.0 * periods), taken, commit())
+                   *sweep(problem, truth, tolerance, 2.0 * periods), taken, commit())
     taken = time.perf_counter() - begin
     method = Method(choice.method, choice.arguments)
-    steps = math.ceil(budget.horizon / choice.step_size * (1.0 - 1e-12))
-    wide = Budget(kind, math.inf, steps * choice.step_size)
+    steps = math.ceil(tolerance.horizon / choice.step_size * (1.0 - 1e-12))
+    wide = Tolerance(kind, math.inf, steps * choice.step_size)
     found, cost = measure(problem, truth, wide, method, steps, math.inf)
     return Row(name, text, error, f'{method}, h = {choice.step_size:.3g}', found, cost,
-               seconds(problem, method, choice.step_size, budget.horizon),
-               *sweep(problem, truth, budget, 2.0 * periods), taken, commit())
+               seconds(problem, method, choice.step_size, tolerance.horizon),
+               *sweep(problem, truth, tolerance, 2.0 * periods), taken, commit())
 
 
 def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:
     """Measure what the file lacks, and return all rows."""
     rows = [Row(**entry) for entry in json.loads(out.read_text())] if out.exists() else []
-    done = {(row.system, row.budget.split()[0], row.allowed) for row in rows}
+    done = {(row.system, row.tolerance.split()[0], row.allowed) for row in rows}
     for name, system in systems().items():
-        for kind, error, periods in BUDGETS:
+        for kind, error, periods in TOLERANCES:
             if (name, kind, error) in done or (names and name not in names):
                 continue
             rows.append(row(name, system, kind, error, periods))
@@ -232,9 +233,9 @@ def page(rows: list[Row]) -> Iterator[str]:
         'against an exact orbit or DOP853 of scipy at 3e-14; energies are relative to the mean of',
         'abs(p . H_p). Cost is counted in gradients a simulated second, by which auto chooses.',
         'The ratio of times is that of this machine, in one run each, and noisy. A row is missed',
-        'where the error exceeds the budget or the cost is more than 1.5 times the best.', '',
-        f'Held at that cost: {good} of {len(rows)} rows, of the {len(systems()) * len(BUDGETS)} '
-        'that there are to be measured.',
+        'where the error exceeds the tolerance or the cost is more than 1.5 times the best.', '',
+        f'Held at that cost: {good} of {len(rows)} rows, of the '
+        f'{len(systems()) * len(TOLERANCES)} that there are to be measured.',
         'Made in `test/`, where it goes on with the rows that are missing, by',
         '`python -m benchmarks.campaign --out ../docs/automatic-choice.json '
         '--table ../docs/automatic-choice.md`',
@@ -244,13 +245,13 @@ def page(rows: list[Row]) -> Iterator[str]:
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the lines of the table."""
-    yield ('| system | budget | auto chose | error | gradients / s | best of the sweep | ratio of '
-           'gradients | of time | |')
+    yield ('| system | tolerance | auto chose | error | gradients / s | best of the sweep '
+           '| ratio of gradients | of time | |')
     yield '|---|---|---|---|---|---|---|---|---|'
     for entry in rows:
         ratio, times = (entry.gradients / entry.best_gradients,
                         entry.seconds / entry.best_seconds)
-        yield (f'| {entry.system} | {entry.budget} | {entry.chosen} | {entry.error:.2g} | '
+        yield (f'| {entry.system} | {entry.tolerance} | {entry.chosen} | {entry.error:.2g} | '
                f'{entry.gradients:.3g} | {entry.best}: {entry.best_gradients:.3g} | {ratio:.2f} | '
                f'{times:.2f} | {"" if entry.good else "missed"} |')
 

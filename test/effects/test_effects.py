@@ -216,7 +216,7 @@ def test_newton_solves_steps_with_an_effect(row: EffectRow, tmp_path: Path):
     # Both are solved to 32 eps in each of 10 steps, the flow stretches that less than tenfold.
     assert newton.q == pytest.approx(anderson.q, abs=10 * 32 * 10 * EPS)
     assert newton.p == pytest.approx(anderson.p, abs=10 * 32 * 10 * EPS)
-    assert newton.budget == pytest.approx(anderson.budget, abs=1e-12)
+    assert newton.energy_balance == pytest.approx(anderson.energy_balance, abs=1e-12)
     assert newton.gradients > anderson.gradients
 
 

@@ -279,7 +279,7 @@ def test_command_acts_through_the_input_map_of_its_model(tmp_path, commands: int
     assert np.abs(free - simulation.dH_dq - g.reshape(2, commands) @ u).max() <= ROUND_OFF
     simulation.advance(20)
     # The midpoint rule errs by its third derivative times h^2: of the order of 1e-4 here.
-    assert simulation.budget == pytest.approx(0.0, abs=1e-3)
+    assert simulation.energy_balance == pytest.approx(0.0, abs=1e-3)
     with pytest.raises(ValueError, match=f'expected {commands} finite numbers'):
         simulation.set_command([1.0] * 3)
 

@@ -41,7 +41,7 @@ def test_energy_of_each_family_has_no_drift_over_1000_seconds(name: str):
         for _ in range(SAMPLES):
             simulation.advance(steps // SAMPLES)
             # What is left of H when the work of friction and commands is taken off.
-            worst = max(worst, abs(simulation.budget))
+            worst = max(worst, abs(simulation.energy_balance))
         bands.append(worst)
     low, high = np.vstack(simulation.hamiltonian.box).T
     assert (low <= np.concatenate([simulation.q, simulation.p])).all()

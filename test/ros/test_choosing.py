@@ -9,7 +9,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy import calibration
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.calibration import Choice
-from hnn_vi_ros.accuracy.trials import Budget
+from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.ros.choosing import told
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
@@ -22,7 +22,7 @@ hamiltonian: {kind: harmonic_oscillator}
 integrator: {kind: auto, energy_error: 1.0e-3, horizon: 10.0}
 initial_state: {q: [1.0], p: [0.0]}
 """
-BUDGET = Budget('energy_error', 1e-3, 10.0)
+TOLERANCE = Tolerance('energy_error', 1e-3, 10.0)
 CHOICE = Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3, 4e3, {}, 0.5)
 
 
@@ -57,7 +57,7 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
         rerun_path='picture.rrd'))
     assert status == 0
     assert 'calibrating for energy_error 0.001 up to 10 s' in error
-    explained = CHOICE.explain(BUDGET)
+    explained = CHOICE.explain(TOLERANCE)
     assert explained in error
     assert 'WARN' not in error
     events = events_of(tmp_path / 'picture.rrd')
@@ -69,8 +69,8 @@ def test_scene_report_carries_budget_and_choice(tmp_path, choose):
     choose(CHOICE)
     scene, chosen = resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
     report = scene_report(scene, build(scene), chosen=chosen)
-    assert report['budget'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0,
-                                'energy_scale': 0.5}
+    assert report['tolerance'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0,
+                                   'energy_scale': 0.5}
     assert report['choice'] == asdict(CHOICE)
     assert (report['integrator']['kind'], report['step_size']) == ('gauss4', 0.005)
 
@@ -83,16 +83,16 @@ def test_budget_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose
         rerun_path='picture.rrd'))
     assert status == 0
     line, = [line for line in error.splitlines() if 'WARN' in line]
-    assert 'the budget is exceeded: energy_error 0.001' in line and 'allowed is 0.001' in line
+    assert 'the tolerance is exceeded: energy_error 0.001' in line and 'allowed is 0.001' in line
     warnings = [text for level, text in events_of(tmp_path / 'picture.rrd') if level == 'WARN']
     assert len(warnings) == 1 and warnings[0] in line
 
 
 def test_choice_that_cannot_keep_the_pace_is_warned_of_before_the_run():
     choice = Choice('gauss16', 0.01, 1e-4, 10.0, 0.25, 1e4, {}, 0.5)
-    assert [event.level for event in told(BUDGET, choice, 0.0)] == ['INFO']
-    assert [event.level for event in told(BUDGET, choice, 3.9)] == ['INFO']
-    _, warning = told(BUDGET, choice, 4.1)
+    assert [event.level for event in told(TOLERANCE, choice, 0.0)] == ['INFO']
+    assert [event.level for event in told(TOLERANCE, choice, 3.9)] == ['INFO']
+    _, warning = told(TOLERANCE, choice, 4.1)
     assert warning.level == 'WARN'
     assert 'no method holds energy_error 0.001 up to 10 s at real_time_factor 4.1' in warning.text
     assert 'at most about 4,' in warning.text

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.accuracy.trials import Budget
+from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
@@ -123,14 +123,14 @@ def test_diagnostics_of_a_step_that_fails_say_so_at_once(tmp_path, received):
 class Run:
     """The parts of a run, without a node."""
 
-    def __init__(self, folder: Path, budget: Budget | None = None, factor: float = 1.0):
+    def __init__(self, folder: Path, tolerance: Tolerance | None = None, factor: float = 1.0):
         (folder / 'scene.yaml').write_text(SCENE)
         scene = load_scene(folder / 'scene.yaml')
         self.simulation = build(scene)
         self.sampler = Sampler(self.simulation, 100.0)
         self.warnings: list[tuple[str, bool]] = []
         self.monitor = Monitor(
-            self.simulation, self.sampler.every, self.sampler.tick, budget,
+            self.simulation, self.sampler.every, self.sampler.tick, tolerance,
             lambda text, first: self.warnings.append((text, first)))
         settings = Settings(record=False, rerun_sink='none')
         self.recording = Recording(
@@ -194,9 +194,9 @@ def test_integrator_and_health_keep_saying_that_a_step_failed(tmp_path):
 
 
 def test_energy_warns_of_a_budget_that_is_exceeded_and_the_run_once(tmp_path):
-    run = Run(tmp_path, Budget('energy_error', 1e-3, 10.0))
+    run = Run(tmp_path, Tolerance('energy_error', 1e-3, 10.0))
     run.advance(5)
-    assert run.told('energy') == (OK, 'energy_error within its budget')
+    assert run.told('energy') == (OK, 'energy_error within its tolerance')
     run.advance(95)
     level, message = run.told('energy')
     assert level == WARN and 'energy_error 0.005' in message and 'allowed is 0.001' in message

@@ -206,11 +206,11 @@ def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber
     assert np.isclose(force, 3.0, atol=1e-12).any()
     assert (np.isclose(force, 3.0, atol=1e-12) | (force == 0.0)).all()
     accuracy = np.array([message.data for _, message in topics['/hnn_simulator/accuracy']])
-    energy, _, error, work, budget = accuracy.T[:5]
+    energy, _, error, work, balance = accuracy.T[:5]
     assert work[-1] > 0.0
     # Exact for a constant force; 500 steps of rounding of energies up to 60 J, and H0 is zero.
     assert np.abs(energy - work).max() < 1e-10
-    assert np.array_equal(error, budget)
+    assert np.array_equal(error, balance)
 
 
 @pytest.mark.parametrize(

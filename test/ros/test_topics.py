@@ -154,7 +154,7 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
                          found.pop('largest_real_time_factor')]).all()
         assert found == {
             'H': simulation.energy, 'modified_H': 0.5, 'energy_error': 0.25, 'work': 0.125,
-            'energy_budget': simulation.energy - energy0 - 0.125,
+            'energy_balance': simulation.energy - energy0 - 0.125,
             'residual': simulation.residual,
             'iterations': (simulation.gradients - gradients) / 10,
             'microseconds_per_step_median': figures.microseconds_per_step_median,

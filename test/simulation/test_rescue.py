@@ -164,7 +164,7 @@ def test_rescue_by_the_midpoint_rule_counts_time_and_work_once():
     assert coarse.rescued == 20
     assert coarse.snapshot()['live.clock'].sum() == 20.0
     # Of order 2, at h omega = 2.2: of the energy of 2.42 J it closes to a few hundredths.
-    assert abs(coarse.budget) <= 0.2
+    assert abs(coarse.energy_balance) <= 0.2
 
 
 def test_implicit_refuses_an_effect_that_the_midpoint_rule_cannot_take():

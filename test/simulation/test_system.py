@@ -106,7 +106,7 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
     def run() -> None:
         simulation.advance(20)
         simulation.restore(simulation.snapshot())
-        assert simulation.budget == simulation.energy - simulation._energy0
+        assert simulation.energy_balance == simulation.energy - simulation._energy0
         simulation.restart([0.5], [0.1])
 
     counts = calls_in_effects(run)
@@ -249,7 +249,8 @@ def assert_same(one: Simulation, other: Simulation) -> None:
     """Compare everything that a simulation shows, bit by bit."""
     for part in ('q', 'p', 'dH_dq', 'dH_dp'):
         assert np.array_equal(getattr(one, part), getattr(other, part))
-    assert (one.works, one.budget, one.time) == (other.works, other.budget, other.time)
+    assert (one.works, one.energy_balance, one.time) == (
+        other.works, other.energy_balance, other.time)
 
 
 @pytest.mark.parametrize('make', SIMULATIONS, ids=lambda make: make.__name__)
@@ -410,7 +411,7 @@ def test_budget_of_trajectories_that_step_together_is_the_sum_of_theirs():
     assert together.energy == pytest.approx(sum(one.energy for one in alone), abs=1e-12)
     assert together.work == pytest.approx(sum(one.work for one in alone), abs=1e-12)
     assert abs(together.work) > 1e-3
-    assert abs(together.budget) < 1e-8
+    assert abs(together.energy_balance) < 1e-8
 
 
 def test_initial_momentum_along_a_rod_is_refused():
@@ -441,7 +442,7 @@ def test_snapshot_carries_the_energy_that_the_budget_starts_from():
     first, other = start(1.0), start(0.5)
     first.advance(5)
     other.restore(first.snapshot())
-    assert other.budget == first.budget
+    assert other.energy_balance == first.energy_balance
 
 
 def test_body_that_friction_brought_to_rest_needs_no_rescue():

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""That the energy budget H - H0 - W of every effect closes, with every method that takes it."""
+"""That the energy balance H - H0 - W of every effect closes, with every method that takes it."""
 
 from pathlib import Path
 
@@ -35,12 +35,12 @@ def simulation_of(row: EffectRow, hamiltonian: Hamiltonian, effects: list[Effect
     return simulation
 
 
-def worst_budget(simulation: Simulation, steps: int) -> float:
+def worst_balance(simulation: Simulation, steps: int) -> float:
     """Return the largest abs(H - H0 - W) after any step [J]."""
     worst = 0.0
     for _ in range(steps):
         simulation.advance(1)
-        worst = max(worst, abs(simulation.budget))
+        worst = max(worst, abs(simulation.energy_balance))
     assert simulation.rescued == 0
     return worst
 
@@ -59,7 +59,7 @@ def test_effect_table_covers_every_effect():
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
 def test_effect_acts_on_the_state_and_on_the_energy(row: EffectRow, tmp_path: Path):
-    """Without that, a budget that closes would say nothing."""
+    """Without that, a balance that closes would say nothing."""
     method = next(method for method in METHODS if method.name == 'generalized_leapfrog')
     runs = [simulation_of(row, row.uncompiled, effects, method, 100)
             for effects in (row.create(tmp_path), row.create(tmp_path)[1:])]
@@ -74,14 +74,14 @@ def test_effect_acts_on_the_state_and_on_the_energy(row: EffectRow, tmp_path: Pa
 
 
 def shortfall(row: EffectRow, method: Method, effects: list[Effect]) -> float:
-    """Return by how much the budget's order falls short of the method's; -infinity if closed."""
+    """Return by how much the balance's order falls short of the method's; -infinity if closed."""
     if method.name == 'dop853':
         # rtol 1e-9 in each of its own steps, some 10 of them, and energies below 10 J.
         simulation = simulation_of(row, row.uncompiled, effects, method, 4)
-        return -np.inf if worst_budget(simulation, 4) < 1e-7 else np.inf
+        return -np.inf if worst_balance(simulation, 4) < 1e-7 else np.inf
     steps = np.array([4, 5, 6, 8]) * STEPS.get(method.integrator.order, method.steps) // 4
-    errors = np.array([worst_budget(simulation_of(row, row.uncompiled, effects, method, int(n)),
-                                    int(n)) for n in steps])
+    errors = np.array([worst_balance(simulation_of(row, row.uncompiled, effects, method, int(n)),
+                                     int(n)) for n in steps])
     return min(method.integrator.order, row.order) - observed_order(steps, errors)
 
 
@@ -96,7 +96,7 @@ def test_energy_budget_closes_with_the_order_of_every_method_that_takes_the_effe
             # See test_system.py for what is refused.
             assert 'generalized_leapfrog' in str(problem)
     worst = max(shortfalls, key=shortfalls.get)
-    measured('order of the energy budget less that of the method',
+    measured('order of the energy balance less that of the method',
              f'{row.name}, least of {len(shortfalls)} methods ({worst})', -shortfalls[worst],
              '>= -0.35')
     assert len(shortfalls) >= 3
@@ -114,11 +114,11 @@ def test_energy_budget_of_the_thermostat_closes_with_order_2(name: str, measured
             effect = Thermostat(**row.effects[0][1] | {'seed': seed})
             simulation = Simulation(row.uncompiled, INTEGRATORS[name](), row.duration / n,
                                     row.q, row.p, [effect])
-            squares.append(worst_budget(simulation, int(n)) ** 2)
+            squares.append(worst_balance(simulation, int(n)) ** 2)
         errors.append(np.sqrt(np.mean(squares)))
     # The root of a mean of 32 squares is known to an eighth, a slope over a factor 4 to 0.13.
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    measured('order of the energy budget', f'{name}, thermostat', slope, '>= 2 - 0.35')
+    measured('order of the energy balance', f'{name}, thermostat', slope, '>= 2 - 0.35')
     assert slope >= 2 - 0.35
 
 

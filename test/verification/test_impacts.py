@@ -46,7 +46,7 @@ def test_more_than_eight_bounces_in_a_step_are_all_followed(method, h):
         assert simulation.q[0] == pytest.approx(height, abs=50 * 5.0 * 4e-16 * 41.0)
         assert simulation.p[0] == pytest.approx(speed, abs=50 * G * 4e-16 * 41.0)
     assert simulation.energy > 0.04
-    assert abs(simulation.budget) < 1e-13
+    assert abs(simulation.energy_balance) < 1e-13
 
 
 @pytest.mark.parametrize('restitution, h', [(0.0, 1.0), (0.5, 0.3), (0.9, 3.0), (0.99, 50.0)])
