@@ -78,7 +78,7 @@ class LearnedDissipation(Force):
         if len(coordinates) != (d := self.network.dimension):
             raise ValueError(f'the model has {d} coordinates, H has {len(coordinates)}')
         from hnn_vi_ros.kernels.compilation import identify
-        kernel = self.network.twin().kernel
+        kernel = self.network.copy().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
             identify(function)
         return DissipationParameters(kernel, live.gauge, *np.zeros((3, d)))

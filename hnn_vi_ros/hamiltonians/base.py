@@ -74,12 +74,12 @@ class Hamiltonian(ABC):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
 
-    def twin(self) -> 'Hamiltonian':
+    def copy(self) -> 'Hamiltonian':
         """Return the same function with working memory of its own, for use in another thread."""
-        twin = copy(self)
+        other = copy(self)
         for name in ('kernel', '_called'):
-            twin.__dict__.pop(name, None)
-        return twin
+            other.__dict__.pop(name, None)
+        return other
 
     @cached_property
     def _called(self) -> Kernel:

@@ -90,9 +90,9 @@ class ConfinedHamiltonian(Hamiltonian):
         """Return the method and step size [s] of the base."""
         return self.base.scheme
 
-    def twin(self) -> 'ConfinedHamiltonian':
+    def copy(self) -> 'ConfinedHamiltonian':
         """Return the same function with working memory of its own."""
-        return ConfinedHamiltonian(self.base.twin())
+        return ConfinedHamiltonian(self.base.copy())
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -100,7 +100,7 @@ class LagrangianHamiltonian(LearnedHamiltonian):
         inverse = np.linalg.inv(self._masses(self._centre)[0])
         momentum = self._slope(self._centre)[0, d:].astype(np.float64)
         start = np.vstack([self._centre[0, d:] - inverse @ momentum, inverse])
-        # A twin has a network of its own: it is where the loops work.
+        # A copy has a network of its own: it is where the loops work.
         parameters = (self._packed('lagrangian'), self._mass, start,
                       np.zeros((7, d)), np.zeros((2, d, d)))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),

@@ -212,7 +212,7 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     t = np.arange(samples + 1) * (interval if share else every * scene.step_size)
 
     def start(block: slice) -> Simulation:
-        return Simulation(hamiltonian.twin(), integrator, scene.step_size, q0[block], p0[block],
+        return Simulation(hamiltonian.copy(), integrator, scene.step_size, q0[block], p0[block],
                           effects, scene.on_failure)
 
     workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))

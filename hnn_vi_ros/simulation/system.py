@@ -76,9 +76,9 @@ class JoinedHamiltonian(Hamiltonian):
         """Return the method and step size [s] of the base."""
         return self.base.scheme
 
-    def twin(self) -> 'JoinedHamiltonian':
+    def copy(self) -> 'JoinedHamiltonian':
         """Return the same function with working memory of its own."""
-        return JoinedHamiltonian(self.base.twin(), self._joined)
+        return JoinedHamiltonian(self.base.copy(), self._joined)
 
     @cached_property
     def kernel(self) -> Kernel:
