@@ -96,9 +96,9 @@ def take_step(kernel: Kernel, integrator: Integrator, h: float, q: np.ndarray, p
     z, z1 = Point.empty(q.size), Point.empty(q.size)
     z.q[:], z.p[:] = q, p
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
-    for link in integrator.links(q.size):
+    for attempt in integrator.attempts(q.size):
         outcome, residual, spent = integrator.step(
-            kernel, h, integrator.options(link, q.size), z, z1, integrator.memory(q.size))
+            kernel, h, integrator.options(attempt, q.size), z, z1, integrator.memory(q.size))
         if outcome in (OK, NO_SOLUTION):
             break
     if outcome == OK and not is_finite(z1):

@@ -50,18 +50,18 @@ class Wrapped(Integrator):
         """Return whether the effect and the method are this package's."""
         return is_own(self._kind.__module__) and self._inner.own
 
-    def links(self, n: int) -> tuple[int, ...]:
-        """Return the solvers of the method's chain."""
-        return self._inner.links(n)
+    def attempts(self, n: int) -> tuple[int, ...]:
+        """Return the attempts of the method."""
+        return self._inner.attempts(n)
 
     @property
     def usual_gradients(self) -> int:
         """Return what the method takes; 0 where the effect takes its step again and again."""
         return 0 if getattr(self._kind, 'repeats', False) else self._inner.usual_gradients
 
-    def options(self, link: int = 0, dimension: int = 1) -> Parameters:
+    def options(self, attempt: int = 0, dimension: int = 1) -> Parameters:
         """Return the options of the method, and the settings of the effect."""
-        return (self._inner.options(link, dimension), *self._settings)
+        return (self._inner.options(attempt, dimension), *self._settings)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the equations of the method."""
@@ -72,7 +72,7 @@ class Wrapped(Integrator):
         return (*self._inner.memory(n, dtype), self._kind.workspace(n, self._settings))
 
     def substep(self) -> Integrator | None:
-        """Return the method's way to take a step in parts, with the effect."""
+        """Return the method that takes a failed step in parts, with the effect."""
         inner = self._inner.substep()
         return None if inner is None else Wrapped(inner, self._kind, self._settings)
 

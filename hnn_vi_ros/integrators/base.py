@@ -126,8 +126,8 @@ class Integrator(ABC):
         """Return whether all of the step is this package's, whose changes are noticed."""
         return is_own(type(self).__module__)
 
-    def links(self, n: int) -> tuple[int, ...]:
-        """Return the ways there are to take one step of n coordinates, the cheapest first."""
+    def attempts(self, n: int) -> tuple[int, ...]:
+        """Return the attempts at one step of n coordinates, the cheapest first."""
         return (0,)
 
     @property
@@ -136,14 +136,14 @@ class Integrator(ABC):
         return 0
 
     @abstractmethod
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """
         Return what ``step`` takes as its options: numbers, arrays and solvers.
 
         Parameters
         ----------
-        link : int
-            Which of the ways to take a step, from 0.
+        attempt : int
+            Which of the attempts at a step, from 0.
         dimension : int
             The number d of degrees of freedom of the Hamiltonian.
 

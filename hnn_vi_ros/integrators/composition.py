@@ -61,18 +61,18 @@ class Composition(Integrator):
         """Return the name of the method and of its base."""
         return f'{type(self).__name__}({self.base.kernel_name})'
 
-    def links(self, n: int) -> tuple[int, ...]:
+    def attempts(self, n: int) -> tuple[int, ...]:
         """Return the solvers of the base's chain."""
-        return self.base.links(n)
+        return self.base.attempts(n)
 
     @property
     def usual_gradients(self) -> int:
         """Return what the steps of the base take; see Integrator."""
         return len(self.fractions) * self.base.usual_gradients
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the base."""
-        return self.base.options(link, dimension)
+        return self.base.options(attempt, dimension)
 
     def substep(self) -> Integrator | None:
         """Return the method of which the base makes a failed step anew."""

@@ -92,7 +92,7 @@ class DiscreteEulerLagrange(Integrator):
             raise UnsupportedSystem('discrete_euler_lagrange: its model is not that of the '
                                     'Hamiltonian, whose momenta are others; name the same')
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return the discrete Lagrangian."""
         return (self.discrete_lagrangian,)
 

@@ -49,7 +49,7 @@ class DOP853(Integrator):
                 raise ValueError(f'{name}_tolerance = {value} must be positive')
         self._tolerances = Tolerances(relative_tolerance, absolute_tolerance)
 
-    def options(self, link: int = 0, dimension: int = 1) -> Tolerances:
+    def options(self, attempt: int = 0, dimension: int = 1) -> Tolerances:
         """Return the tolerances."""
         return self._tolerances
 

@@ -145,9 +145,9 @@ class Gauss(ImplicitIntegrator):
         """Return what its one equation takes, with a gradient for each stage; see Integrator."""
         return self.stages * super().usual_gradients
 
-    def options(self, link: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
+    def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
         """Return the coefficients and the options of the solver."""
-        return Tableau(*gauss_tableau(self.stages), super().options(link, dimension))
+        return Tableau(*gauss_tableau(self.stages), super().options(attempt, dimension))
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: q and p of each stage."""

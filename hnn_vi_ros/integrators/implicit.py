@@ -60,8 +60,8 @@ class ImplicitIntegrator(Integrator):
             # From the state it goes to the same solution each time.
             self.no_solution = ''
 
-    def links(self, n: int) -> tuple[int, ...]:
-        """Return the links of the chain for n coordinates: 1, 2 by Newton, 3 by continuation."""
+    def attempts(self, n: int) -> tuple[int, ...]:
+        """Return the attempts of the chain: 0 quickly, 1 and 2 by Newton, 3 by continuation."""
         if self.solver == 'fixed_point':
             return (0,)
         most = max(self.unknowns(n))
@@ -74,13 +74,13 @@ class ImplicitIntegrator(Integrator):
         """Return what its equations take, ten evaluations each; see Integrator."""
         return _USUAL_ITERATIONS * len(self.unknowns(1))
 
-    def options(self, link: int = 0, dimension: int = 1) -> SolverOptions:
-        """Return the options of a link of the chain."""
+    def options(self, attempt: int = 0, dimension: int = 1) -> SolverOptions:
+        """Return the options of an attempt of the chain."""
         if self.solver == 'fixed_point':
             return SolverOptions(fixed_point, False, self.max_iterations)
-        if link > 0:
-            solve = (newton, krylov, continuation)[link - 1]
-            return SolverOptions(solve, link < 3, _NEWTON_ITERATIONS)
+        if attempt > 0:
+            solve = (newton, krylov, continuation)[attempt - 1]
+            return SolverOptions(solve, attempt < 3, _NEWTON_ITERATIONS)
         solve = secant if self.scalar and dimension == 1 else anderson
         return SolverOptions(solve, True, self.max_iterations, bool(self.no_solution))
 

@@ -47,7 +47,7 @@ class RK4(Integrator):
     requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
     keeps_gradient = True
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return no options: nothing is solved."""
         return ()
 

@@ -57,7 +57,7 @@ class StormerVerlet(Integrator):
     requirements = Requirements(symmetric=True, symplectic=True, separable=True)
     modified_energy = staticmethod(leapfrog_energy)
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return no options: nothing is solved."""
         return ()
 

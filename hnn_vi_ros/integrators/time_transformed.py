@@ -161,13 +161,13 @@ class TimeTransformed(Integrator):
         """Return the name of the method and of its base."""
         return f'{type(self).__name__}({self._control}, {self.base.kernel_name})'
 
-    def links(self, n: int) -> tuple[int, ...]:
+    def attempts(self, n: int) -> tuple[int, ...]:
         """Return the solvers of the base's chain, for n coordinates and the time."""
-        return self.base.links(n + 1)
+        return self.base.attempts(n + 1)
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the base, the force and the exponent."""
-        return (self.base.options(link, dimension), self._force, self._exponent)
+        return (self.base.options(attempt, dimension), self._force, self._exponent)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the equations of H at the clock, and those of the steps of its own."""

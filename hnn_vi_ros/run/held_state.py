@@ -60,9 +60,10 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
             name: (array.shape, array.dtype) for name, array in own.items()}:
         raise RecordingError(f'{where}: its {STATE_FILE} is that of another simulation; '
                              'was it recorded by another version?')
-    # No number of a file may lead beyond the ways of taking steps, each of which has memories.
-    ways = {name.partition('.')[0] for name in own if name.startswith('memory')}
-    if found['steps'] < 0 or f'memory{found["way"]}' not in ways | {'memory0'}:
+    # No number of a file may lead beyond the methods, each of which has memories: `way` is that
+    # of them which is active.
+    methods = {name.partition('.')[0] for name in own if name.startswith('memory')}
+    if found['steps'] < 0 or f'memory{found["way"]}' not in methods | {'memory0'}:
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged')
     for name in ('point.q', 'point.p'):
         found[name] = found[name] + shift

@@ -100,7 +100,7 @@ class Simulation:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
                 'from plain Python or autograd in every step, which is slower', stacklevel=2)
-        self._loops = [assemble(advance, self._kernel, way) for way in self._rescue.ways]
+        self._loops = [assemble(advance, self._kernel, method) for method in self._rescue.methods]
         self._entries: dict[int, Callable] = {}
         self.restart(q, p)
 
@@ -116,7 +116,7 @@ class Simulation:
         self.costliest = 0, step
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
-        self._way, self._memories = 0, self._rescue.memories(n)
+        self._active, self._memories = 0, self._rescue.memories(n)
         self._shape = q.shape
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)
         self.q[:], self.p[:] = q, p
@@ -202,21 +202,22 @@ class Simulation:
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return, by name, all arrays that the next steps depend on."""
         groups: dict[str, Any] = {'point': self._z, 'live': self._system.live} | {
-            f'memory{way}.{k}': workspace.kept for way, memory in enumerate(self._memories)
+            f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
         return {name: array for place, group in groups.items()
                 for name, array in arrays_of(place, group)}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Return copies of all that the next steps depend on; see ``restore``."""
-        counts = {'steps': self.steps, 'energy0': self._energy0, 'way': self._way}
+        # 'way' and 'live': as the files of bags recorded so far have them.
+        counts = {'steps': self.steps, 'energy0': self._energy0, 'way': self._active}
         return {name: np.array(value) for name, value in counts.items()} | {
             name: array.copy() for name, array in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Go back to a snapshot of such a simulation: the same steps will follow, bit by bit."""
         self.steps, self._energy0 = int(snapshot['steps']), float(snapshot['energy0'])
-        self._way = int(snapshot['way'])
+        self._active = int(snapshot['way'])
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         self._update_gradient()
@@ -264,7 +265,7 @@ class Simulation:
 
     def _update_gradient(self) -> None:
         """Make the public gradient that of the state."""
-        if self._rescue.ways[self._way].keeps_gradient:
+        if self._rescue.methods[self._active].keeps_gradient:
             self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
         else:
             self._kernel.gradient(
@@ -299,8 +300,8 @@ class Simulation:
         done, changed, failure = 0, -1, None
         while failure is None:
             outcome, done, residual, spent = self._run(done, every, q_out, p_out)
-            if outcome == BEYOND and (self._way == 0 or done > changed):
-                self._change_way()
+            if outcome == BEYOND and (self._active == 0 or done > changed):
+                self._change_method()
                 changed = done
                 continue
             if outcome == OK:
@@ -319,22 +320,22 @@ class Simulation:
     def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:
         """Run the loop; return outcome, steps done, residual and gradients of the last step."""
-        loop, step, options = self._loops[self._way]
+        loop, step, options = self._loops[self._active]
         arguments = (step, self._kernel, self.step_size, options, done, every,
-                     self._z, self._z1, self._memories[self._way], q_out, p_out)
-        if self._way not in self._entries:
-            self._entries[self._way] = entry_point(loop, *arguments)
+                     self._z, self._z1, self._memories[self._active], q_out, p_out)
+        if self._active not in self._entries:
+            self._entries[self._active] = entry_point(loop, *arguments)
         outcome, now, gradients, self.residual, spent, most, costliest = (
-            self._entries[self._way](*arguments))
+            self._entries[self._active](*arguments))
         self._count(most, self.steps + costliest + 1 - done)
         self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
-        self.rescued += (now - done) * (self._way != 0)
+        self.rescued += (now - done) * (self._active != 0)
         return outcome, now, self.residual, spent
 
-    def _change_way(self) -> None:
-        """Go on by the other way of taking steps, from a state like an initial one."""
-        self._way = 1 - self._way
-        forget(self._memories[self._way])
+    def _change_method(self) -> None:
+        """Go on by the other method, from a state like an initial one."""
+        self._active = 1 - self._active
+        forget(self._memories[self._active])
         self._evaluate_gradient()
         self.gradients += 1
 
@@ -344,17 +345,17 @@ class Simulation:
             self.costliest = gradients, step
 
     def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
-        """Take one step in another way; return what came of the first one if none will do."""
+        """Take one step by a fallback; return what came of the first one if none will do."""
         z, z1 = self._z, self._z1
         doubtful = np.append(z1.q, z1.p)
         taken = self._rescue.take_step(
-            self._way, self.step_size, z, z1, self._memories[self._way])
+            self._active, self.step_size, z, z1, self._memories[self._active])
         if outcome == IN_DOUBT:
             outcome = taken.outcome
             self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
                 doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
         self.gradients += taken.gradients
-        self.rescued += taken.rescued or (taken.ok and self._way != 0)
+        self.rescued += taken.rescued or (taken.ok and self._active != 0)
         if not np.isnan(taken.residual):
             self.residual = taken.residual
         spent += taken.gradients

@@ -55,10 +55,10 @@ def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, p
     return True, gradients + 1
 
 
-def assemble(loop: Callable, kernel: Kernel, method: Integrator, link: int = 0
+def assemble(loop: Callable, kernel: Kernel, method: Integrator, attempt: int = 0
              ) -> tuple[Callable, Callable, tuple]:
-    """Return a loop, the method's step and its options for a link, compiled where possible."""
-    options = method.options(link, kernel.dimension - kernel.channels)
+    """Return a loop, the method's step and its options, compiled where possible."""
+    options = method.options(attempt, kernel.dimension - kernel.channels)
     if not (kernel.compiled and method.compiled):
         return loop, method.step, options
     name = method.kernel_name

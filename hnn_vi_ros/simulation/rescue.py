@@ -35,9 +35,9 @@ _FREQUENCIES = np.arange(0.05, 8.0, 0.05)
 
 class Rescue:
     """
-    The ways in which the steps of a simulation are taken: its method, and others where it fails.
+    The method of a simulation, and what takes a step where it fails: its fallbacks.
 
-    First the later links of the method's own chain of solvers, then what the scene says:
+    First the later attempts of the method's own chain of solvers, then what the scene says:
 
     - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method, until all of them have taken twice
       the gradients that 64 take as a rule;
@@ -59,7 +59,7 @@ class Rescue:
 
     Attributes
     ----------
-    ways : list of Integrator
+    methods : list of Integrator
         The method; and where it is watched the implicit one, which takes over while a step ends
         as BEYOND and gives back by ending so itself.
 
@@ -77,7 +77,7 @@ class Rescue:
             raise ValueError(f'on_failure = {on_failure!r}; valid: {", ".join(ON_FAILURE)}')
         self._system, self._on_failure = system, on_failure
         self._entries: dict[tuple[int, int], tuple[Callable, Callable, tuple]] = {}
-        self.ways = [system.integrator]
+        self.methods = [system.integrator]
         if on_failure == 'implicit' and not system.hamiltonian.canonical:
             raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
                                     'use on_failure: substep or stop')
@@ -85,39 +85,39 @@ class Rescue:
             self._implicit = system.around(ImplicitMidpoint())
             limit = stability_limit(system.method)
             if limit < math.inf:
-                self.ways = [Wrapped(system.integrator, StabilityWatch, (-math.inf, limit)),
-                             Wrapped(self._implicit, StabilityWatch, (_BACK * limit, math.inf))]
+                self.methods = [
+                    Wrapped(system.integrator, StabilityWatch, (-math.inf, limit)),
+                    Wrapped(self._implicit, StabilityWatch, (_BACK * limit, math.inf))]
 
     def memories(self, n: int) -> list[tuple]:
-        """Return the memory of each way, for n coordinates; they share the watch."""
-        memories = [way.memory(n) for way in self.ways]
+        """Return the memory of each method, for n coordinates; they share the watch."""
+        memories = [method.memory(n) for method in self.methods]
         return [memories[0], *((*memory[:-1], memories[0][-1]) for memory in memories[1:])]
 
-    def take_step(self, way: int, h: float, z: Point, z1: Point, memory: tuple
-                  ) -> 'Taken':
+    def take_step(self, active: int, h: float, z: Point, z1: Point, memory: tuple) -> 'Taken':
         """
         Take the step from z that has failed; z is as it was if none can.
 
         Parameters
         ----------
-        way : int
-            Which of the ways has failed.
+        active : int
+            Which of the methods has failed.
         h : float
             Step size [s].
         z, z1 : Point
             The state, which the step changes, and working space.
         memory : tuple
-            The workspaces of that way.
+            The workspaces of that method.
 
         """
-        solved = self._by_other_solvers(way, h, z, z1, memory)
+        solved = self._by_other_solvers(active, h, z, z1, memory)
         if solved.ok:
             return solved
         spent, most = 0, sys.maxsize
-        for method, link, parts in self._others(way, z.q.size):
+        for method, attempt, parts in self._fallbacks(active, z.q.size):
             if parts > 1 and method.usual_gradients:
                 most = _MOST_PARTS * method.usual_gradients
-            ok, gradients = self._in_parts(method, link, parts, most - spent, h, z, z1)
+            ok, gradients = self._in_parts(method, attempt, parts, most - spent, h, z, z1)
             spent += gradients
             if ok:
                 # What came before is no guide to the next start.
@@ -128,39 +128,39 @@ class Rescue:
                 return solved._replace(gradients=solved.gradients + spent, given_up=most)
         return solved._replace(gradients=solved.gradients + spent)
 
-    def _by_other_solvers(self, way: int, h: float, z: Point, z1: Point,
+    def _by_other_solvers(self, active: int, h: float, z: Point, z1: Point,
                           memory: tuple) -> 'Taken':
-        """Take the step with the later links of the way's own chain."""
-        kernel, method, spent = self._system.kernel, self.ways[way], 0
+        """Take the step with the later attempts of the method itself."""
+        kernel, method, spent = self._system.kernel, self.methods[active], 0
         residual, outcome = math.nan, NO_CONVERGENCE
-        for link in method.links(z.q.size)[1:]:
-            if (way, link) not in self._entries:
-                self._entries[way, link] = assemble(advance, kernel, method, link)
-            loop, step, options = self._entries[way, link]
+        for attempt in method.attempts(z.q.size)[1:]:
+            if (active, attempt) not in self._entries:
+                self._entries[active, attempt] = assemble(advance, kernel, method, attempt)
+            loop, step, options = self._entries[active, attempt]
             q, p = np.empty((2, 1, z.q.size))
             arguments = step, kernel, h, options, 0, 1, z, z1, memory, q, p
             # Once; from then on it is the entry that is returned as it is.
             entry = entry_point(loop, *arguments)
-            self._entries[way, link] = entry, step, options
+            self._entries[active, attempt] = entry, step, options
             outcome, _, gradients, residual, *_ = entry(*arguments)
             spent += gradients
             if outcome in (OK, NO_SOLUTION):
                 break
         return Taken(outcome == OK, False, spent, residual, outcome)
 
-    def _others(self, way: int, n: int) -> list[tuple[Integrator, int, int]]:
-        """Return method, link of its chain and number of parts, in the order of trial."""
-        if self._on_failure == 'implicit' and way == 0:
-            return [(self._implicit, link, 1) for link in self._implicit.links(n)]
-        substep = self.ways[way].substep() if self._on_failure == 'substep' else None
+    def _fallbacks(self, active: int, n: int) -> list[tuple[Integrator, int, int]]:
+        """Return the fallbacks in their order: method, attempt, and number of parts."""
+        if self._on_failure == 'implicit' and active == 0:
+            return [(self._implicit, attempt, 1) for attempt in self._implicit.attempts(n)]
+        substep = self.methods[active].substep() if self._on_failure == 'substep' else None
         return [] if substep is None else [
             (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
 
-    def _in_parts(self, method: Integrator, link: int, parts: int, most: int, h: float, z: Point,
-                  z1: Point) -> tuple[bool, int]:
+    def _in_parts(self, method: Integrator, attempt: int, parts: int, most: int, h: float,
+                  z: Point, z1: Point) -> tuple[bool, int]:
         """Take the step in equal parts; leave z and what the effects keep if one fails."""
         kernel, live = self._system.kernel, self._system.live
-        loop, step, options = assemble(take_substeps, kernel, method, link)
+        loop, step, options = assemble(take_substeps, kernel, method, attempt)
         before = [array.copy() for array in live]
         end = Point(*[array.copy() for array in z])
         ok, gradients = loop(step, kernel, h, options, parts, most, end, z1,
@@ -181,7 +181,7 @@ class Taken(NamedTuple):
     Parameters
     ----------
     ok, rescued : bool
-        Whether it was taken, and not by the way's own equations.
+        Whether it was taken, and not by the method's own equations.
     gradients : int
         Evaluated for it.
     residual : float

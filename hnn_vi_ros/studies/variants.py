@@ -143,10 +143,10 @@ class Undersolved(Integrator):
         """Return the name of the base, whose step it is."""
         return self.base.kernel_name
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the base with the solver exchanged."""
         worse = SolverOptions(self._solve, True, self._most)
-        options = self.base.options(link, dimension)
+        options = self.base.options(attempt, dimension)
         return worse if isinstance(options, SolverOptions) else options._replace(solver=worse)
 
     def unknowns(self, n: int) -> tuple[int, ...]:

@@ -75,7 +75,7 @@ class _Planted(Integrator):
     def __init__(self, formula):
         self._formula = formula
 
-    def options(self, link: int = 0, dimension: int = 1) -> tuple:
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return no options."""
         return ()
 

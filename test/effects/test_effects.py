@@ -206,7 +206,7 @@ def test_hessian_vector_with_an_effect_is_the_derivative_of_its_gradient(
 @pytest.mark.parametrize('row', [row for row in KERNEL_ROWS if row.name != 'external_force'],
                          ids=lambda row: row.name)
 def test_newton_solves_steps_with_an_effect(row: EffectRow, tmp_path: Path):
-    """One iteration is never enough for the first link of the chain."""
+    """One iteration is never enough for the first attempt of the chain."""
     runs = [Simulation(row.uncompiled, INTEGRATORS['gauss4'](max_iterations=iterations), 0.05,
                        row.q, row.p, row.create(tmp_path)) for iterations in (1, 100)]
     for simulation in runs:

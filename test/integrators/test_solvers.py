@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The chain of solvers: what each link does, and that the chain ends in a typed failure."""
+"""The chain of solvers: what each attempt does, and that the chain ends in a typed failure."""
 
 from functools import cached_property
 
@@ -124,17 +124,17 @@ class Chain:
 
     Parameters
     ----------
-    link : int
+    attempt : int
         Of the chain of solvers: 1 for Newton's method with a Jacobian, 2 for that without.
 
     """
 
     method, pairs = INTEGRATORS['implicit_midpoint'](), 300
 
-    def __init__(self, link: int):
+    def __init__(self, attempt: int):
         hamiltonian = HAMILTONIANS['fput_chain'](self.pairs, 50.0)
         self.kernel, self.n = hamiltonian.kernel, hamiltonian.dimension
-        self._assembled = assemble(advance, self.kernel, self.method, link)
+        self._assembled = assemble(advance, self.kernel, self.method, attempt)
 
     def end(self, h: float, steps: int) -> np.ndarray:
         """Return q and p after some steps of h from a state that excites all modes."""
@@ -154,7 +154,7 @@ class Chain:
 
 
 def test_krylov_has_the_solution_of_a_jacobian_to_round_off_at_1200_unknowns():
-    ends = [Chain(link).end(0.1, 1) for link in (1, 2)]
+    ends = [Chain(attempt).end(0.1, 1) for attempt in (1, 2)]
     # Residuals of N eps of the largest unknown, at most 4; h omega^2 / 2 over 1 + (h omega / 2)^2
     # is 17, by which a stretch enters its momentum.
     assert ends[1] == pytest.approx(ends[0], abs=(1 + 17) * 1200 * EPS * 4.0)

@@ -73,7 +73,7 @@ def test_stop_takes_no_sub_steps():
 
 
 def test_stop_still_tries_every_solver_of_the_chain():
-    # The first link does not converge here within three iterations, Newton's method does.
+    # The first attempt does not converge here within three iterations, Newton's method does.
     simulation = Simulation(
         HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](max_iterations=3), 0.05,
         [0.0], [-3.0], on_failure='stop')
