@@ -49,7 +49,7 @@ def evaluate() -> Parser:
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data arm.npz',
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data bags/run7 --joints a,b',
             'ros2 run hnn_vi_ros evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
-            '--baselines arm.npz:run1,run2 --json arm.json'])
+            '--baselines arm.npz:run1,run2 --json arm.json --out arm'])
     parser.add_argument('model', metavar='MODEL|SCENE', help=(
         'a .safetensors file, with its friction and a force on each coordinate; or the name or '
         'the YAML file of a scene'))
@@ -72,6 +72,9 @@ def evaluate() -> Parser:
         'cut-off of the zero-phase filter of the initial states (default: 40)'))
     parser.add_argument('--baselines', nargs='+', metavar='FILE', help=(
         'compare with a linear model that is fitted to these motions as well'))
+    parser.add_argument('--out', type=Path, metavar='DIR', help=(
+        'a new folder for a report with this table, a picture of the predictions over what was '
+        'measured, and a recording of both for rerun'))
     parser.add_argument('--json', type=Path, metavar='FILE', help='write the numbers here')
     return parser
 

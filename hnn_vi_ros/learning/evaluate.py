@@ -6,7 +6,9 @@ from argparse import Namespace
 from collections.abc import Sequence
 import json
 import math
+import os
 from pathlib import Path
+import shlex
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.base import Effect
@@ -19,7 +21,8 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.evaluation import (
-    constant_velocity, linear_model, Predict, score, Scores, simulated, table, variance_of)
+    constant_velocity, Fan, fans_of, linear_model, Predict, score, score_fans, Scores, simulated,
+    table, variance_of)
 from hnn_vi_ros.learning.machine_config import load_machine
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
@@ -44,8 +47,8 @@ def main(argv: Sequence[str]) -> None:
         if value is not None and not all(
                 math.isfinite(number) and number > 0.0 for number in values):
             raise ParameterError(f'--{name} {value}: expected positive numbers')
-    if arguments.json is not None and arguments.json.exists():
-        raise ParameterError(f'--json {arguments.json} exists already and is not overwritten')
+    for option in ('out', 'json'):
+        _check_free(option, getattr(arguments, option))
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
     motions, description = _motions(arguments, arguments.data, names)
@@ -55,18 +58,27 @@ def main(argv: Sequence[str]) -> None:
                         'no effect external_force; add it with all coordinates, or leave the '
                         'forces out with --keys t,q,dq')
     predict = prediction(hamiltonian, integrator, effects, motions, arguments.horizons, step_size)
-    scores = judge(predict, motions, arguments.horizons, arguments.every, arguments.longest)
+    asked = motions, arguments.horizons, arguments.every, arguments.longest
+    fans = fans_of(predict, *asked)
+    scores = judge(fans, *asked)
     if arguments.baselines is not None:
         known, _ = _motions(arguments, arguments.baselines, names)
-        for name, other in (('constant velocity', constant_velocity),
-                            ('linear model', linear_model(known))):
-            scores[name] = score(other, motions, arguments.horizons, arguments.every,
-                                 arguments.longest)
-    print(f'{arguments.model} on {description}, simulated freely from a state every '
-          f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, and '
-          f'median of the valid prediction time\n\n{table(scores, names)}\n\n{verdict(scores)}')
+        scores['linear model'] = score(linear_model(known), *asked)
+    text = (f'{arguments.model} on {description}, simulated freely from a state every '
+            f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
+            f'and median of the valid prediction time\n\n{table(scores, names)}\n\n'
+            f'{verdict(scores)}')
+    print(text)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(as_json(scores['model']), indent=2) + '\n')
+    if arguments.out is not None:
+        # Imported here: numbers alone need no libraries that draw.
+        from hnn_vi_ros.learning.prediction_report import write_evaluation
+        arguments.out.mkdir(parents=True)
+        command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
+        write_evaluation(arguments.out, Path(arguments.model).stem, f'{text}\n\n`{command}`', fans,
+                         max(arguments.horizons), hamiltonian.coordinates)
+        print(f'\nreport: {arguments.out}')
 
 
 def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Effect]]:
@@ -104,11 +116,11 @@ def prediction(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequen
     return simulated(simulation, spacing, max(horizons), variance_of(motions))
 
 
-def judge(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
-          longest: float) -> dict[str, Scores]:
-    """Return the scores of a model, and of constant velocity for scale."""
-    return {name: score(what, motions, horizons, every, longest)
-            for name, what in (('model', predict), ('constant velocity', constant_velocity))}
+def judge(fans: Sequence[Fan], motions: Sequence[Motion], horizons: Sequence[float],
+          every: float, longest: float) -> dict[str, Scores]:
+    """Return the scores of a model by its predictions, and of constant velocity for scale."""
+    return {'model': score_fans(fans, horizons, variance_of(motions)),
+            'constant velocity': score(constant_velocity, motions, horizons, every, longest)}
 
 
 def verdict(scores: dict[str, Scores]) -> str:
@@ -149,3 +161,19 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
             raise ParameterError(f'--joints {arguments.joints}: only a bag has joints')
         changes['joints'] = arguments.joints.split(',')
     return read_motions(source, data.model_copy(update=changes), names, given)
+
+
+def _check_free(option: str, path: Path | None) -> None:
+    """Refuse, before the work, an output that is there already or cannot be written."""
+    if path is None:
+        return
+    if os.path.lexists(path):
+        raise ParameterError(f'--{option} {path} exists already and is not overwritten; name '
+                             'another')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        path.unlink()
+    except OSError as problem:
+        raise ParameterError(f'--{option} {path}: cannot be written ({problem.strerror}); name '
+                             'another') from problem

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError, ModelError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -20,6 +21,26 @@ _ITERATIONS = 20
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
 # start on: not a number from where a simulation fails, infinite from where one is given up.
 Predict = Callable[[Motion, np.ndarray, int], np.ndarray]
+
+
+class Fan(NamedTuple):
+    """
+    Predictions of one motion from many of its states.
+
+    Parameters
+    ----------
+    motion : Motion
+        What was measured.
+    starts : np.ndarray of int, shape (n,)
+        Samples from which they begin.
+    q : np.ndarray, shape (n, count + 1, d)
+        Coordinates at the samples from there on; see Predict.
+
+    """
+
+    motion: Motion
+    starts: np.ndarray
+    q: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -149,6 +170,20 @@ def variance_of(motions: Sequence[Motion]) -> np.ndarray:
     return np.concatenate([motion.q for motion in motions]).var(axis=0)
 
 
+def fans_of(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
+            longest: float) -> list[Fan]:
+    """Return predictions from many measured states, for as long as ``score`` asks for them."""
+    fans = []
+    for motion in motions:
+        spacing = motion.spacing
+        starts = np.arange(0, len(motion.t) - round(min(horizons) / spacing),
+                           max(1, round(every / spacing)))
+        if len(starts):
+            count = round(max(longest, *horizons) / spacing)
+            fans.append(Fan(motion, starts, predict(motion, starts, count)))
+    return fans
+
+
 def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
           longest: float) -> Scores:
     """
@@ -173,18 +208,16 @@ def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float]
         No motion lasts as long as the longest horizon.
 
     """
-    variance = variance_of(motions)
-    longest = max(longest, *horizons)
+    fans = fans_of(predict, motions, horizons, every, longest)
+    return score_fans(fans, horizons, variance_of(motions))
+
+
+def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndarray) -> Scores:
+    """Compare predictions with what was measured, of this variance, shape (d,); see score."""
     errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
     times, ended, failed = [], [], 0
-    for motion in motions:
-        n, spacing = len(motion.t), motion.spacing
-        count = round(longest / spacing)
-        shortest = round(min(horizons) / spacing)
-        starts = np.arange(0, n - shortest, max(1, round(every / spacing)))
-        if not len(starts):
-            continue
-        q = predict(motion, starts, count)
+    for motion, starts, q in fans:
+        n, spacing, count = len(motion.t), motion.spacing, q.shape[1] - 1
         room = n - 1 - starts
         at = np.minimum(starts[:, None] + np.arange(count + 1), n - 1)
         error = q - motion.q[at]

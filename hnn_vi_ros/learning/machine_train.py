@@ -5,6 +5,7 @@
 from argparse import Namespace
 from pathlib import Path
 import time
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
@@ -12,13 +13,14 @@ from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.evaluate import judge, prediction, verdict
-from hnn_vi_ros.learning.evaluation import linear_model, score, table
+from hnn_vi_ros.learning.evaluation import fans_of, linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import Forward, load_machine, MachineConfig, Trajectory
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
+from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -42,8 +44,22 @@ def is_machine(source: Path) -> bool:
     return isinstance(family, dict) and family.get('kind') == 'mechanical'
 
 
-def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
+class Outputs(NamedTuple):
+    """The files of a run, all beside the model."""
+
+    model: Path
+    picture: Path
+    report: Path
+
+    @classmethod
+    def beside(cls, model: Path) -> 'Outputs':
+        """Return the files of a model."""
+        return cls(model, model.with_suffix('.predictions.png'), model.with_suffix('.report.md'))
+
+
+def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> None:
     """Train as a configuration and the command line say, and print what came of it."""
+    out = outputs.model
     if arguments.resume or arguments.device != 'cpu':
         raise ParameterError(f'{source}: a model of the family mechanical is trained in minutes, '
                              'on the CPU; leave out --resume and --device')
@@ -66,18 +82,21 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
     effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(out))]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
-    predict = prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects, test,
-                         horizons)
-    scores = judge(predict, test, horizons, _EVERY, _LONGEST)
+    hamiltonian = MechanicalHamiltonian(checkpoint)
+    predict = prediction(hamiltonian, ImplicitMidpoint(), effects, test, horizons)
+    asked = test, horizons, _EVERY, _LONGEST
+    fans = fans_of(predict, *asked)
+    scores = judge(fans, *asked)
     print('for comparison, a plain network of (q, v, tau):', flush=True)
     plain = PlainNetwork(structure.kinds, config.hidden, scales, config.seed)
     fit(plain, _of_plain_network(config), train)
     for name, other in (('linear model', linear_model(train)),
                         ('plain network', predicted_by(plain))):
-        scores[name] = score(other, test, horizons, _EVERY, _LONGEST)
+        scores[name] = score(other, *asked)
+    draw_predictions(outputs.picture, out.stem, hamiltonian.coordinates,
+                     shown(fans, max(horizons)))
     same = _of_plain_network(config) is config
     way = 'in the same way' if same else 'by windows'
-    report = out.with_suffix('.report.md')
     held = ', '.join(config.data.test_runs) or 'the last fifth of each run'
     text = (f'# {out.stem}\n\n{config.description}\n\nData: {description}. Held out: {held}. '
             f'Trained on the others by {", ".join(losses)} in {seconds:.0f} s, seed '
@@ -85,10 +104,11 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
             f'simulation of what was held out, from a state every {_EVERY:g} s, with the measured '
             f'forces; root mean square of the error at the end of each horizon. The plain network '
             f'of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
-            f'{table(scores, names)}\n\n{verdict(scores)}\n')
-    report.write_text(text, encoding='utf-8')
-    print(f'model: {out}\nreport: {report}\n\n{table(scores, names)}\n\n{verdict(scores)}\n'
-          f'trained in {seconds:.1f} s')
+            f'{table(scores, names)}\n\n{verdict(scores)}\n\n'
+            f'![Predictions of what was held out]({outputs.picture.name})\n')
+    outputs.report.write_text(text, encoding='utf-8')
+    print(f'model: {out}\nreport: {outputs.report}\n\n{table(scores, names)}\n\n'
+          f'{verdict(scores)}\ntrained in {seconds:.1f} s')
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:
@@ -140,4 +160,8 @@ def _read(source: Path, config: MachineConfig, given: list[str]
     train, test = split_motions(motions, data.test_runs)
     if not train:
         raise DataError(f'{source}: data.test_runs leave nothing to learn from')
+    longest = max(motion.t[-1] - motion.t[0] for motion in test)
+    if longest < _HORIZONS[0]:
+        raise DataError(f'{source}: what is held out lasts {longest:.3g} s, expected at least '
+                        f'{_HORIZONS[0]:g} s to judge by; name longer runs in data.test_runs')
     return train, test, description

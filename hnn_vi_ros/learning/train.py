@@ -156,13 +156,15 @@ def main(argv: Sequence[str]) -> None:
     # Small networks gain nothing from more threads, and sums come out the same on any machine.
     torch.set_num_threads(1)
     source = find_config(arguments.config)
-    outputs = Outputs.beside(arguments.out or Path('models') / f'{source.stem}.safetensors')
+    model = arguments.out or Path('models') / f'{source.stem}.safetensors'
     told = [part for part in argv if part != '--resume']
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
     if machine_train.is_machine(source):
-        _check_outputs(outputs, resume=False)
-        machine_train.run(source, arguments, outputs.model, command)
+        files = machine_train.Outputs.beside(model)
+        _check_outputs(files, resume=False)
+        machine_train.run(source, arguments, files, command)
         return
+    outputs = Outputs.beside(model)
     config = load_config(source)
     if arguments.seed is not None:
         if not 0 <= arguments.seed < 2**63:
@@ -189,7 +191,7 @@ def main(argv: Sequence[str]) -> None:
           f'{losses}{known}\ntrained in {seconds:.1f} s')
 
 
-def _check_outputs(outputs: Outputs, resume: bool) -> Path:
+def _check_outputs(outputs: Outputs | machine_train.Outputs, resume: bool) -> Path:
     """Refuse outputs before the work begins; return where the state of the run is kept."""
     out, state = outputs.model, outputs.model.with_suffix('.training')
     if out.suffix != '.safetensors':

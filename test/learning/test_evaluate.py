@@ -4,6 +4,8 @@
 
 import json
 from pathlib import Path
+import subprocess
+import sys
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ParameterError
@@ -11,13 +13,16 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
-from hnn_vi_ros.learning.evaluation import constant_velocity, linear_model, momentum, score
+from hnn_vi_ros.learning.evaluation import (
+    constant_velocity, Fan, linear_model, momentum, score)
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.prediction_report import shown
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 SCENE = {
     'hamiltonian': {'kind': 'pendulum'}, 'integrator': {'kind': 'implicit_midpoint'},
@@ -61,7 +66,12 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     assert 'The model follows the machine for' in said and '| linear model |' in said
     card = load_checkpoint(out).card
     assert card.family == 'mechanical' and card.mechanical.kinds == ['continuous']
-    assert '| model |' in (tmp_path / 'machine.report.md').read_text()
+    page = (tmp_path / 'machine.report.md').read_text()
+    assert '| model |' in page and '(machine.predictions.png)' in page
+    assert (tmp_path / 'machine.predictions.png').read_bytes().startswith(b'\x89PNG')
+    with pytest.raises(ParameterError, match='exists already'):
+        train.main(['--config', str(tmp_path / 'machine.yaml'), '--data', data, '--out',
+                    str(tmp_path / 'machine.safetensors')])
     evaluate.main([str(out), '--data', f'{data}:c', '--json', str(tmp_path / 'machine.json'),
                    '--horizons', '0.1', '0.5', '--baselines', f'{data}:a,b'])
     assert '| linear model |' in capsys.readouterr().out
@@ -73,18 +83,64 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
         assert 0.0 < written['horizons'][horizon][0] < 0.5 * still.horizons[float(horizon)][0]
 
 
+def check_report(folder: Path, motions: list[Motion]) -> None:
+    """Check the files of an evaluation of what made the motions, of the horizon 0.5 s."""
+    page = (folder / 'report.md').read_text()
+    for words in ('| model |', 'The model follows the machine for at least 2 s',
+                  '(predictions.png)', 'rerun predictions.rrd'):
+        assert words in page
+    assert (folder / 'predictions.png').read_bytes().startswith(b'\x89PNG')
+    check = subprocess.run([sys.executable, '-m', 'rerun_cli', 'rrd', 'verify',
+                            str(folder / 'predictions.rrd')], capture_output=True, text=True)
+    assert check.returncode == 0, check.stderr
+    lines = {}
+    for chunk in RrdReader(folder / 'predictions.rrd').stream():
+        if not chunk.is_static:
+            rows = chunk.to_record_batch()
+            t = np.array(rows['time'].cast('int64')) * 1e-9
+            lines[chunk.entity_path] = t, np.array(rows['Scalars:scalars'].to_pylist())[:, 0]
+    for number, motion in enumerate(motions):
+        t, q = lines.pop(f'/run{number}/angle/measured')
+        np.testing.assert_allclose(t, motion.t, atol=1e-9)
+        np.testing.assert_array_equal(q, motion.q[:, 0])
+        predicted = [lines.pop(path) for path in [*lines] if path.startswith(f'/run{number}/')]
+        # Four in each half second, of those that have half of one second before them.
+        assert len(predicted) >= 4 * (motion.t[-1] - 0.5) / 0.5 - 4
+        for t, q in predicted:
+            # As above: what made the motions follows them.
+            assert np.abs(q - np.interp(t, motion.t, motion.q[:, 0])).max() < 0.1
+            assert t[-1] - t[0] < 0.5 + 1e-6
+    assert not lines
+
+
+def test_shown_predictions_end_where_a_simulation_failed():
+    motion = linear_motion(1)
+    starts = np.arange(0, 300, 5)
+    q = constant_velocity(motion, starts, 100)
+    q[0, 10:], q[30:, 40:] = np.nan, np.inf
+    (run,) = shown([Fan(motion, starts, q)], 0.5)
+    assert [len(t) for t, _ in run.predicted[:2]] == [10, 51]
+    assert len(run.predicted[-1][0]) == 40
+    assert all(np.isfinite(q).all() for _, q in run.predicted)
+    # Every 0.125 s, taken from the starts, which are every 0.05 s.
+    begins = np.array([t[0] for t, _ in run.predicted])
+    assert np.diff(begins).min() >= 0.1 - 1e-9 and np.diff(begins).max() <= 0.15 + 1e-9
+
+
 def test_scene_that_made_the_motions_follows_them_to_their_end(tmp_path, capsys):
     data = str(write(tmp_path / 'pendulum.npz'))
     (tmp_path / 'scene.yaml').write_text(dump_yaml(SCENE))
+    report = tmp_path / 'new' / 'report'
     evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, '--json',
-                   str(tmp_path / 'scene.json')])
+                   str(tmp_path / 'scene.json'), '--out', str(report)])
+    check_report(report, read_arrays(Path(data), ArraysData(), 1)[0])
     written = json.loads((tmp_path / 'scene.json').read_text())
     # What is left is what the filter at 40 Hz does to the first states, near the ends of runs.
     assert max(written['horizons']['0.1']) < 1e-2 and max(written['horizons']['0.5']) < 3e-2
     assert written['failed'] == 0 and written['censored'] > 0.9
-    with pytest.raises(ParameterError, match='exists already'):
-        evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, '--json',
-                       str(tmp_path / 'scene.json')])
+    for option, path in (('--json', tmp_path / 'scene.json'), ('--out', report)):
+        with pytest.raises(ParameterError, match=f'{option} .* exists already'):
+            evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, option, str(path)])
     (tmp_path / 'free.yaml').write_text(dump_yaml(SCENE | {'effects': []}))
     with pytest.raises(DataError, match='no effect external_force'):
         evaluate.main([str(tmp_path / 'free.yaml'), '--data', data])

@@ -1,0 +1,84 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions fanned over what was measured, as a rerun recording."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.viewer.rerun_layout import PALETTE, WHITE
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+_TIME = 'time'
+
+
+class PredictedRun(NamedTuple):
+    """
+    A measured run, and what was predicted of it.
+
+    Parameters
+    ----------
+    name : str
+        Of the run.
+    t : np.ndarray, shape (N,)
+        Times [s].
+    q : np.ndarray, shape (N, d)
+        What was measured.
+    predicted : sequence of (np.ndarray of shape (m,), np.ndarray of shape (m, d))
+        Times and coordinates of each prediction, all of them finite.
+
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    predicted: Sequence[tuple[np.ndarray, np.ndarray]]
+
+
+def write_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
+                      runs: Sequence[PredictedRun]) -> None:
+    """
+    Write a recording with a tab for each run and a view for each of its coordinates.
+
+    Parameters
+    ----------
+    path : Path
+        The .rrd file to write.
+    name : str
+        Of what predicts.
+    coordinates : sequence of Coordinate
+        d of them.
+    runs : sequence of PredictedRun
+        Each over its own time.
+
+    """
+    stream = rr.RecordingStream('hnn_vi_ros_evaluation', recording_id=name)
+    stream.save(path)
+    tabs = []
+    for number, run in enumerate(runs):
+        views = []
+        for i, coordinate in enumerate(coordinates):
+            origin = f'/run{number}/{rr.escape_entity_path_part(coordinate.name)}'
+            views.append(rrb.TimeSeriesView(
+                name=f'{coordinate.name} [{coordinate.q_unit}], measured in white',
+                origin=origin, plot_legend=rrb.PlotLegend(visible=False)))
+            for k, (t, q) in enumerate(run.predicted):
+                _send(stream, f'{origin}/predicted/{k}', f'from {t[0]:.6g} s', t, q[:, i],
+                      rr.SeriesLines.from_fields(colors=PALETTE[k % len(PALETTE)], widths=1.0))
+            _send(stream, f'{origin}/measured', 'measured', run.t, run.q[:, i],
+                  rr.SeriesLines.from_fields(colors=WHITE, widths=2.0))
+        tabs.append(rrb.Vertical(*views, name=run.name))
+    stream.send_blueprint(rrb.Blueprint(
+        rrb.Tabs(*tabs), rrb.TimePanel(timeline=_TIME, state='collapsed'), collapse_panels=True))
+    stream.flush()
+    stream.disconnect()
+
+
+def _send(stream: rr.RecordingStream, entity: str, name: str, t: np.ndarray, values: np.ndarray,
+          style: rr.SeriesLines) -> None:
+    stream.log(entity, style, rr.SeriesLines.from_fields(names=name), static=True)
+    stream.send_columns(entity, indexes=[rr.TimeColumn(_TIME, duration=t)],
+                        columns=rr.Scalars.columns(scalars=values))
