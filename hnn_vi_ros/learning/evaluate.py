@@ -4,6 +4,7 @@
 
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 import json
 import math
 import os
@@ -20,9 +21,10 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.evaluation import (
-    constant_velocity, Fan, fans_of, linear_model, Predict, score, score_fans, Scores, simulated,
-    table, variance_of)
+    constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
+    variance_of)
 from hnn_vi_ros.learning.machine_config import load_machine
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
@@ -57,17 +59,17 @@ def main(argv: Sequence[str]) -> None:
         raise DataError(f'{arguments.data[0]}: the motions were driven, but {arguments.model} has '
                         'no effect external_force; add it with all coordinates, or leave the '
                         'forces out with --keys t,q,dq')
-    predict = prediction(hamiltonian, integrator, effects, motions, arguments.horizons, step_size)
+    simulation = simulation_of(hamiltonian, integrator, effects, motions, step_size)
     asked = motions, arguments.horizons, arguments.every, arguments.longest
-    fans = fans_of(predict, *asked)
-    scores = judge(fans, *asked)
+    scores, fans = judge(simulation, effects, *asked)
     if arguments.baselines is not None:
         known, _ = _motions(arguments, arguments.baselines, names)
         scores['linear model'] = score(linear_model(known), *asked)
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
-            f'and median of the valid prediction time\n\n{table(scores, names)}\n\n'
-            f'{verdict(scores)}')
+            'median of the valid prediction time,\nand what the energy changes by over each '
+            f'horizon beside the work, as a share of its range{_left_out(effects)}\n\n'
+            f'{table(scores, names)}\n\n{verdict(scores)}')
     print(text)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(as_json(scores['model']), indent=2) + '\n')
@@ -99,28 +101,35 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
     return scene.create_hamiltonian(), scene.create_integrator(), scene.step_size, effects
 
 
-def prediction(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
-               motions: Sequence[Motion], horizons: Sequence[float],
-               step_size: float | None = None) -> Predict:
+def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
+                  motions: Sequence[Motion], step_size: float | None = None) -> Simulation:
     """
-    Return what H predicts, as long as it is valid and to the longest horizon.
+    Return the simulation that predicts motions, which share one interval.
 
     Steps are the data's interval, or the largest whole part of it that is no longer than
-    ``step_size``. All motions share one interval.
+    ``step_size``.
     """
     spacing = motions[0].spacing
     steps = 1 if step_size is None else max(1, math.ceil(spacing / step_size - 1e-9))
-    zero = np.zeros(hamiltonian.dimension)
-    simulation = Simulation(hamiltonian, integrator, spacing / steps, motions[0].q_smooth[0], zero,
-                            effects)
-    return simulated(simulation, spacing, max(horizons), variance_of(motions))
+    return Simulation(hamiltonian, integrator, spacing / steps, motions[0].q_smooth[0],
+                      np.zeros(hamiltonian.dimension), effects)
 
 
-def judge(fans: Sequence[Fan], motions: Sequence[Motion], horizons: Sequence[float],
-          every: float, longest: float) -> dict[str, Scores]:
-    """Return the scores of a model by its predictions, and of constant velocity for scale."""
-    return {'model': score_fans(fans, horizons, variance_of(motions)),
-            'constant velocity': score(constant_velocity, motions, horizons, every, longest)}
+def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Motion],
+          horizons: Sequence[float], every: float, longest: float
+          ) -> tuple[dict[str, Scores], list[Fan]]:
+    """Return the scores of a model, and of constant velocity for scale; and its predictions."""
+    variance = variance_of(motions)
+    predict = simulated(simulation, motions[0].spacing, max(horizons), variance)
+    fans = fans_of(predict, motions, horizons, every, longest)
+    scores = {'model': score_fans(fans, horizons, variance),
+              'constant velocity': score(constant_velocity, motions, horizons, every, longest)}
+    if not unaccounted(effects):
+        mismatch = energy_mismatch(
+            [balance(simulation.hamiltonian, effects, motion) for motion in motions],
+            motions[0].spacing, horizons)
+        scores['model'] = replace(scores['model'], energy_mismatch=mismatch)
+    return scores, fans
 
 
 def verdict(scores: dict[str, Scores]) -> str:
@@ -136,7 +145,15 @@ def as_json(scores: Scores) -> dict:
     """Return what ``--json`` writes."""
     return {'horizons': {f'{horizon:g}': rms.tolist() for horizon, rms in scores.horizons.items()},
             'valid_prediction_time': scores.valid_prediction_time,
-            'censored': scores.censored, 'failed': scores.failed}
+            'censored': scores.censored, 'failed': scores.failed,
+            'energy_mismatch': scores.energy_mismatch and {
+                f'{horizon:g}': value for horizon, value in scores.energy_mismatch.items()}}
+
+
+def _left_out(effects: Sequence[Effect]) -> str:
+    """Return why there is no energy mismatch, empty if there is one."""
+    kinds = unaccounted(effects)
+    return f'\n(not judged: states do not tell the work of {", ".join(kinds)})' if kinds else ''
 
 
 def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]

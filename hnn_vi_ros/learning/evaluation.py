@@ -60,6 +60,8 @@ class Scores:
         Share of the starts whose prediction was still valid when it, or its run, ended.
     failed : int
         Simulations that failed; their errors are infinite.
+    energy_mismatch : dict of float to float, optional
+        Of a model, over each horizon; see energy_account.energy_mismatch.
 
     """
 
@@ -68,22 +70,44 @@ class Scores:
     valid_prediction_time: float
     censored: float
     failed: int
+    energy_mismatch: dict[float, float] | None = None
 
 
 def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.ndarray
              ) -> np.ndarray:
-    """Return p, shape (d,), with H_p(q, p) = v, by Newton's method from a start; or ModelError."""
-    p, d = start.copy(), len(q)
-    zero = np.zeros(d)
+    """
+    Return p with H_p(q, p) = v, by Newton's method.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of d coordinates.
+    q, v, start : np.ndarray, shape (..., d)
+        Coordinates, velocities, and momenta to begin from.
+
+    Raises
+    ------
+    ModelError
+        A velocity has no momentum.
+
+    """
+    p, zero = start.copy(), np.zeros_like(q)
+    least = 1e-12 * np.maximum(1.0, np.abs(v).max(axis=-1, keepdims=True))
     for _ in range(_ITERATIONS):
         missing = v - hamiltonian.gradient(q, p)[1]
-        if np.abs(missing).max() <= 1e-12 * max(1.0, float(np.abs(v).max())):
+        wrong = ~(np.abs(missing) <= least).all(axis=-1)
+        if not wrong.any():
             return p
-        inverse = np.stack([hamiltonian.hessian_vector(q, p, zero, unit)[1]
-                            for unit in np.eye(d)], axis=1)
-        p = p + np.linalg.solve(inverse, missing)
-    raise ModelError(f'no momentum belongs to the velocity {v.tolist()} at q = {q.tolist()}: '
-                     'H_p(q, p) = v has no solution; the state is outside what the model learned')
+        inverse = np.stack([
+            hamiltonian.hessian_vector(q, p, zero, np.broadcast_to(unit, q.shape))[1]
+            for unit in np.eye(q.shape[-1])], axis=-1)
+        try:
+            p = p + np.linalg.solve(inverse, missing[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            break
+    raise ModelError(f'no momentum belongs to the velocity {v[wrong][0].tolist()} at q = '
+                     f'{q[wrong][0].tolist()}: H_p(q, p) = v has no solution; the state is '
+                     'outside what the model learned')
 
 
 def simulated(simulation: Simulation, spacing: float, least: float, variance: np.ndarray
@@ -247,11 +271,12 @@ def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
     """Return the scores of several predictions as a Markdown table."""
     first = next(iter(scores.values()))
     head = [f'{horizon:g} s: {", ".join(names)}' for horizon in first.horizons]
-    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | failed |',
-             f'|---|{"---|" * (len(head) + 2)}']
+    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | energy mismatch | failed |',
+             f'|---|{"---|" * (len(head) + 3)}']
     for name, found in scores.items():
         cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
         least = '>= ' if found.censored >= 0.5 else ''
+        mismatch = ' '.join(f'{value:.2%}' for value in (found.energy_mismatch or {}).values())
         lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
-                     f'| {found.failed} |')
+                     f'| {mismatch or "-"} | {found.failed} |')
     return '\n'.join(lines)

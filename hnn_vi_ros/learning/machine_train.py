@@ -12,8 +12,8 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.evaluate import judge, prediction, verdict
-from hnn_vi_ros.learning.evaluation import fans_of, linear_model, score, table
+from hnn_vi_ros.learning.evaluate import judge, simulation_of, verdict
+from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import Forward, load_machine, MachineConfig, Trajectory
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
@@ -83,10 +83,9 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian = MechanicalHamiltonian(checkpoint)
-    predict = prediction(hamiltonian, ImplicitMidpoint(), effects, test, horizons)
+    simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, test)
     asked = test, horizons, _EVERY, _LONGEST
-    fans = fans_of(predict, *asked)
-    scores = judge(fans, *asked)
+    scores, fans = judge(simulation, effects, *asked)
     print('for comparison, a plain network of (q, v, tau):', flush=True)
     plain = PlainNetwork(structure.kinds, config.hidden, scales, config.seed)
     fit(plain, _of_plain_network(config), train)
@@ -102,8 +101,10 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
             f'Trained on the others by {", ".join(losses)} in {seconds:.0f} s, seed '
             f'{config.seed}: `{command}`\n\nFree '
             f'simulation of what was held out, from a state every {_EVERY:g} s, with the measured '
-            f'forces; root mean square of the error at the end of each horizon. The plain network '
-            f'of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
+            f'forces; root mean square of the error at the end of each horizon. The energy '
+            'mismatch is what H changes by over each horizon beside the work of forces and '
+            'friction, as a share of its range. The plain network of (q, v, tau) has the same '
+            f'hidden layers and was trained {way}.\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}\n\n'
             f'![Predictions of what was held out]({outputs.picture.name})\n')
     outputs.report.write_text(text, encoding='utf-8')

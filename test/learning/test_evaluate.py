@@ -78,6 +78,7 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     written = json.loads((tmp_path / 'machine.json').read_text())
     (motion,), _ = read_arrays(Path(data), ArraysData(), 1, ['c'])
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)
+    assert set(written['energy_mismatch']) == {'0.1', '0.5'}
     # Hardly trained, it is far better than no model.
     for horizon in ('0.1', '0.5'):
         assert 0.0 < written['horizons'][horizon][0] < 0.5 * still.horizons[float(horizon)][0]
@@ -138,6 +139,8 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(tmp_path, capsys)
     # What is left is what the filter at 40 Hz does to the first states, near the ends of runs.
     assert max(written['horizons']['0.1']) < 1e-2 and max(written['horizons']['0.5']) < 3e-2
     assert written['failed'] == 0 and written['censored'] > 0.9
+    # The trapezoidal rule's h^2 / 12 of the power's second derivative, and what the filter does.
+    assert 0.0 < max(written['energy_mismatch'].values()) < 2e-3
     for option, path in (('--json', tmp_path / 'scene.json'), ('--out', report)):
         with pytest.raises(ParameterError, match=f'{option} .* exists already'):
             evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, option, str(path)])

@@ -1,0 +1,135 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The energy of a model along measured motions, against what the work on them accounts for."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.effects.base import Commanded, Effect, Force, Live
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.learning.evaluation import momentum
+from hnn_vi_ros.learning.motions import Motion
+import numpy as np
+
+
+class Balance(NamedTuple):
+    """
+    Energy and work along one motion, each of shape (N,).
+
+    Parameters
+    ----------
+    energy : np.ndarray
+        H(q, p(v)) [J].
+    work : np.ndarray
+        Of all forces, friction included, since the first sample [J].
+
+    """
+
+    energy: np.ndarray
+    work: np.ndarray
+
+    @property
+    def unaccounted(self) -> np.ndarray:
+        """Return H less the work, which a true model holds constant [J]."""
+        return self.energy - self.work
+
+
+def unaccounted(effects: Sequence[Effect]) -> list[str]:
+    """Return the classes of effects whose work measured states do not tell, as that of noise."""
+    return [type(effect).__name__ for effect in effects
+            if not (effect.conservative or isinstance(effect, Force))]
+
+
+def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Motion) -> Balance:
+    """
+    Return energy and work along a motion.
+
+        W(t) = integral of (H_q . f_q + H_p . f_p) dt,  f of friction and of the motors
+
+    by the trapezoidal rule, of second order, with the smoothed states and p from H_p(q, p) = v.
+    The measured forces act as in simulations: their mean over each interval.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H, with the potentials of the effects.
+    effects : sequence of Effect
+        Each conservative or a Force.
+    motion : Motion
+        What was measured.
+
+    Raises
+    ------
+    ModelError
+        A velocity has no momentum.
+
+    """
+    live = Live.empty(len(effects), hamiltonian.dimension)
+    # All of them: a magnetic field's gauge is in what others take.
+    resolved = [(effect, effect.resolve(hamiltonian.coordinates, live)) for effect in effects]
+    motors = [(effect, own) for effect, own in resolved if isinstance(effect, Commanded)]
+    friction = [(effect, own) for effect, own in resolved
+                if isinstance(effect, Force) and not isinstance(effect, Commanded)]
+    q = motion.q_smooth
+    p = momentum(hamiltonian, q, motion.v_smooth, np.zeros_like(q))
+    none = np.empty((len(q), 0))
+    lost = _power(hamiltonian, friction, motion.t, q, p, none)
+    # A force is the same from one end of an interval to the other.
+    ends = [_power(hamiltonian, motors, motion.t[rows], q[rows], p[rows], motion.forces)
+            for rows in (slice(None, -1), slice(1, None))]
+    steps = 0.5 * motion.spacing * (lost[1:] + lost[:-1] + ends[0] + ends[1])
+    return Balance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.ndarray,
+           q: np.ndarray, p: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    """Return the power of forces at states, shape (N,), commanded so [W]."""
+    power = np.zeros(len(q))
+    if not forces:
+        return power
+    H_q, H_p = hamiltonian.gradient(q, p)
+    f_q, f_p = np.zeros((2, q.shape[1]))
+    for k in range(len(q)):
+        f_q[:], f_p[:] = 0.0, 0.0
+        for effect, own in forces:
+            if isinstance(effect, Commanded):
+                effect.take(commands[k], own)
+            effect.add_force(own, t[k], q[k], p[k], H_p[k], f_q, f_p)
+        power[k] = H_q[k] @ f_q + H_p[k] @ f_p
+    return power
+
+
+def energy_mismatch(balances: Sequence[Balance], spacing: float, horizons: Sequence[float]
+                    ) -> dict[float, float] | None:
+    """
+    Return the energy that no work accounts for, as a share of the range of H.
+
+    Parameters
+    ----------
+    balances : sequence of Balance
+        Of motions, with samples at even times.
+    spacing : float
+        From one to the next [s].
+    horizons : sequence of float
+        Over which energies are compared, of at most the longest motion [s].
+
+    Returns
+    -------
+    dict of float to float, or None
+        For each horizon the root mean square, over all samples, of what H less the work changes
+        by in that time, over max H - min H of all motions; None where H does not change.
+
+    """
+    energies = np.concatenate([found.energy for found in balances])
+    size = float(np.ptp(energies))
+    # Round-off of H is no range.
+    if size <= 1e3 * np.finfo(np.float64).eps * np.abs(energies).max():
+        return None
+    shares = {}
+    for horizon in horizons:
+        k = round(horizon / spacing)
+        changes = np.concatenate([
+            found.unaccounted[k:] - found.unaccounted[:max(0, len(found.energy) - k)]
+            for found in balances])
+        shares[horizon] = float(np.sqrt(np.mean(changes**2))) / size
+    return shares
