@@ -9,7 +9,9 @@ from hnn_vi_ros.effects.base import Commanded, Effect, Force, Live
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.evaluation import momentum
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.models.energy_error import rows_of_each
 import numpy as np
+from scipy.optimize import nnls
 
 
 class Balance(NamedTuple):
@@ -133,3 +135,51 @@ def energy_mismatch(balances: Sequence[Balance], spacing: float, horizons: Seque
             for found in balances])
         shares[horizon] = float(np.sqrt(np.mean(changes**2))) / size
     return shares
+
+
+def friction_work(learned: np.ndarray, trajectory: np.ndarray, t: np.ndarray, v: np.ndarray
+                  ) -> tuple[np.ndarray, float]:
+    """
+    Fit the work of friction to energies along motions, by least squares.
+
+        W(t) = -sum_i integral of (b_i v_i^2 + c_i abs(v_i)) dt,  b_i, c_i >= 0
+
+    Parameters
+    ----------
+    learned : np.ndarray, shape (n,)
+        Energies [J], in the order of time within each trajectory.
+    trajectory : np.ndarray of int, shape (n,)
+        Of which each state is one.
+    t : np.ndarray, shape (n,)
+        When [s].
+    v : np.ndarray, shape (n, d)
+        Velocities.
+
+    Returns
+    -------
+    np.ndarray of shape (n,), and float
+        W [J], from zero on in each trajectory, and the mean power that friction takes [W].
+
+    """
+    columns = integrated(np.hstack([v**2, np.abs(v)]), trajectory, t)
+    centred, energies, duration = columns.copy(), learned.copy(), 0.0
+    for rows in rows_of_each(trajectory):
+        centred[rows] -= columns[rows].mean(axis=0)
+        energies[rows] -= energies[rows].mean()
+        duration += t[rows[-1]] - t[rows[0]]
+    # In units of their own: nnls judges by absolute sizes.
+    units = np.sqrt(np.mean(centred**2, axis=0))
+    units[units == 0.0] = 1.0
+    coefficients = nnls(centred / units, -energies)[0] / units
+    work = -columns @ coefficients
+    lost = sum(work[rows[0]] - work[rows[-1]] for rows in rows_of_each(trajectory))
+    return work, float(lost / duration) if duration > 0.0 else 0.0
+
+
+def integrated(rates: np.ndarray, trajectory: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return integrals over time, shape (n, k), from zero on in each trajectory (trapezoids)."""
+    integral = np.zeros_like(rates)
+    for rows in rows_of_each(trajectory):
+        steps = 0.5 * np.diff(t[rows])[:, None] * (rates[rows[1:]] + rates[rows[:-1]])
+        integral[rows[1:]] = np.cumsum(steps, axis=0)
+    return integral

@@ -3,7 +3,9 @@
 """Train a model of a machine, and judge it by motions that it has not seen."""
 
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 import time
 from typing import NamedTuple
 
@@ -12,6 +14,7 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.learning.energy_account import balance
 from hnn_vi_ros.learning.evaluate import judge, simulation_of, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -22,6 +25,7 @@ from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.version import __version__
@@ -76,7 +80,8 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
         fix_scale(network, train)
         description += ('; no forces, which leaves the scale of energy open: the mean inertia of '
                         f'{config.coordinates[0].name} is 1')
-    checkpoint = describe(network, config, train, description, losses, out.stem, command)
+    checkpoint = with_energy_error(
+        describe(network, config, train, description, losses, out.stem, command), test)
     save_checkpoint(out, checkpoint)
     names = [coordinate.name for coordinate in config.coordinates]
     effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(out))]
@@ -94,22 +99,49 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
         scores[name] = score(other, *asked)
     draw_predictions(outputs.picture, out.stem, hamiltonian.coordinates,
                      shown(fans, max(horizons)))
+    found = f'{table(scores, names)}\n\n{verdict(scores)}'
+    outputs.report.write_text(_page(outputs, config, checkpoint.card, found, seconds),
+                              encoding='utf-8')
+    print(f'model: {out}\nreport: {outputs.report}\n\n{found}\ntrained in {seconds:.1f} s')
+
+
+def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, seconds: float
+          ) -> str:
+    """Return the report: what was trained on what, and what came of it."""
     same = _of_plain_network(config) is config
     way = 'in the same way' if same else 'by windows'
     held = ', '.join(config.data.test_runs) or 'the last fifth of each run'
-    text = (f'# {out.stem}\n\n{config.description}\n\nData: {description}. Held out: {held}. '
-            f'Trained on the others by {", ".join(losses)} in {seconds:.0f} s, seed '
-            f'{config.seed}: `{command}`\n\nFree '
-            f'simulation of what was held out, from a state every {_EVERY:g} s, with the measured '
-            f'forces; root mean square of the error at the end of each horizon. The energy '
-            'mismatch is what H changes by over each horizon beside the work of forces and '
-            'friction, as a share of its range. The plain network of (q, v, tau) has the same '
-            f'hidden layers and was trained {way}.\n\n'
-            f'{table(scores, names)}\n\n{verdict(scores)}\n\n'
+    error = card.energy_error
+    energy = '' if error is None else (
+        f'On what was held out H is off by {error.rms:.3g} J RMS '
+        f'({interval_text(error.rms_interval)}) against the {error.told}, which makes it vary by '
+        f'{error.spread:.3g} J.\n\n')
+    return (f'# {card.name}\n\n{config.description}\n\nData: {card.dataset}. Held out: {held}. '
+            f'Trained on the others in {seconds:.0f} s, seed {card.seed}: '
+            f'`{card.training_command}`\n\nFree simulation of what was held out, from a state '
+            f'every {_EVERY:g} s, with the measured forces; root mean square of the error at the '
+            'end of each horizon. The energy mismatch is what H changes by over each horizon '
+            'beside the work of forces and friction, as a share of its range. The plain network '
+            'of (q, v, tau) has the same hidden layers and was trained in the same way.\n\n'
+            f'{found}\n\n{energy}'
             f'![Predictions of what was held out]({outputs.picture.name})\n')
-    outputs.report.write_text(text, encoding='utf-8')
-    print(f'model: {out}\nreport: {outputs.report}\n\n{table(scores, names)}\n\n'
-          f'{verdict(scores)}\ntrained in {seconds:.1f} s')
+
+
+def with_energy_error(checkpoint: Checkpoint, motions: list[Motion]) -> Checkpoint:
+    """Return a model whose card tells its energy along motions, against the work on them."""
+    hamiltonian, card = MechanicalHamiltonian(checkpoint), checkpoint.card
+    names = [coordinate.name for coordinate in hamiltonian.coordinates]
+    # The effect reads its friction from a file, and the model's own is written once, whole.
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / 'draft.safetensors'
+        save_checkpoint(draft, checkpoint)
+        effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(draft))]
+    balances = [balance(hamiltonian, effects, motion) for motion in motions]
+    error = energy_spread(
+        np.concatenate([found.energy for found in balances]),
+        np.repeat(np.arange(len(motions)), [len(found.energy) for found in balances]), card.seed,
+        np.concatenate([found.work for found in balances]), 'work of forces and friction')
+    return replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:

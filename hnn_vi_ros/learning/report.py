@@ -10,6 +10,7 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.loop import History
 from hnn_vi_ros.learning.problem import Comparison
+from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.viewer.rerun_curves import write_curves
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -150,10 +151,10 @@ def _page(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: Hi
     if card.energy_error is not None:
         error = card.energy_error
         facts |= {
-            f'energy error, {name} [J]': f'{value:.3g} (95 %: {low:.3g} to {high:.3g}), against '
-            f'the {error.against} at {error.states} states, which vary by {error.spread:.3g}'
-            for name, value, (low, high) in (('RMS', error.rms, error.rms_interval),
-                                             ('largest', error.sup, error.sup_interval))}
+            f'energy error, {name} [J]': f'{value:.3g} ({interval_text(interval)}), against the '
+            f'{error.told} at {error.states} states, which vary by {error.spread:.3g}'
+            for name, value, interval in (('RMS', error.rms, error.rms_interval),
+                                          ('largest', error.sup, error.sup_interval))}
     rows = '\n'.join(f'| {key} | {value} |' for key, value in facts.items())
     settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
     return (f'# {card.name}\n\n{config.description}\n\n| | |\n|---|---|\n{rows}\n\n'

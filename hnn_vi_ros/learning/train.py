@@ -21,8 +21,9 @@ from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning import machine_train
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.energy_account import friction_work, integrated
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
-from hnn_vi_ros.learning.families.base import Family
+from hnn_vi_ros.learning.families.base import EnergyFamily, Family
 from hnn_vi_ros.learning.interruption import Keeper
 from hnn_vi_ros.learning.loop import History, Loop
 from hnn_vi_ros.learning.problem import Problem
@@ -120,8 +121,9 @@ def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig,
     """
     Return how far the learned energy is from what is known of it; None if nothing is.
 
-    For exact data that is the true one, at states of the box that training has not seen; for
-    others, that it is constant along a motion, in the families that hold it so.
+    For exact data that is the true one, at states of the box that training has not seen. For
+    others, what it should be along each motion: it changes by the work of the forces that the
+    family has; one that has none and was measured loses what friction takes.
 
     Parameters
     ----------
@@ -141,13 +143,49 @@ def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig,
         data = config.data.model_copy(update={
             'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
         dataset = sample_exact(data, config.seed + 1)
-    elif not row.conservative:
-        return None
-    learned = hamiltonian.energy(dataset.q, family.momenta(dataset))
+    p = family.momenta(dataset)
+    learned = hamiltonian.energy(dataset.q, p)
     if exact:
         return energy_error(learned, dataset.energies, config.seed)
+    if dataset.t is None:
+        return None  # without times there is no motion along which anything is known
     numbers = dataset.block if dataset.trajectory is None else dataset.trajectory
-    return energy_spread(learned, numbers, config.seed)
+    if isinstance(family, EnergyFamily) and not row.conservative:
+        work = model_work(family, replace(dataset, p=p), numbers)
+        return energy_spread(learned, numbers, config.seed, work, 'work of forces and friction')
+    work, power = friction_work(learned, numbers, dataset.t, dataset.dq_dt)
+    if power == 0.0:
+        return energy_spread(learned, numbers, config.seed)
+    error = energy_spread(learned, numbers, config.seed, work, 'work of fitted friction')
+    return error.model_copy(update={'friction_power': power})
+
+
+def model_work(family: EnergyFamily, dataset: Dataset, trajectory: np.ndarray) -> np.ndarray:
+    """
+    Return the work of the forces that a model has learned, along measured motions.
+
+    Its own rates (q', p') have the power H_q . q' + H_p . p': Hamilton's equations have none.
+
+    Parameters
+    ----------
+    family : EnergyFamily
+        The model.
+    dataset : Dataset
+        States and commands, with their times.
+    trajectory : np.ndarray of int, shape (N,)
+        Of which each state is one.
+
+    Returns
+    -------
+    np.ndarray, shape (N,)
+        W [J], from zero on in each trajectory, by the trapezoidal rule.
+
+    """
+    z = torch.tensor(np.hstack([dataset.q, dataset.p]))
+    commands = None if dataset.commands is None else torch.tensor(dataset.commands)
+    rates = family.vector_field(z, commands)
+    power = (family.gradient(z) * rates).sum(dim=1).detach().numpy()
+    return integrated(power[:, None], trajectory, dataset.t)[:, 0]
 
 
 def main(argv: Sequence[str]) -> None:
@@ -186,7 +224,7 @@ def main(argv: Sequence[str]) -> None:
     losses = ', '.join(f'{key} {value:.3g}' for key, value in card.losses.items())
     error = card.energy_error
     known = '' if error is None else (f'\nenergy error: RMS {error.rms:.3g} J, largest '
-                                      f'{error.sup:.3g} J, against the {error.against}')
+                                      f'{error.sup:.3g} J, against the {error.told}')
     print(f'model: {outputs.model}\nloss curve: {outputs.losses}\nreport: {outputs.report}\n'
           f'{losses}{known}\ntrained in {seconds:.1f} s')
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far a learned energy is from the true one, over a box, and how well that is known."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -10,22 +11,45 @@ from pydantic import Field
 
 _RESAMPLES = 1000
 _LEVEL = 95.0  # per cent
+# Fewer blocks than this say too little of how much others would vary.
+_FEWEST_BLOCKS = 10
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+Reference = Literal['true energy', 'mean along each trajectory', 'work of forces and friction',
+                    'work of fitted friction']
 
 
 class EnergyError(StrictModel):
     """Error of H at states of the box, up to a constant, with 95 % bootstrap intervals."""
 
-    against: Literal['true energy', 'mean along each trajectory'] = Field(description=(
-        'what H is compared with: the H of the exact system; or, where that is not known, the '
-        'constant that it should be along each motion of the data'))
+    against: Reference = Field(description=(
+        'what H is compared with: the H of the exact system; or, where that is not known, what '
+        'it should be along each motion of the data: constant, or changed by the work of the '
+        'forces and the friction of the model, or by that of friction fitted to it'))
     rms: float = Field(ge=0.0, description='root mean square [J]')
-    rms_interval: Interval
+    rms_interval: Interval | None = Field(None, description=(
+        'none where the errors of too few blocks of time are independent'))
     sup: float = Field(ge=0.0, description='largest [J]')
-    sup_interval: Interval = Field(description='of the largest among as many states')
+    sup_interval: Interval | None = Field(None, description=(
+        'of the largest among as many states'))
     spread: float = Field(ge=0.0, description='standard deviation of what it is compared with [J]')
     states: int = Field(gt=0, description='how many')
+    friction_power: float | None = Field(None, ge=0.0, description=(
+        'what the fitted friction takes in the mean [W]'))
+
+    @property
+    def told(self) -> str:
+        """Return what H is compared with, in words."""
+        if self.friction_power is None:
+            return self.against
+        return f'{self.against}, {self.friction_power:.3g} W in the mean'
+
+
+def interval_text(interval: list[float] | None) -> str:
+    """Return an interval in words."""
+    if interval is None:
+        return 'no interval: too few errors are independent'
+    return f'95 %: {interval[0]:.2g} to {interval[1]:.2g}'
 
 
 def energy_error(learned: np.ndarray, true: np.ndarray, seed: int) -> EnergyError:
@@ -35,53 +59,103 @@ def energy_error(learned: np.ndarray, true: np.ndarray, seed: int) -> EnergyErro
     Parameters
     ----------
     learned, true : np.ndarray, shape (n,)
-        Energies of the same states [J].
+        Energies of the same independent states [J].
     seed : int
         Of the resampling.
 
     """
-    return _error(learned - true, None, 'true energy', float(np.std(true)), seed)
+    rng, errors = np.random.default_rng(seed), learned - true
+    n, estimates = len(errors), np.empty((_RESAMPLES, 2))
+    for k in range(_RESAMPLES):
+        chosen = errors[rng.integers(0, n, n)]
+        estimates[k] = _statistics(chosen - chosen.mean())
+    return _error(errors - errors.mean(), estimates, 'true energy', float(np.std(true)))
 
 
-def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int) -> EnergyError:
+def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
+                  work: np.ndarray | None = None,
+                  against: Reference = 'mean along each trajectory') -> EnergyError:
     """
-    Compare energies with their mean along each trajectory, where the motion conserves energy.
+    Compare energies with what they should be along each trajectory, up to a constant of it.
 
     Parameters
     ----------
     learned : np.ndarray, shape (n,)
-        Energies of states [J].
+        Energies of states [J], in the order of time within each trajectory.
     trajectory : np.ndarray of int, shape (n,)
         Of which each state is one.
     seed : int
-        Of the resampling, of whole trajectories.
+        Of the resampling, of blocks of time.
+    work : np.ndarray, shape (n,), optional
+        What has been done on the system up to each state [J]; none: the motions conserve energy.
+    against : str
+        What the work is of; see EnergyError.
+
+    References
+    ----------
+    H. R. Künsch, The jackknife and the bootstrap for general stationary observations, Annals of
+    Statistics 17 (1989).
 
     """
-    numbers = np.unique(trajectory, return_inverse=True)[1]
-    means = np.bincount(numbers, learned) / np.bincount(numbers)
-    return _error(learned - means[numbers], numbers, 'mean along each trajectory',
-                  float(np.std(means[numbers])), seed)
+    work = np.zeros(len(learned)) if work is None else work
+    pieces = rows_of_each(trajectory)
+    errors, reference = learned - work, work.copy()
+    for rows in pieces:
+        mean = errors[rows].mean()
+        errors[rows] -= mean
+        reference[rows] += mean
+    squares = errors**2
+    # The RMS is known as well as the mean of the squares: errors of one size throughout a motion,
+    # and of another in the next, are few independent ones whatever their signs do.
+    length = max(_correlation([errors[rows] for rows in pieces]),
+                 _correlation([squares[rows] - squares.mean() for rows in pieces]))
+    blocks = [rows[i:i + length] for rows in pieces for i in range(0, len(rows), length)]
+    estimates = None
+    if len(blocks) >= _FEWEST_BLOCKS:
+        drawn = np.random.default_rng(seed).integers(0, len(blocks), (_RESAMPLES, len(blocks)))
+        sums, largest, sizes = (np.array([function(squares[rows]) for rows in blocks])
+                                for function in (np.sum, np.max, len))
+        estimates = np.sqrt(np.column_stack([
+            sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1), largest[drawn].max(axis=1)]))
+    return _error(errors, estimates, against, float(np.std(reference)))
 
 
-def _error(errors: np.ndarray, groups: np.ndarray | None,
-           against: Literal['true energy', 'mean along each trajectory'], spread: float, seed: int
+def rows_of_each(trajectory: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each trajectory, in their order."""
+    order = np.argsort(trajectory, kind='stable')
+    return np.split(order, np.flatnonzero(np.diff(trajectory[order])) + 1)
+
+
+def _correlation(pieces: Sequence[np.ndarray]) -> int:
+    """
+    Return over how many samples those of a series are correlated, at least 1.
+
+    That is 1 + 2 sum_k rho_k, up to where the correlation rho_k first is not positive.
+    """
+    longest = max(map(len, pieces))
+    products, counts = np.zeros(longest), np.zeros(longest)
+    for piece in pieces:
+        n = len(piece)
+        products[:n] += np.fft.irfft(np.abs(np.fft.rfft(piece, 2 * n))**2, 2 * n)[:n]
+        counts[:n] += n - np.arange(n)
+    if not products[0] > 0.0:
+        return 1
+    correlation = products / counts / (products[0] / counts[0])
+    end = int(np.argmax(np.append(correlation, 0.0) <= 0.0))
+    return max(1, round(1.0 + 2.0 * float(correlation[1:end].sum())))
+
+
+def _error(errors: np.ndarray, estimates: np.ndarray | None, against: Reference, spread: float
            ) -> EnergyError:
-    """Return the statistics of errors; groups are resampled as a whole."""
-    rng, n = np.random.default_rng(seed), len(errors)
-    members = None if groups is None else [
-        np.flatnonzero(groups == group) for group in range(groups.max() + 1)]
-    estimates = np.empty((_RESAMPLES, 2))
-    for k in range(_RESAMPLES):
-        if members is None:
-            chosen = errors[rng.integers(0, n, n)]
-            estimates[k] = _statistics(chosen - chosen.mean())
-        else:
-            drawn = rng.integers(0, len(members), len(members))
-            estimates[k] = _statistics(errors[np.concatenate([members[i] for i in drawn])])
-    rms, sup = _statistics(errors - errors.mean() if members is None else errors)
-    low, high = np.percentile(estimates, [50.0 - _LEVEL / 2.0, 50.0 + _LEVEL / 2.0], axis=0)
-    return EnergyError(against=against, rms=rms, rms_interval=[low[0], high[0]], sup=sup,
-                       sup_interval=[low[1], high[1]], spread=spread, states=n)
+    """Return the statistics of errors, and their intervals from resampled ones, shape (m, 2)."""
+    rms, sup = _statistics(errors)
+    found = EnergyError(against=against, rms=rms, sup=sup, spread=spread, states=len(errors))
+    if estimates is None:
+        return found
+    bounds = np.percentile(estimates, [50.0 - _LEVEL / 2.0, 50.0 + _LEVEL / 2.0], axis=0)
+    # One without a width says nothing of what others would be.
+    intervals = [ends.tolist() if ends[0] < ends[1] else None for ends in bounds.T]
+    return found.model_copy(update={'rms_interval': intervals[0], 'sup_interval': intervals[1]})
 
 
 def _statistics(errors: np.ndarray) -> tuple[float, float]:

@@ -14,8 +14,8 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.config import find_config
-from hnn_vi_ros.learning.evaluate import prediction
-from hnn_vi_ros.learning.evaluation import Predict, score, variance_of
+from hnn_vi_ros.learning.evaluate import simulation_of
+from hnn_vi_ros.learning.evaluation import Predict, score, simulated, variance_of
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
@@ -207,8 +207,10 @@ def run_case(case: Case, data: Path, seed: int, quick: bool) -> tuple[Measures, 
         save_checkpoint(model, checkpoint)
         effects = [LearnedFriction(str(model)), *(
             [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
-        predict = prediction(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects, test,
-                             [_FOREVER], test[0].spacing / case.steps)
+        spacing = test[0].spacing
+        simulation = simulation_of(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
+                                   test, spacing / case.steps)
+        predict = simulated(simulation, spacing, _FOREVER, variance_of(test))
         plain = PlainNetwork(config.structure().kinds, config.hidden, scales, seed)
         fit(plain, config, train)
         return (case.measure(predict, test, data),

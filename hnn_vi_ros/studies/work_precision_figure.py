@@ -208,7 +208,8 @@ def _draw_box_error(ax: Axes, error: EnergyError) -> None:
     across = ax.get_yaxis_transform()
     for value, interval, label in ((error.rms, error.rms_interval, 'RMS'),
                                    (error.sup, error.sup_interval, 'largest')):
-        ax.axhspan(*interval, xmin=0.86, color=INK, alpha=0.15, linewidth=0.0, zorder=1)
+        if interval is not None:
+            ax.axhspan(*interval, xmin=0.86, color=INK, alpha=0.15, linewidth=0.0, zorder=1)
         ax.plot([0.86, 1.0], [value, value], color=INK, linewidth=1.0, transform=across, zorder=1)
         ax.annotate(f'{label} error of H in the box', (1.0, value), (-3, 2), ha='right',
                     va='bottom', fontsize=7, color=INK, xycoords=across,

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.studies.measuring import Row, TOO_LONG
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw, INK, is_peer, PANELS, series_of, STYLES
@@ -135,11 +136,9 @@ def circumstances(results: Results, horizon: float) -> list[str]:
     if model is None:
         return lines
     if model.box is not None:
-        rms, sup = ([f'{x:.2g}' for x in (value, *interval)] for value, interval in (
-            (model.box.rms, model.box.rms_interval), (model.box.sup, model.box.sup_interval)))
-        lines.append(f'All over the box of its data, the learned H is off by {rms[0]} J RMS '
-                     f'(95 %: {rms[1]} to {rms[2]}) and {sup[0]} J at most ({sup[1]} to '
-                     f'{sup[2]}).')
+        lines.append('All over the box of its data, the learned H is off by '
+                     f'{model.box.rms:.2g} J RMS ({interval_text(model.box.rms_interval)}) and '
+                     f'{model.box.sup:.2g} J at most ({interval_text(model.box.sup_interval)}).')
     if math.isnan(model.path):
         return [*lines, f'The learned H is off by {model.energy:.2g} J in energy.']
     lines.append(f'The learned H itself is off by {model.path:.2g} along the path and '

@@ -68,6 +68,9 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     assert card.family == 'mechanical' and card.mechanical.kinds == ['continuous']
     page = (tmp_path / 'machine.report.md').read_text()
     assert '| model |' in page and '(machine.predictions.png)' in page
+    error = card.energy_error
+    assert error.against == 'work of forces and friction' and error.states == 400
+    assert f'H is off by {error.rms:.3g} J RMS' in page
     assert (tmp_path / 'machine.predictions.png').read_bytes().startswith(b'\x89PNG')
     with pytest.raises(ParameterError, match='exists already'):
         train.main(['--config', str(tmp_path / 'machine.yaml'), '--data', data, '--out',

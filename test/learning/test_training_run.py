@@ -15,7 +15,6 @@ from hnn_vi_ros.learning.problem import Problem
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.energy_error import energy_error, energy_spread
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 import numpy as np
 import pytest
@@ -168,28 +167,6 @@ def test_card_tells_the_energy_error_in_the_box(tmp_path):
     assert error.against == 'true energy' and error.states == 2000
     assert error.rms_interval[0] < error.rms < error.rms_interval[1]
     assert error.rms < error.sup_interval[0] <= error.sup
-
-
-def test_bootstrap_interval_holds_the_true_rms_about_as_often_as_it_says():
-    held = 0
-    for seed in range(60):
-        noise = np.random.default_rng(seed).normal(size=200)
-        error = energy_error(5.0 + 2.0 * noise, np.zeros(200), seed)
-        held += error.rms_interval[0] <= 2.0 <= error.rms_interval[1]
-    # 57 of 60 on average; eight fewer are five standard deviations.
-    assert held >= 49
-
-
-def test_energy_spread_is_zero_for_a_constant_along_each_motion_and_resamples_motions():
-    trajectory = np.repeat([3, 5, 9], 50)
-    constant = np.repeat([1.0, -2.0, 4.0], 50)
-    assert energy_spread(constant, trajectory, 0).sup < 1e-15
-    wave = np.where(trajectory == 5, np.tile([1.0, -1.0], 75), 0.0)
-    error = energy_spread(constant + wave, trajectory, 0)
-    assert error.rms == pytest.approx(np.sqrt(1.0 / 3.0)) and error.sup == 1.0
-    # None or all of three drawn motions may be the one that is off.
-    assert error.rms_interval[0] == 0.0 and error.sup_interval == [0.0, 1.0]
-    assert error.against == 'mean along each trajectory'
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason='there is a CUDA device')

@@ -431,8 +431,8 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path):
             in text)
     assert '- kepler, T = 1000 s: of 4 path errors from 1e-3 to 1e-10' in text
     assert ('- pendulum, T = 10 s: All over the box of its data, the learned H is off by 0.0002 J '
-            'RMS (95 %: 0.0001 to 0.0003) and 0.0008 J at most (0.0005 to 0.0008). The learned H '
-            'itself is off by 0.001') in text
+            'RMS (95 %: 0.0001 to 0.0003) and 0.0008 J at most (95 %: 0.0005 to 0.0008). The '
+            'learned H itself is off by 0.001') in text
     assert '| gauss8@1e-4 | 0.1 | 0.01 | 1 |' in text
     assert text.count('](accuracy/') == 3 * len(SCENES)
     for link in re.findall(r'\]\((accuracy/[^)]+)\)', text):
