@@ -19,6 +19,9 @@ import numpy as np
 _SAMPLES = 1024
 # Of W in units in which the box is a cube; beyond it too few digits of u' are left.
 _LARGEST_CONDITION = 1e6
+# What keeps W regular: motions tell it only where they pass, and it varies freely beside them.
+REMEDY = ('give linearity (0.01, then more), a weight that keeps the field plain where data leave '
+          'it open; or take data from more motions, or from a smaller box')
 _EPS = float(np.finfo(np.float64).eps)
 _SPACING = _EPS ** (1.0 / 3.0)
 
@@ -66,8 +69,8 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
         half = 0.5 * np.ptp(np.concatenate(self.box), axis=1)
         problem = irregularity(self.two_forms(self._states()).astype(np.float64), half)
         if problem:
-            raise ModelError(f'{problem}, so its motions are not defined there; train it anew, '
-                             'on data from a smaller box')
+            raise ModelError(f'{problem}, so its motions are not defined there; train it anew: '
+                             f'{REMEDY}')
 
     def two_forms(self, z: np.ndarray) -> np.ndarray:
         """Return W, shape (m, 2 d, 2 d), at states of shape (m, 2 d), in extended precision."""

@@ -9,7 +9,7 @@ from hnn_vi_ros.learning.choices import SymplecticFormChoice
 from hnn_vi_ros.learning.families.base import Family, gradient, Scales
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.symplectic_form import irregularity
+from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
 import numpy as np
 import torch
 
@@ -106,7 +106,7 @@ class SymplecticForm(Family):
         two_forms, d = self.two_form(self.samples).detach(), len(self.mass)
         problem = irregularity(two_forms.numpy(), self.one_form.scale.numpy())
         if problem:
-            raise DataError(f'{problem}: train longer, with another seed, or on a smaller box')
+            raise DataError(f'{problem}: {REMEDY}; or train longer, or with another seed')
         return self.first_mass / float(two_forms[:, d, 0].mean())
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
