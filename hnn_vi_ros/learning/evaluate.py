@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> None:
             f'{table(scores, names)}\n\n{verdict(scores)}')
     print(text)
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(as_json(scores['model']), indent=2) + '\n')
+        arguments.json.write_text(json.dumps(as_json(scores), indent=2, allow_nan=False) + '\n')
     if arguments.out is not None:
         # Imported here: numbers alone need no libraries that draw.
         from hnn_vi_ros.learning.prediction_report import write_evaluation
@@ -141,13 +141,21 @@ def verdict(scores: dict[str, Scores]) -> str:
     return f'The model follows the machine for {said[0]} (median); {others}.'
 
 
-def as_json(scores: Scores) -> dict:
-    """Return what ``--json`` writes."""
-    return {'horizons': {f'{horizon:g}': rms.tolist() for horizon, rms in scores.horizons.items()},
+def as_json(scores: dict[str, Scores]) -> dict:
+    """Return what ``--json`` writes: the model's numbers, and the others' as its baselines."""
+    model, *others = (_numbers(found) for found in scores.values())
+    return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
+
+
+def _numbers(scores: Scores) -> dict:
+    """Return scores for JSON, which has no infinity: None for an error that has no bound."""
+    return {'horizons': {f'{horizon:.15g}': [value if math.isfinite(value) else None
+                                             for value in rms.tolist()]
+                         for horizon, rms in scores.horizons.items()},
             'valid_prediction_time': scores.valid_prediction_time,
             'censored': scores.censored, 'failed': scores.failed,
             'energy_mismatch': scores.energy_mismatch and {
-                f'{horizon:g}': value for horizon, value in scores.energy_mismatch.items()}}
+                f'{horizon:.15g}': value for horizon, value in scores.energy_mismatch.items()}}
 
 
 def _left_out(effects: Sequence[Effect]) -> str:

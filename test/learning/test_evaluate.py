@@ -83,6 +83,10 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)
     assert set(written['energy_mismatch']) == {'0.1', '0.5'}
     # Hardly trained, it is far better than no model.
+    assert set(written['baselines']) == {'constant velocity', 'linear model'}
+    expected = evaluate.as_json({'model': still})
+    assert not expected.pop('baselines') and expected['energy_mismatch'] is None
+    assert written['baselines']['constant velocity'] == expected
     for horizon in ('0.1', '0.5'):
         assert 0.0 < written['horizons'][horizon][0] < 0.5 * still.horizons[float(horizon)][0]
 
@@ -204,3 +208,4 @@ def test_failed_simulations_are_counted_and_no_number_is_made_up_for_them():
     found = score(fails, [linear_motion(1)], [0.05, 0.5], 0.1, 1.0)
     assert found.failed == 1
     assert np.isfinite(found.horizons[0.05]).all() and np.isinf(found.horizons[0.5]).all()
+    assert evaluate.as_json({'model': found})['horizons']['0.5'] == [None]
