@@ -48,7 +48,7 @@ def test_goal_is_met_by_the_mean_of_every_coordinate():
     case = CASES['real free double pendulum']
     measure = 'RMS error [rad] over 2 s, validation'
     for ours, met in (([.0050, .0072], True), ([.0030, .0080], False)):
-        values = {name: ours for name in case.references}
+        values = dict.fromkeys(case.references, ours)
         (row,) = (row for row in rows_of('x', case, [(values, values)])
                   if row['measure'] == measure)
         assert row['met'] is met and row['ours'] == ours
