@@ -13,13 +13,16 @@ import shlex
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
-from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.evaluation import (
@@ -30,6 +33,7 @@ from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, read_motions
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
@@ -49,21 +53,29 @@ def main(argv: Sequence[str]) -> None:
         if value is not None and not all(
                 math.isfinite(number) and number > 0.0 for number in values):
             raise ParameterError(f'--{name} {value}: expected positive numbers')
+    if arguments.out is not None and arguments.out == arguments.json:
+        raise ParameterError(f'--out {arguments.out} is a folder, and --json a file of its own; '
+                             'name another')
     for option in ('out', 'json'):
         _check_free(option, getattr(arguments, option))
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
-    names = [coordinate.name for coordinate in hamiltonian.coordinates]
+    names = _names(hamiltonian)
     motions, description = _motions(arguments, arguments.data, names)
-    if any(motion.tau.any() for motion in motions) and not any(
-            isinstance(effect, ExternalForce) for effect in effects):
+    driven = any(motion.tau.any() for motion in motions)
+    if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{arguments.data[0]}: the motions were driven, but {arguments.model} has '
                         'no effect external_force; add it with all coordinates, or leave the '
                         'forces out with --keys t,q,dq')
-    simulation = simulation_of(hamiltonian, integrator, effects, motions, step_size)
+    if not driven:
+        # An input map would want its own number of them.
+        effects = [effect for effect in effects
+                   if not isinstance(effect, ExternalForce) or effect.coordinates]
+    if arguments.baselines is not None:
+        known, _ = _motions(arguments, arguments.baselines, names)
+    simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
     asked = motions, arguments.horizons, arguments.every, arguments.longest
     scores, fans = judge(simulation, effects, *asked)
     if arguments.baselines is not None:
-        known, _ = _motions(arguments, arguments.baselines, names)
         scores['linear model'] = score(linear_model(known), *asked)
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
@@ -71,14 +83,26 @@ def main(argv: Sequence[str]) -> None:
             f'horizon beside the work, as a share of its range{_left_out(effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}')
     print(text)
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
+    try:
+        _write(arguments, scores, f'{text}\n\n`{command}`', fans, hamiltonian)
+    except OSError as problem:
+        raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
+                             ) from problem
+
+
+def _write(arguments: Namespace, scores: dict[str, Scores], text: str, fans: Sequence[Fan],
+           hamiltonian: Hamiltonian) -> None:
+    """Write the files that the command line asks for."""
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(as_json(scores), indent=2, allow_nan=False) + '\n')
+        arguments.json.write_text(
+            json.dumps(as_json(scores), indent=2, allow_nan=False) + '\n', encoding='utf-8')
     if arguments.out is not None:
         # Imported here: numbers alone need no libraries that draw.
         from hnn_vi_ros.learning.prediction_report import write_evaluation
-        arguments.out.mkdir(parents=True)
-        command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
-        write_evaluation(arguments.out, Path(arguments.model).stem, f'{text}\n\n`{command}`', fans,
+        # It may hold the numbers by now: --json may name a file in it.
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        write_evaluation(arguments.out, Path(arguments.model).stem, text, fans,
                          max(arguments.horizons), hamiltonian.coordinates)
         print(f'\nreport: {arguments.out}')
 
@@ -87,18 +111,57 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
     """Return H, method, step size (None: that of the data) and effects of a model or scene."""
     if model.endswith('.safetensors'):
         hamiltonian = load_learned(Path(model), confine=False)
-        effects: list[Effect] = [ExternalForce(
-            [coordinate.name for coordinate in hamiltonian.coordinates], timeout=_FOREVER)]
-        if hamiltonian.checkpoint.card.mechanical is not None:
-            effects.append(LearnedFriction(model))
-        return hamiltonian, ImplicitMidpoint(), None, effects
+        if not hamiltonian.canonical:
+            return hamiltonian, VariationalMidpoint(), None, []
+        return hamiltonian, ImplicitMidpoint(), None, _own_effects(model, hamiltonian)
     scene = load_scene(model if not is_path('scene', model) else Path(model))
     scene, _ = resolve(scene)
-    effects = scene.create_effects()
+    hamiltonian, effects = scene.create_hamiltonian(), scene.create_effects()
     for effect in effects:
         if isinstance(effect, ExternalForce):
             effect.timeout = _FOREVER
-    return scene.create_hamiltonian(), scene.create_integrator(), scene.step_size, effects
+            if effect.coordinates is not None:
+                # Each coordinate has a measured force, in the order of H.
+                effect.coordinates = _names(hamiltonian)
+    return hamiltonian, scene.create_integrator(), scene.step_size, effects
+
+
+def _names(hamiltonian: Hamiltonian) -> list[str]:
+    return [coordinate.name for coordinate in hamiltonian.coordinates]
+
+
+def _own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
+    """Return what a model has learned beside H, and where forces act on it."""
+    checkpoint = load_checkpoint(model)
+    card = checkpoint.card
+    effects: list[Effect] = [
+        ExternalForce(model=model, timeout=_FOREVER) if 'input_map' in checkpoint.networks else
+        ExternalForce(_names(hamiltonian), timeout=_FOREVER)]
+    if card.mechanical is not None:
+        effects.append(LearnedFriction(model))
+    if card.friction is not None:
+        effects.append(Damping(model=model))
+    if 'dissipation' in checkpoint.networks:
+        effects.append(LearnedDissipation(model))
+    return effects
+
+
+def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
+                effects: Sequence[Effect], motions: Sequence[Motion], step_size: float | None
+                ) -> Simulation:
+    """Return the simulation of the command line, or raise DataError."""
+    try:
+        simulation = simulation_of(hamiltonian, integrator, effects, motions, step_size)
+    except ValueError as problem:
+        raise DataError(f'{model} cannot simulate {motions[0].name}: {problem}') from problem
+    if simulation.takes_commands:
+        try:
+            simulation.set_command(motions[0].tau[0])
+        except ValueError as problem:
+            raise DataError(f'{model}: its input map does not take the {motions[0].tau.shape[1]} '
+                            'forces of the motions, one for each coordinate; leave them out with '
+                            '--keys t,q,dq') from problem
+    return simulation
 
 
 def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],

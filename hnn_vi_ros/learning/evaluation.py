@@ -129,9 +129,10 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
         In units of which errors are judged for that.
 
     """
-    steps, needed = round(spacing / simulation.step_size), round(least / spacing)
+    steps = round(spacing / simulation.step_size)
 
     def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        needed = samples_in(least, motion)
         q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
         p = np.zeros(motion.q.shape[1])
         tau = motion.forces
@@ -139,9 +140,9 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
             row[0] = motion.q_smooth[start]
             p = momentum(simulation.hamiltonian, motion.q_smooth[start], motion.v_smooth[start],
                          p)
-            simulation.restart(motion.q_smooth[start], p)
             valid = True
             try:
+                simulation.restart(motion.q_smooth[start], p)
                 for k in range(min(count, len(tau) - start)):
                     if k >= needed and not valid:
                         row[k + 1:] = np.inf
@@ -154,6 +155,9 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
                     valid = valid and bool((error**2 / variance).sum() < _VALID)
             except StepFailure:
                 continue  # the row stays no number from here on, which the scores count
+            except ValueError as problem:
+                raise DataError(f'{motion.name}: the state at {motion.t[start]:.6g} s cannot be '
+                                f'simulated: {problem}') from problem
         return q
     return predict
 
@@ -181,29 +185,57 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
         x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
         tau = motion.forces
         q = [x[:, :d]]
-        for k in range(count):
-            row = np.minimum(starts + k, len(tau) - 1)
-            x = x + share * np.hstack([x, tau[row], np.ones((len(x), 1))]) @ matrix
-            q.append(x[:, :d])
+        # A matrix may well let motions grow until they are no numbers, which the scores count.
+        with np.errstate(over='ignore', invalid='ignore'):
+            for k in range(count):
+                row = np.minimum(starts + k, len(tau) - 1)
+                x = x + share * np.hstack([x, tau[row], np.ones((len(x), 1))]) @ matrix
+                q.append(x[:, :d])
         return np.stack(q, axis=1)
     return predict
 
 
 def variance_of(motions: Sequence[Motion]) -> np.ndarray:
-    """Return the variance of each coordinate over motions, shape (d,)."""
-    return np.concatenate([motion.q for motion in motions]).var(axis=0)
+    """
+    Return the variance of each coordinate over motions, shape (d,).
+
+    It is infinite, so that no error counts in its units, for a coordinate that never moves.
+
+    Raises
+    ------
+    DataError
+        None moves.
+
+    """
+    q = np.concatenate([motion.q for motion in motions])
+    moves = np.ptp(q, axis=0) > 0.0
+    if not moves.any():
+        raise DataError(f'{motions[0].name}: no coordinate moves, so that nothing can be judged; '
+                        'give other motions')
+    return np.where(moves, q.var(axis=0), np.inf)
+
+
+def samples_in(time: float, motion: Motion) -> int:
+    """Return the samples of a motion in a time [s], at most all of them."""
+    return round(min(time / motion.spacing, len(motion.t)))
 
 
 def fans_of(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
             longest: float) -> list[Fan]:
     """Return predictions from many measured states, for as long as ``score`` asks for them."""
+    for horizon in horizons:
+        if all(samples_in(horizon, motion) >= len(motion.t) for motion in motions):
+            raise DataError(f'no motion lasts {horizon:g} s, a horizon; give shorter --horizons')
+        if any(samples_in(horizon, motion) < 1 for motion in motions):
+            raise DataError(f'a horizon of {horizon:g} s is less than the {motions[0].spacing:.4g}'
+                            ' s from sample to sample; give longer --horizons')
     fans = []
     for motion in motions:
-        spacing = motion.spacing
-        starts = np.arange(0, len(motion.t) - round(min(horizons) / spacing),
-                           max(1, round(every / spacing)))
+        n = len(motion.t)
+        starts = np.arange(0, n - samples_in(min(horizons), motion),
+                           max(1, samples_in(every, motion)))
         if len(starts):
-            count = round(max(longest, *horizons) / spacing)
+            count = min(samples_in(max(longest, *horizons), motion), n - 1)
             fans.append(Fan(motion, starts, predict(motion, starts, count)))
     return fans
 
@@ -229,7 +261,7 @@ def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float]
     Raises
     ------
     DataError
-        No motion lasts as long as the longest horizon.
+        No motion lasts as long as a horizon, or samples are further apart.
 
     """
     fans = fans_of(predict, motions, horizons, every, longest)
@@ -249,16 +281,16 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
                        & (np.arange(count + 1) <= room[:, None])).any(axis=1).sum())
         error = np.where(np.isfinite(error), error, np.inf)
         for horizon in horizons:
-            k = round(horizon / spacing)
-            errors[horizon].append(error[room >= k, k])
-        beyond = (error**2 / variance).sum(axis=2) >= _VALID
+            k = samples_in(horizon, motion)
+            if k <= count:
+                errors[horizon].append(error[room >= k, k])
+        with np.errstate(over='ignore', invalid='ignore'):
+            # Not a number: an infinite error of a coordinate that has no variance.
+            beyond = ~((error**2 / variance).sum(axis=2) < _VALID)
         beyond &= np.arange(count + 1) <= room[:, None]
         found = beyond.any(axis=1)
         times.append(np.where(found, beyond.argmax(axis=1), np.minimum(count, room)) * spacing)
         ended.append(~found)
-    for horizon, parts in errors.items():
-        if not sum(len(part) for part in parts):
-            raise DataError(f'no motion lasts {horizon:g} s, a horizon; give shorter --horizons')
     with np.errstate(over='ignore'):
         rms = {horizon: np.sqrt(np.mean(np.concatenate(parts)**2, axis=0))
                for horizon, parts in errors.items()}
@@ -276,7 +308,7 @@ def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
     for name, found in scores.items():
         cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
         least = '>= ' if found.censored >= 0.5 else ''
-        mismatch = ' '.join(f'{value:.2%}' for value in (found.energy_mismatch or {}).values())
+        mismatch = ' '.join(f'{100.0 * value:.3g}%' for value in (found.energy_mismatch or {}).values())
         lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
                      f'| {mismatch or "-"} | {found.failed} |')
     return '\n'.join(lines)

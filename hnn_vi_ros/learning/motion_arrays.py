@@ -88,7 +88,7 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
                             f'{", ".join(found) or "none"}; name the keys in data')
     if not wanted:
         raise DataError(f'{path}: no key {first}, nor any RUN/{first}; it has '
-                        f'{", ".join([*arrays][:8])}; name the keys in data')
+                        f'{", ".join([*arrays][:8]) or "none"}; name the keys in data')
     found_runs = [_run(path, run, arrays, data, d) for run in wanted]
     named = ', '.join(run for run in wanted if run)
     return as_motions(found_runs, data, f'{path.name}: {named}' if named else path.name,

@@ -248,8 +248,14 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
 
     def low_pass(values: np.ndarray) -> np.ndarray:
         # What is faster than the samples can hold is not there to be taken away.
-        return values if share > _WHOLE else np.ascontiguousarray(
-            sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
+        if share > _WHOLE:
+            return values
+        try:
+            return np.ascontiguousarray(
+                sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
+        except np.linalg.LinAlgError as problem:
+            raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for samples every '
+                            f'{t[1] - t[0]:.4g} s; give a higher one') from problem
 
     def rate(values: np.ndarray) -> np.ndarray:
         return CubicSpline(t, values)(t, 1)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From arrays to a verdict: the executables train and evaluate, on a machine that is known."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import subprocess
@@ -166,6 +167,81 @@ def test_evaluate_refuses_in_one_line(words, message):
     with pytest.raises((DataError, ParameterError), match=message) as problem:
         evaluate.main(['pendulum', *words])
     assert '\n' not in str(problem.value)
+
+
+@pytest.mark.parametrize('words, message', [
+    (['--horizons', '1e308'], r'no motion lasts 1e\+308 s'),
+    (['--horizons', '0.5', '0.001'], '0.001 s is less than the 0.01 s from sample to sample'),
+    (['--smoothing', '1e-9'], 'a smoothing of 1e-09 Hz is too low'),
+    (['--baselines', 'nothing.npz'], 'nothing.npz: cannot be read'),
+    (['--out', 'same', '--json', 'same'], '--out same is a folder'),
+    (['--json', 'scene.yaml/file.json'], '--json scene.yaml/file.json: cannot be written'),
+    (['--keys', 't,q,velocity'], 'no key a/velocity'),
+    (['--keys', 't,q,q'], 'no coordinate moves'),
+])
+def test_evaluate_refuses_what_motions_do_not_hold_in_one_line(
+        tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    data = write(tmp_path / 'pendulum.npz', 0.6)
+    if 'moves' in message:
+        arrays = dict(np.load(data))
+        np.savez(data, **{key: np.zeros_like(values) if key.endswith('/q') else values
+                          for key, values in arrays.items()})
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(SCENE))
+    with pytest.raises((DataError, ParameterError), match=message) as problem:
+        evaluate.main(['scene.yaml', '--data', 'pendulum.npz', *words])
+    assert '\n' not in str(problem.value)
+    assert not (tmp_path / 'same').exists()
+
+
+def test_numbers_of_any_size_are_taken_as_far_as_the_motions_go(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / 'pendulum.npz')
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(SCENE))
+    evaluate.main(['scene.yaml', '--data', 'pendulum.npz:c', '--every', '1e300', '--longest',
+                   '1e308', '--out', 'report', '--json', 'report/numbers.json'])
+    written = json.loads((tmp_path / 'report' / 'numbers.json').read_text())
+    # One prediction, from the first of the 400 samples to the last.
+    assert written['valid_prediction_time'] == pytest.approx(3.99)
+    assert '(predictions.png)' in (tmp_path / 'report' / 'report.md').read_text()
+    capsys.readouterr()
+
+
+def test_state_that_a_scene_does_not_allow_is_named(tmp_path):
+    data = write(tmp_path / 'pendulum.npz', 2.0)
+    scene = SCENE | {'effects': [*SCENE['effects'], {'kind': 'impact', 'coordinate': 'angle'}]}
+    (tmp_path / 'wall.yaml').write_text(dump_yaml(scene))
+    with pytest.raises(DataError, match='state at .* s cannot be simulated: .* behind the wall'):
+        evaluate.main([str(tmp_path / 'wall.yaml'), '--data', f'{data}:a'])
+
+
+def test_forces_act_on_all_coordinates_and_models_bring_their_own_friction(tmp_path):
+    scene = {'hamiltonian': {'kind': 'double_pendulum'}, 'step_size': 0.01,
+             'integrator': {'kind': 'implicit_midpoint'},
+             'initial_state': {'q': [0.5, 0.0], 'p': [0.0, 0.0]},
+             'effects': [{'kind': 'external_force', 'coordinates': ['angle2']}]}
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(scene))
+    *_, (force,) = evaluate.parts_of(str(tmp_path / 'scene.yaml'))
+    assert force.coordinates == ['angle1', 'angle2']
+    models = Path(__file__).parents[1] / 'resource' / 'models'
+    for name, kinds in (('discrete_gradient_pendulum', ['ExternalForce', 'Damping']),
+                        ('damped_pendulum', ['ExternalForce', 'LearnedDissipation']),
+                        ('double_pendulum_velocity', [])):
+        hamiltonian, *_, effects = evaluate.parts_of(str(models / f'{name}.safetensors'))
+        assert [type(effect).__name__ for effect in effects] == kinds
+        assert hamiltonian.canonical == bool(kinds)
+
+
+def test_coordinate_that_never_moves_does_not_count_in_the_valid_prediction_time():
+    motion = linear_motion(1)
+    still = replace(motion, **{name: np.hstack([values, np.zeros_like(values)])
+                               for name, values in vars(motion).items() if np.ndim(values) == 2})
+
+    def off(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        at = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
+        return motion.q[at] + [0.0, 1e-9]
+    with np.errstate(all='raise'):
+        assert score(off, [still], [0.5], 0.1, 1.0).censored == 1.0
 
 
 def test_momentum_belongs_to_the_velocity():
