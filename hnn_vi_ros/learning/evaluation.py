@@ -308,7 +308,8 @@ def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
     for name, found in scores.items():
         cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
         least = '>= ' if found.censored >= 0.5 else ''
-        mismatch = ' '.join(f'{100.0 * value:.3g}%' for value in (found.energy_mismatch or {}).values())
+        mismatch = ' '.join(f'{100.0 * value:.3g}%'
+                            for value in (found.energy_mismatch or {}).values())
         lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
                      f'| {mismatch or "-"} | {found.failed} |')
     return '\n'.join(lines)

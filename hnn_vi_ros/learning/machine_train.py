@@ -117,12 +117,12 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
         f'({interval_text(error.rms_interval)}) against the {error.told}, which makes it vary by '
         f'{error.spread:.3g} J.\n\n')
     return (f'# {card.name}\n\n{config.description}\n\nData: {card.dataset}. Held out: {held}. '
-            f'Trained on the others in {seconds:.0f} s, seed {card.seed}: '
-            f'`{card.training_command}`\n\nFree simulation of what was held out, from a state '
-            f'every {_EVERY:g} s, with the measured forces; root mean square of the error at the '
+            f'Trained on the others by {", ".join(card.losses)} in {seconds:.0f} s, seed '
+            f'{card.seed}: `{card.training_command}`\n\nFree simulation of what was held out, '
+            f'from a state every {_EVERY:g} s, with the measured forces; root mean square of the error at the '
             'end of each horizon. The energy mismatch is what H changes by over each horizon '
             'beside the work of forces and friction, as a share of its range. The plain network '
-            'of (q, v, tau) has the same hidden layers and was trained in the same way.\n\n'
+            f'of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
             f'{found}\n\n{energy}'
             f'![Predictions of what was held out]({outputs.picture.name})\n')
 

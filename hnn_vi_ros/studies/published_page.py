@@ -203,7 +203,8 @@ def _machines_table(path: Path) -> Iterator[str]:
     if not path.is_file():
         yield 'Not measured.'
         return
-    yield '| machine | measure | others | goal | ours, mean (worst of seeds) | plain network | met |'
+    yield ('| machine | measure | others | goal | ours, mean (worst of seeds) | plain network | '
+           'met |')
     yield '|---' * 7 + '|'
     for row in json.loads(path.read_text(encoding='utf-8')):
         others, goal, ours, worst, plain = (

@@ -223,7 +223,7 @@ def test_forces_act_on_all_coordinates_and_models_bring_their_own_friction(tmp_p
     (tmp_path / 'scene.yaml').write_text(dump_yaml(scene))
     *_, (force,) = evaluate.parts_of(str(tmp_path / 'scene.yaml'))
     assert force.coordinates == ['angle1', 'angle2']
-    models = Path(__file__).parents[1] / 'resource' / 'models'
+    models = Path(__file__).parents[2] / 'resource' / 'models'
     for name, kinds in (('discrete_gradient_pendulum', ['ExternalForce', 'Damping']),
                         ('damped_pendulum', ['ExternalForce', 'LearnedDissipation']),
                         ('double_pendulum_velocity', [])):
