@@ -32,7 +32,7 @@ class Place(IntEnum):
     OUTSIDE = 5
 
 
-class Live(NamedTuple):
+class EffectState(NamedTuple):
     """
     What the effects of one simulation share, and keep from step to step.
 
@@ -65,7 +65,7 @@ class Live(NamedTuple):
     resting: np.ndarray
 
     @classmethod
-    def empty(cls, effects: int, dimension: int) -> 'Live':
+    def empty(cls, effects: int, dimension: int) -> 'EffectState':
         """Return the state before the first step."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
@@ -131,7 +131,7 @@ class Effect(ABC):
         return integrator.requirements.hamiltonian
 
     @abstractmethod
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Parameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
         """
         Return the numbers and arrays that the effect's compiled functions take first.
 
@@ -139,7 +139,7 @@ class Effect(ABC):
         ----------
         coordinates : sequence of Coordinate
             Of the system, d of them.
-        live : Live
+        state : EffectState
             Of the simulation.
 
         Raises
@@ -191,7 +191,7 @@ class Joined(Effect):
         """Return a kernel of H together with the effect, of what ``resolve`` returned."""
 
     def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:
-        """Add its share to the linear vector potential, shape (d, d); see Live."""
+        """Add its share to the linear vector potential, shape (d, d); see EffectState."""
 
 
 class Commanded(ABC):

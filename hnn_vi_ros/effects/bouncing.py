@@ -4,7 +4,7 @@
 
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Live
+from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
@@ -102,11 +102,11 @@ def bounce(step: Step, high: bool) -> Step:
     def bouncing(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                  memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, (c, position, sign, restitution, search, kept, cuts), live, effect = options
+        inner, (c, position, sign, restitution, search, kept, cuts), state, effect = options
         work, inside = memory[-1], memory[:-1]
         start, motion = work.start, work.motion
         copy_point(z, start)
-        draws, impacts, total = _keep(live, kept, 2), 0, 0
+        draws, impacts, total = _keep(state, kept, 2), 0, 0
         rest, part, rounding = h, h, 0.0
         # Settled: what comes next is known, and the trial was taken for its state alone.
         action, wanted, settled = TRY, h, False
@@ -116,16 +116,16 @@ def bounce(step: Step, high: bool) -> Step:
             outcome, residual, gradients = step(kernel, part, inner, start, z1, inside)
             total += gradients
             if outcome != OK:
-                _put_back(live, kept, 2, draws)
+                _put_back(state, kept, 2, draws)
                 return outcome, residual, total
             distance = sign * (z1.q[c] - position)
-            if live.resting[effect] > 0.0:
+            if state.resting[effect] > 0.0:
                 if distance >= 0.0:
-                    live.resting[effect] = 0.0
+                    state.resting[effect] = 0.0
                     return OK, residual, total
                 # What pulls it into the wall at the end held it there all the time.
                 work = _turn(kernel, z1, c, position, 0.0)
-                live.pending[effect] += work
+                state.pending[effect] += work
                 return NO_CONVERGENCE if np.isnan(work) else OK, residual, total
             if not settled:
                 total += 1
@@ -136,31 +136,31 @@ def bounce(step: Step, high: bool) -> Step:
                 if action == FREE:
                     wanted = rest
             if action == LOST or impacts > _MOST_IMPACTS:
-                _put_back(live, kept, 2, draws)
+                _put_back(state, kept, 2, draws)
                 return NO_CONVERGENCE, residual, total
             if action == TRY or (part != wanted and wanted > 0.0):
                 part, settled = wanted, action != TRY
-                _put_back(live, kept, 0, draws)
+                _put_back(state, kept, 0, draws)
             elif action == FREE:
                 return OK, residual, total
             else:
                 if wanted == 0.0:
                     copy_point(start, z1)
-                    _put_back(live, kept, 0, draws)
+                    _put_back(state, kept, 0, draws)
                 rest -= wanted
                 work, rests = _meet(kernel, z1, c, position, sign, restitution, motion,
                                     rest, h, rounding)
                 if np.isnan(work):
-                    _put_back(live, kept, 2, draws)
+                    _put_back(state, kept, 2, draws)
                     return NO_CONVERGENCE, residual, total
-                live.pending[effect] += work
+                state.pending[effect] += work
                 cuts[0] += 1
-                live.resting[effect] = 1.0 if rests else 0.0
+                state.resting[effect] = 1.0 if rests else 0.0
                 if rest <= 0.0:
                     return OK, residual, total
                 impacts += 1
                 copy_point(z1, start)
-                draws = _keep(live, kept, 0)
+                draws = _keep(state, kept, 0)
                 speed, bend = _motion(kernel, start, c, motion, high)
                 begin(search, 0.0, max(0.0, sign * speed), sign * bend)
                 part, settled = rest, False
@@ -170,21 +170,21 @@ def bounce(step: Step, high: bool) -> Step:
 
 
 @called
-def _keep(live: Live, kept: np.ndarray, last: int) -> int:
+def _keep(state: EffectState, kept: np.ndarray, last: int) -> int:
     """Keep what the effects did so far, in every second row; return the random numbers drawn."""
     for row in range(0, last + 1, 2):
-        for k in range(live.pending.size):
-            kept[row, k], kept[row + 1, k] = live.pending[k], live.resting[k]
-    return live.draws[1]
+        for k in range(state.pending.size):
+            kept[row, k], kept[row + 1, k] = state.pending[k], state.resting[k]
+    return state.draws[1]
 
 
 @called
-def _put_back(live: Live, kept: np.ndarray, row: int, draws: int) -> None:
+def _put_back(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
     """Forget what the effects did in a trial, or in the step, which is in row 2."""
     # Element by element: for slices numba compiles the texts of errors as well.
-    for k in range(live.pending.size):
-        live.pending[k], live.resting[k] = kept[row, k], kept[row + 1, k]
-    live.draws[1] = draws
+    for k in range(state.pending.size):
+        state.pending[k], state.resting[k] = kept[row, k], kept[row + 1, k]
+    state.draws[1] = draws
 
 
 @called

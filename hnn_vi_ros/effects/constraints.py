@@ -54,7 +54,7 @@ class Constraints(NamedTuple):
         A variation of q and p, and what it is mapped to.
     matrix : np.ndarray, shape (K, K)
         The linear system.
-    right, defect, scale, pending : np.ndarray, shape (K,), and that of Live.pending
+    right, defect, scale, pending : np.ndarray, shape (K,), and that of EffectState.pending
         Its right-hand side, g(q), the diagonal of the matrix, and the effects' work before the
         step.
     dependent : np.ndarray, shape (1,)

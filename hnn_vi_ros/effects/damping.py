@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 import math
 
-from hnn_vi_ros.effects.base import Force, Live, per_coordinate, Place, StepEffect
+from hnn_vi_ros.effects.base import EffectState, Force, per_coordinate, Place, StepEffect
 from hnn_vi_ros.effects.masses import check_rates, Friction, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
@@ -68,9 +68,9 @@ class Damping(Force, StepEffect):
         return integrator.requirements.hamiltonian and (
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Friction:
-        """Return the rates, shape (d,) [1/s], and the gauge of the magnetic fields; see Live."""
-        return Friction(per_coordinate(coordinates, 'rate', self.rate), live.gauge)
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Friction:
+        """Return the rates, shape (d,) [1/s], and the gauge of magnetic fields."""
+        return Friction(per_coordinate(coordinates, 'rate', self.rate), state.gauge)
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
         """Raise ValueError if the rates would feed energy in near q, shape (m d,)."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -55,7 +55,7 @@ class DryFriction(Force):
         check_positive(force=force, speed=speed)
         self.coordinate, self.force, self.speed = coordinate, float(force), float(speed)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> FrictionParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> FrictionParameters:
         """Return the coordinate's place, F and u."""
         return FrictionParameters(coordinate_index(coordinates, self.coordinate), self.force,
                                   self.speed)

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hnn_vi_ros.effects.base import Commanded, coordinate_index, Force, Live
+from hnn_vi_ros.effects.base import Commanded, coordinate_index, EffectState, Force
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -67,13 +67,13 @@ class ExternalForce(Force, Commanded):
             from hnn_vi_ros.effects.input_map import load_map
             self._model = load_map(model)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> 'InputParameters':
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the numbers' places, and what adds their forces."""
         # Imported here: it is compiled, which who only reads a scene has no use for.
         from hnn_vi_ros.effects.input_map import by_map, by_place
         if self._model is not None:
-            return by_map(live, self._model, len(coordinates))
-        return by_place(live, np.array([
+            return by_map(state, self._model, len(coordinates))
+        return by_place(state, np.array([
             coordinate_index(coordinates, name) for name in self.coordinates or ()]))
 
     def take(self, values: Sequence[float], parameters: 'InputParameters') -> None:

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Potential
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -50,7 +50,7 @@ class Gravity(Potential):
         check_finite(weight=mass * acceleration)
         self.coordinate, self.weight = coordinate, mass * acceleration
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> GravityParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> GravityParameters:
         """Return the coordinate's place and the weight [N]."""
         return GravityParameters(coordinate_index(coordinates, self.coordinate), self.weight)
 

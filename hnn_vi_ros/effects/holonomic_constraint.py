@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from hnn_vi_ros.effects.base import Constraint, Live, Together
+from hnn_vi_ros.effects.base import Constraint, EffectState, Together
 from hnn_vi_ros.effects.constraints import Row
 from hnn_vi_ros.effects.shapes import check_keys, function_row, rows_of
 from hnn_vi_ros.files.named_code import NAMES_CODE
@@ -71,7 +71,7 @@ class HolonomicConstraint(Constraint):
         keeps = integrator.requirements
         return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> tuple[Row, ...]:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> tuple[Row, ...]:
         """Return the equations, of which a circle in space has two."""
         if self._function is not None:
             return (self._function,)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Literal
 
-from hnn_vi_ros.effects.base import coordinate_index, Live, Place, StepEffect
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Place, StepEffect
 from hnn_vi_ros.effects.bouncing import bounce, BouncingWork, Wall
 from hnn_vi_ros.effects.crossings import Search
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -67,10 +67,10 @@ class Impact(StepEffect):
         needs = integrator.requirements
         return needs.hamiltonian and integrator.order >= 2 and needs.from_state
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Wall:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Wall:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""
         return Wall(coordinate_index(coordinates, self.coordinate), self.position, self.sign,
-                    self.restitution, Search.empty(), np.zeros((4, live.pending.size)),
+                    self.restitution, Search.empty(), np.zeros((4, state.pending.size)),
                     np.zeros(1, dtype=np.int64))
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Wall, q: np.ndarray) -> None:

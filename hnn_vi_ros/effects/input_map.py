@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import Live
+from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.kernels.kernel import Parameters
@@ -51,7 +51,7 @@ class InputParameters(NamedTuple):
     Parameters
     ----------
     command, clock : np.ndarray
-        See Live.
+        See EffectState.
     places : np.ndarray, shape (m,)
         Those of the command's numbers in ``command``.
     add : callable
@@ -68,19 +68,19 @@ class InputParameters(NamedTuple):
     own: Places | InputMap
 
 
-def by_place(live: Live, places: np.ndarray) -> InputParameters:
+def by_place(state: EffectState, places: np.ndarray) -> InputParameters:
     """Return what adds each number to a coordinate, of these places."""
-    return InputParameters(live.command, live.clock, places, add_by_place, Places(places))
+    return InputParameters(state.command, state.clock, places, add_by_place, Places(places))
 
 
-def by_map(live: Live, model: Checkpoint, d: int) -> InputParameters:
+def by_map(state: EffectState, model: Checkpoint, d: int) -> InputParameters:
     """Return what adds g(q) u to d coordinates, or raise ValueError."""
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
                          f'H has {d} coordinates, and takes at most as many numbers')
     own = InputMap(pack_outputs(model, 'input_map'), np.zeros(entries))
-    return InputParameters(live.command, live.clock, np.arange(entries // d), add_by_map, own)
+    return InputParameters(state.command, state.clock, np.arange(entries // d), add_by_map, own)
 
 
 @kept(error_model='numpy')

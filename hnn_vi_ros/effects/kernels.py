@@ -9,7 +9,7 @@ They call the Hamiltonian by address: what is joined is compiled once, for all H
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from hnn_vi_ros.effects.base import Effect, Force, Live, Potential
+from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
 from hnn_vi_ros.integrators.arithmetic import largest
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.compilation import composed, functions_of
@@ -39,7 +39,7 @@ def join_magnetic_field(kernel: Kernel, kind: type[Effect], parameters: tuple[in
 
 
 def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Parameters],
-               live: Live) -> Kernel:
+               state: EffectState) -> Kernel:
     """
     Return a kernel whose gradient is (H_q - f_p, H_p + f_q), with time and work beside it.
 
@@ -58,7 +58,7 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
     return composed(
-        kernel, functions, kinds, (kernel.parameters, nested, live.clock, space, d, channels)
+        kernel, functions, kinds, (kernel.parameters, nested, state.clock, space, d, channels)
     )._replace(dimension=d + channels, channels=channels,
                gradient_scale=(rounding_q, rounding_p))
 

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import Force, Live, Place
+from hnn_vi_ros.effects.base import EffectState, Force, Place
 from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -16,8 +16,8 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-class DissipationParameters(NamedTuple):
-    """The kernel of D, Live.gauge, and space for P and for the gradient of D, shape (d,)."""
+class Dissipation(NamedTuple):
+    """The kernel of D, EffectState.gauge, and space for P and the gradient of D, shape (d,)."""
 
     network: Kernel
     gauge: np.ndarray
@@ -73,7 +73,7 @@ class LearnedDissipation(Force):
         """Return the rounding errors of D_q and D_p; see Force."""
         return self.network.kernel.gradient_scale
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> DissipationParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Dissipation:
         """Return the network's kernel, the gauge of magnetic fields, and space."""
         if len(coordinates) != (d := self.network.dimension):
             raise ValueError(f'the model has {d} coordinates, H has {len(coordinates)}')
@@ -81,11 +81,11 @@ class LearnedDissipation(Force):
         kernel = self.network.copy().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
             identify(function)
-        return DissipationParameters(kernel, live.gauge, *np.zeros((3, d)))
+        return Dissipation(kernel, state.gauge, *np.zeros((3, d)))
 
     @staticmethod
     @inlined
-    def add_force(parameters: DissipationParameters, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: Dissipation, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add D_q and D_p."""
         network, gauge, kinetic, dD_dq, dD_dp = parameters

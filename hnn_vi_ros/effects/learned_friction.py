@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
-from hnn_vi_ros.effects.base import Force, Live
+from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.marks import inlined
@@ -52,7 +52,7 @@ class LearnedFriction(Force):
                              'effects damping and dry_friction')
         self.friction = checkpoint.card.mechanical.friction
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Parameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
         """Return b, shape (d,), Coulomb terms (c, 1/w) and Stribeck terms (c, 1/w, 1/s)."""
         viscous = np.array(self.friction.viscous)
         d = len(coordinates)

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Joined, Live
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Joined
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -59,11 +59,11 @@ class MagneticField(Joined):
         needs = integrator.requirements
         return needs.hamiltonian and not needs.separable
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> FieldParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> FieldParameters:
         """Return the places of x and y, and c B / 2 [kg/s]."""
         x, y = (coordinate_index(coordinates, name) for name in self.plane)
         parameters = FieldParameters(x, y, 0.5 * self.strength)
-        self.add_gauge(parameters, live.gauge)
+        self.add_gauge(parameters, state.gauge)
         return parameters
 
     def add_gauge(self, parameters: FieldParameters, gauge: np.ndarray) -> None:

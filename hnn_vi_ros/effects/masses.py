@@ -58,7 +58,7 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
 
 
 class Friction(NamedTuple):
-    """The rates of friction on P = p - c A(q), shape (d,) [1/s], and Live.gauge."""
+    """The rates of friction on P = p - c A(q), shape (d,) [1/s], and EffectState.gauge."""
 
     rate: np.ndarray
     gauge: np.ndarray
@@ -80,7 +80,7 @@ def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | No
 
 @inlined
 def vector_potential(gauge: np.ndarray, q: np.ndarray, i: int) -> float:
-    """Return component i of c A(q), of the gauge that Live holds."""
+    """Return component i of c A(q), of the gauge that EffectState holds."""
     total = 0.0
     for j in range(q.size):
         total += gauge[i, j] * q[j]

@@ -50,7 +50,7 @@ def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
         Tells runs apart.
     draws : np.ndarray, shape (3,)
         Numbers drawn in steps that are done and in the present one, and the stream; the second
-        is advanced. See Live.
+        is advanced. See EffectState.
     normals : np.ndarray, shape (n,)
         Filled.
 

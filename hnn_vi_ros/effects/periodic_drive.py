@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -58,7 +58,7 @@ class PeriodicDrive(Force):
         self.coordinate = coordinate
         self.wave = float(amplitude), 2.0 * math.pi * frequency, float(phase)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> DriveParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DriveParameters:
         """Return the coordinate's place, F, the angular frequency and phi."""
         return DriveParameters(coordinate_index(coordinates, self.coordinate), *self.wave)
 

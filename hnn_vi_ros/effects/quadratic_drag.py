@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Force, Live
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -51,7 +51,7 @@ class QuadraticDrag(Force):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.coordinates, self.coefficient = coordinates, float(coefficient)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> DragParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DragParameters:
         """Return the coordinates' places and b."""
         return DragParameters(np.array([coordinate_index(coordinates, name)
                                         for name in self.coordinates]), self.coefficient)

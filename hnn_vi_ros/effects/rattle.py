@@ -113,17 +113,17 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
     def constrained(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                     memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, constraints, live, _ = options
+        inner, constraints, state, _ = options
         work, inside = memory[-1], memory[:-1]
         # The last step's solution is the first guess.
         start, multipliers = work.start, work.kept.multipliers
         evaluate(constraints, z.q, constraints.old)
-        copy_array(live.pending, constraints.pending)
+        copy_array(state.pending, constraints.pending)
         size = largest(z.q) + largest(constraints.lengths)
         previous, residual, spent = np.inf, np.inf, 0
         for iteration in range(_ITERATIONS):
             copy_point(z, start)
-            copy_array(constraints.pending, live.pending)
+            copy_array(constraints.pending, state.pending)
             _kick(constraints.old, multipliers, 0.5 * h, start)
             # Trials of one step are no guide to the next start.
             forget(inside)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import math
 from typing import Literal, NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Live, Potential
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Potential
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -64,7 +64,7 @@ class SoftWall(Potential):
         self.sign = {'above': -1.0, 'below': 1.0}[side]
         self.stiffness, self.width = float(stiffness), float(width)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> SoftWallParameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> SoftWallParameters:
         """Return the coordinate's place, position, sign of the depth, stiffness and width."""
         return SoftWallParameters(coordinate_index(coordinates, self.coordinate), self.position,
                                   self.sign, self.stiffness, self.width)

@@ -45,15 +45,15 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     def split(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
               memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, parameters, live, effect = options
+        inner, parameters, state, effect = options
         start, more = memory[-1].point, 0
         copy_point(z, start)
-        live.pending[effect] += half_flow(kernel, h, parameters, start)
+        state.pending[effect] += half_flow(kernel, h, parameters, start)
         if keeps_gradient:
             kernel.gradient(kernel.parameters, start.q, start.p, start.dH_dq, start.dH_dp)
             more = 1
         outcome, residual, gradients = step(kernel, h, inner, start, z1, memory[:-1])
         if outcome == OK:
-            live.pending[effect] += half_flow(kernel, h, parameters, z1)
+            state.pending[effect] += half_flow(kernel, h, parameters, z1)
         return outcome, residual, gradients + more
     return split

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.effects.base import Live, Potential
+from hnn_vi_ros.effects.base import EffectState, Potential
 from hnn_vi_ros.effects.points import add_along, distance, Elastic, resolve_pair, separation
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.kernels.marks import inlined
@@ -52,7 +52,7 @@ class Spring(Potential):
         self.ends = point, other, anchor
         self.stiffness, self.rest_length = float(stiffness), float(rest_length)
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Elastic:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Elastic:
         """Return the ends, the stiffness [N/m] and the length at rest [m]."""
         return Elastic(*resolve_pair(coordinates, *self.ends), self.stiffness, self.rest_length)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from hnn_vi_ros.effects.base import Live, per_coordinate, Place, StepEffect
+from hnn_vi_ros.effects.base import EffectState, per_coordinate, Place, StepEffect
 from hnn_vi_ros.effects.masses import check_masses
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
@@ -57,11 +57,11 @@ class Thermostat(StepEffect):
             raise ValueError(f'seed = {seed} must be from 0 to 2^63 - 1')
         self.temperature, self.rate, self.mass, self.seed = float(temperature), rate, mass, seed
 
-    def resolve(self, coordinates: Sequence[Coordinate], live: Live) -> Parameters:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
         """Return the bath."""
         from hnn_vi_ros.effects.ornstein_uhlenbeck import Bath
         return (Bath.of(per_coordinate(coordinates, 'rate', self.rate), self.temperature,
-                        self.seed, live.pending.size),)
+                        self.seed, state.pending.size),)
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
         """Raise ValueError if H has no masses at q, shape (d,), or others than those given."""
@@ -79,17 +79,17 @@ class Thermostat(StepEffect):
         def bathed(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                    memory: tuple[Any, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
-            inner, (bath,), live, effect = options
+            inner, (bath,), state, effect = options
             middle = memory[-1].point
             outcome, residual, gradients = first_half(
                 kernel, 0.5 * h, inner, z, middle, memory[:-1])
             if outcome != OK:
                 return outcome, residual, gradients
-            possible, heat = stir(kernel, h, bath, live.draws, middle)
+            possible, heat = stir(kernel, h, bath, state.draws, middle)
             gradients += 1 + bath.rate.size
             if not possible:
                 return NO_MASS, residual, gradients
-            live.pending[effect] += heat
+            state.pending[effect] += heat
             outcome, second, more = second_half(kernel, 0.5 * h, inner, middle, z1, memory[:-1])
             return outcome, max(residual, second), gradients + more
         return bathed

@@ -78,7 +78,7 @@ class Wrapped(Integrator):
 
 
 class Account:
-    """Commit, after each step that succeeded, what the effects did in it; see Live."""
+    """Commit, after each step that succeeded, what the effects did in it; see EffectState."""
 
     @staticmethod
     def inner_step(integrator: Integrator) -> Step:
@@ -98,9 +98,9 @@ class Account:
         def accounted(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                       memory: tuple[Any, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
-            inner, live, channel_effects = options
-            live.pending[:] = 0.0
-            live.draws[1] = 0
+            inner, state, channel_effects = options
+            state.pending[:] = 0.0
+            state.draws[1] = 0
             outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])
             if outcome != OK or not is_finite(z1):
                 return outcome if outcome != OK else NOT_FINITE, residual, gradients
@@ -108,15 +108,15 @@ class Account:
             for a in range(0, z1.q.size, kernel.dimension):
                 for k in range(kernel.channels):
                     i = a + d + k
-                    live.pending[channel_effects[k]] += z1.p[i] + z1.p_carry[i]
+                    state.pending[channel_effects[k]] += z1.p[i] + z1.p_carry[i]
                     z1.q[i], z1.p[i], z1.q_carry[i], z1.p_carry[i] = 0.0, 0.0, 0.0, 0.0
-            for k in range(live.pending.size):
-                live.work[k, 0], live.work[k, 1] = plus(
-                    live.work[k, 0], live.work[k, 1], live.pending[k])
-            start, until = live.clock[0], live.command[live.command.size - 1]
-            live.clock[0], live.clock[1] = plus(live.clock[0], live.clock[1], h)
-            live.draws[0] += live.draws[1]
-            if start < until <= live.clock[0]:
+            for k in range(state.pending.size):
+                state.work[k, 0], state.work[k, 1] = plus(
+                    state.work[k, 0], state.work[k, 1], state.pending[k])
+            start, until = state.clock[0], state.command[state.command.size - 1]
+            state.clock[0], state.clock[1] = plus(state.clock[0], state.clock[1], h)
+            state.draws[0] += state.draws[1]
+            if start < until <= state.clock[0]:
                 # The gradient that the next step begins with still holds the command that ends.
                 kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
                 gradients += 1

@@ -109,8 +109,8 @@ class Simulation:
         """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
         q, p = check_state(q, p, self.hamiltonian.dimension)
         self._system.check_state(q.ravel(), p.ravel())
-        self._system.live.reset(stream)
-        self._system.live.clock[0] = step * self.step_size
+        self._system.effect_state.reset(stream)
+        self._system.effect_state.clock[0] = step * self.step_size
         self.steps, self.gradients, self.residual = step, 0, 0.0
         self.rescued = self.several_solutions = 0
         self.costliest = 0, step
@@ -165,13 +165,13 @@ class Simulation:
     @property
     def works(self) -> dict[str, float]:
         """Return the work that each effect has done on the system since the initial state [J]."""
-        works = self._system.live.work.sum(axis=1).tolist()
+        works = self._system.effect_state.work.sum(axis=1).tolist()
         return dict(zip(self._system.labels, works, strict=True))
 
     @property
     def work(self) -> float:
         """Return the work of all effects [J]."""
-        return float(self._system.live.work.sum()) if self._system.labels else 0.0
+        return float(self._system.effect_state.work.sum()) if self._system.labels else 0.0
 
     @property
     def energy_balance(self) -> float:
@@ -201,7 +201,7 @@ class Simulation:
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return, by name, all arrays that the next steps depend on."""
-        groups: dict[str, Any] = {'point': self._z, 'live': self._system.live} | {
+        groups: dict[str, Any] = {'point': self._z, 'live': self._system.effect_state} | {
             f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
         return {name: array for place, group in groups.items()

@@ -159,9 +159,9 @@ class Rescue:
     def _in_parts(self, method: Integrator, attempt: int, parts: int, most: int, h: float,
                   z: Point, z1: Point) -> tuple[bool, int]:
         """Take the step in equal parts; leave z and what the effects keep if one fails."""
-        kernel, live = self._system.kernel, self._system.live
+        kernel, state = self._system.kernel, self._system.effect_state
         loop, step, options = assemble(take_substeps, kernel, method, attempt)
-        before = [array.copy() for array in live]
+        before = [array.copy() for array in state]
         end = Point(*[array.copy() for array in z])
         ok, gradients = loop(step, kernel, h, options, parts, most, end, z1,
                              method.memory(z.q.size))
@@ -169,7 +169,7 @@ class Rescue:
             copy_point(end, z)
             return True, gradients
         # Parts of the step may have been taken, and their time and work counted.
-        for array, value in zip(live, before, strict=True):
+        for array, value in zip(state, before, strict=True):
             array[...] = value
         return False, gradients
 

@@ -9,7 +9,8 @@ import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import (
-    Commanded, Constraint, Effect, EffectError, Force, Joined, Live, Place, Together, Wrapping)
+    Commanded, Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together,
+    Wrapping)
 from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -55,7 +56,7 @@ class JoinedHamiltonian(Hamiltonian):
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
-        """Return that of the magnetic fields that are joined; see Live."""
+        """Return that of the magnetic fields that are joined; see EffectState."""
         gauge = np.zeros((self.dimension, self.dimension))
         for effect, parameters in self._joined:
             effect.add_gauge(parameters, gauge)
@@ -110,7 +111,7 @@ class System:
         That of H, with the forces.
     method, integrator : Integrator
         The method, by itself and with what acts around its steps.
-    live : Live
+    effect_state : EffectState
         What the effects keep from step to step.
     labels : list of str
         A name for each effect: its kind, with its place where that stands more than once.
@@ -129,7 +130,7 @@ class System:
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator):
         self._effects, self.method = list(effects), integrator
-        self.live = Live.empty(len(effects), hamiltonian.dimension)
+        self.effect_state = EffectState.empty(len(effects), hamiltonian.dimension)
         kinds = [_kind(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
@@ -238,7 +239,7 @@ class System:
 
     def _resolve(self, index: int, hamiltonian: Hamiltonian) -> tuple:
         try:
-            return self._effects[index].resolve(hamiltonian.coordinates, self.live)
+            return self._effects[index].resolve(hamiltonian.coordinates, self.effect_state)
         except ValueError as problem:
             raise EffectError(index, str(problem)) from problem
 
@@ -264,7 +265,7 @@ class System:
         if self._taken:
             self.kernel = add_forces(
                 self.kernel, [cast(Force, self._effects[i]) for i in self._taken],
-                [self._parameters[i] for i in self._taken], self.live)
+                [self._parameters[i] for i in self._taken], self.effect_state)
         if integrator.requirements.coordinates != 'other':
             # Others read what is in the parameters of their own family of models.
             self.kernel = by_address(self.kernel)
@@ -294,10 +295,10 @@ class System:
                 if i != self._in(place)[0]:
                     continue  # the first one stands for all
                 kind, settings = self._constraints.kind, self._constraints.settings
-            integrator = Wrapped(integrator, kind, (settings, self.live, i))
+            integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
         if self._taken or around:
             integrator = Wrapped(
-                integrator, Account, (self.live, np.array(self._taken, dtype=np.int64)))
+                integrator, Account, (self.effect_state, np.array(self._taken, dtype=np.int64)))
         return integrator
 
 

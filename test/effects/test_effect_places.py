@@ -30,7 +30,7 @@ class Kick(StepEffect):
     def __init__(self, impulse: float = 0.0):
         self.impulse = impulse
 
-    def resolve(self, coordinates, live):
+    def resolve(self, coordinates, state):
         """Return the impulse."""
         return (self.impulse,)
 
@@ -69,7 +69,7 @@ class Push(Force):
 
     depends_on_momentum = False
 
-    def resolve(self, coordinates, live):
+    def resolve(self, coordinates, state):
         """Return nothing."""
         return ()
 

@@ -8,7 +8,7 @@ from effect_table import create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOW
 from helpers import (
     EPS, exact, jacobian, python_step, random_checkpoint, symplectic_defect, Uncompiled)
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectError, Force, Live, Potential
+from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
 from hnn_vi_ros.effects.noise import fill_normals
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -126,7 +126,7 @@ POTENTIALS = {
 def test_potential_derivatives_are_those_of_its_energy(name: str, seed: int):
     potential = EFFECTS[name.split()[0]](**POTENTIALS[name])
     assert isinstance(potential, Potential)
-    own = potential.resolve(free(*NAMES).coordinates, Live.empty(1, 6))
+    own = potential.resolve(free(*NAMES).coordinates, EffectState.empty(1, 6))
     q, v = np.random.default_rng(seed).normal(size=(2, 6))
     gradient, ahead, behind, product = np.zeros((4, 6))
     # A central difference of spacing d errs by d^2 and eps / d, with derivatives below 100.
@@ -146,7 +146,7 @@ def test_potential_derivatives_are_those_of_its_energy(name: str, seed: int):
 @pytest.mark.parametrize('side, sign', [('above', -1.0), ('below', 1.0)])
 def test_soft_wall_is_a_spring_behind_and_nothing_far_in_front_without_overflow(side, sign):
     wall = EFFECTS['soft_wall']('x', 0.5, side, 20.0, 0.01)
-    own = wall.resolve(free('x').coordinates, Live.empty(1, 1))
+    own = wall.resolve(free('x').coordinates, EffectState.empty(1, 1))
     for depth in (10.0, 1e6, -10.0, -1e6):
         q, gradient, product = np.array([0.5 + sign * depth]), np.zeros(1), np.zeros(1)
         with np.errstate(all='raise', under='ignore'):
@@ -165,7 +165,7 @@ def test_soft_wall_is_a_spring_behind_and_nothing_far_in_front_without_overflow(
 def test_spring_of_no_length_has_no_force_in_its_middle():
     """Where the direction of a spring with a length at rest is undefined."""
     spring = EFFECTS['spring'](['x', 'y'], anchor=[0.0, 0.0], rest_length=1.0)
-    own = spring.resolve(free('x', 'y').coordinates, Live.empty(1, 2))
+    own = spring.resolve(free('x', 'y').coordinates, EffectState.empty(1, 2))
     gradient = np.zeros(2)
     spring.add_gradient(own, np.zeros(2), gradient)
     assert (gradient == 0.0).all()
