@@ -120,9 +120,9 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
             f'Trained on the others by {", ".join(card.losses)} in {seconds:.0f} s, seed '
             f'{card.seed}: `{card.training_command}`\n\nFree simulation of what was held out, '
             f'from a state every {_EVERY:g} s, with the measured forces; root mean square of the '
-            'error at the end of each horizon. The energy mismatch is what H changes by over each horizon '
-            'beside the work of forces and friction, as a share of its range. The plain network '
-            f'of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
+            'error at the end of each horizon. The energy mismatch is what H changes by over each '
+            'horizon beside the work of forces and friction, as a share of its range. The plain '
+            f'network of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
             f'{found}\n\n{energy}'
             f'![Predictions of what was held out]({outputs.picture.name})\n')
 
