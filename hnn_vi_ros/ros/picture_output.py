@@ -8,10 +8,10 @@ from typing import final
 
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.parameters import Settings
+from hnn_vi_ros.run.reported_files import picture_lines
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sinks import Beginning, Sink
 from hnn_vi_ros.run.timing import Figures
-from hnn_vi_ros.run.told_files import picture_lines
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 

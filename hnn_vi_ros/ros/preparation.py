@@ -11,12 +11,12 @@ from hnn_vi_ros.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.kernels.announcing import announced
-from hnn_vi_ros.ros.choosing import choose, Event
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.remapped_topics import KEY
+from hnn_vi_ros.ros.selection import Event, select
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -98,8 +98,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('loading the scene')
     factor = settings.real_time_factor
     scene, step, origin = _load(settings)
-    begin('choosing the integrator')
-    scene, chosen, events = choose(scene, 1.0 / settings.publish_rate, factor, logger)
+    begin('selecting the integrator')
+    scene, chosen, events = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     simulation = _compile(scene, logger, begin)
     if step:

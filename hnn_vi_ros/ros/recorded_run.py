@@ -109,9 +109,9 @@ class RecordedRun:
         """Return the last part of each topic's own name, by channel."""
         return {number: topic.rpartition('/')[2] for topic, number in self._topics.items()}
 
-    def told(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    def reported(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """
-        Yield the stamp [ns] of each sample from a log time on, and what is told of it, by name.
+        Yield the stamp [ns] of each sample from a log time on, and its values, by name.
 
         That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
         """
@@ -133,8 +133,8 @@ class RecordedRun:
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield stamp [ns], q and p of each sample from a log time on."""
-        for stamp, told in self.told(first):
-            yield stamp, told['q'], told['p']
+        for stamp, values in self.reported(first):
+            yield stamp, values['q'], values['p']
 
     @property
     def states(self) -> list[int]:

@@ -11,11 +11,11 @@ from hnn_vi_ros.ros.bag_output import BagOutput
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.picture_output import PictureOutput
 from hnn_vi_ros.ros.rclpy_internals import Logger
+from hnn_vi_ros.run.reported_files import report_files
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.sinks import Beginning, Sink
 from hnn_vi_ros.run.timing import Figures
-from hnn_vi_ros.run.told_files import tell_files
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
@@ -151,7 +151,7 @@ class Recording:
 
     def report(self) -> None:
         """Print where the files are, and the command that opens each."""
-        tell_files([line for sink in self._sinks for line in sink.files()])
+        report_files([line for sink in self._sinks for line in sink.files()])
 
     def _begin(self, begin: Beginning,
                give_up: Callable[[RecordingError], None] | None = None) -> None:

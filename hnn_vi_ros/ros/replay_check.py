@@ -144,7 +144,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
     """Yield stamp and values of each sample, with the simulations advanced to it, as driven."""
     commands = run.commands()
     command = next(commands, None)
-    for number, (stamp, told) in enumerate(run.told(), 1):
+    for number, (stamp, values) in enumerate(run.reported(), 1):
         step = run.step_of(stamp)
         if step - run.first_step > _MOST_BEFORE + number * _MOST_STEPS:
             raise RecordingError(
@@ -159,10 +159,10 @@ def _simulated(run: RecordedRun, *simulations: Simulation
             command = next(commands, None)
         for simulation in simulations:
             _advance(run, simulation, step)
-            if simulation.q.shape != told['q'].shape or simulation.p.shape != told['p'].shape:
+            if simulation.q.shape != values['q'].shape or simulation.p.shape != values['p'].shape:
                 raise RecordingError(f'{run.reader.path}: holds samples of another dimension '
                                      'than its scene')
-        yield stamp, told
+        yield stamp, values
 
 
 def _values(simulation: Simulation) -> dict[str, np.ndarray]:
@@ -191,9 +191,9 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
     """Return how many samples agree, and the first difference after them."""
     count = 0
     names = [coordinate.name for coordinate in simulation.hamiltonian.coordinates]
-    for stamp, told in _simulated(run, simulation):
+    for stamp, values in _simulated(run, simulation):
         own = _values(simulation)
-        for kind, recorded in told.items():
+        for kind, recorded in values.items():
             # By their bits: -0.0 is not 0.0.
             simulated = np.ascontiguousarray(own[kind])
             different = np.flatnonzero(recorded.view(np.uint64) != simulated.view(np.uint64))
@@ -223,7 +223,7 @@ def _margin(run: RecordedRun) -> Margin:
     change = _SHAKE * max(np.abs(own.q).max(), np.abs(own.p).max())
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
     growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
-    for stamp, told in _simulated(run, own, shaken):
+    for stamp, values in _simulated(run, own, shaken):
         here, there = _values(own), _values(shaken)
         for kind in here:
             sizes[kind] = max(sizes[kind], _largest(here[kind]))
@@ -233,7 +233,7 @@ def _margin(run: RecordedRun) -> Margin:
         rounded = _PLACES * _EPSILON * max(sizes['q'], sizes['p']) * (own.steps - run.first_step)
         carried = {'q': growth, 'p': growth, 'dp/dt': growths['dp/dt'], 'H': growth * slope,
                    'work': growth * slope + growths['work']}
-        for kind, recorded in told.items():
+        for kind, recorded in values.items():
             difference = _largest(recorded - here[kind])
             explained = rounded * carried[kind]
             if kind not in ('q', 'p'):

@@ -116,7 +116,7 @@ def explain(scene: Scene) -> Iterator[str]:
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched
     if isinstance(scene.integrator, AutoChoice):
-        print('choosing a method ...', file=sys.stderr)
+        print('selecting a method ...', file=sys.stderr)
     scene, chosen = resolve(scene)
     simulation = watched(build(scene), scene)
     hamiltonian, integrator = simulation.hamiltonian, simulation.integrator

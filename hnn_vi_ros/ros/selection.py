@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tell what the integrator auto chooses, and whether that can hold the pace."""
+"""Report what the integrator auto selects, and whether that can hold the pace."""
 
 from typing import NamedTuple
 
@@ -19,10 +19,10 @@ class Event(NamedTuple):
     level: str
 
 
-def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
+def select(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
            ) -> tuple[Scene, Chosen | None, list[Event]]:
     """
-    Return a scene that names its method and step size, the choice, and what is to be told of it.
+    Return a scene that names its method and step size, the choice, and what to report of it.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ def choose(scene: Scene, largest_step: float, real_time_factor: float, logger: L
             f'scene {scene.source}: calibrating for {tolerance.kind} {tolerance.error:g} up to '
             f'{tolerance.horizon:g} s; some seconds once, longer where methods are to be compiled')
     scene, chosen = resolve(scene, largest_step)
-    return scene, chosen, told(*chosen, real_time_factor) if chosen else []
+    return scene, chosen, report(*chosen, real_time_factor) if chosen else []
 
 
-def told(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[Event]:
-    """Return what is to be told of a choice at a pace."""
+def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[Event]:
+    """Return what to report of a choice at a pace."""
     events = [Event(choice.explain(tolerance), 'INFO')]
     cost = choice.seconds_per_simulated_second
     if cost * real_time_factor > 1.0:

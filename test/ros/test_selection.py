@@ -10,7 +10,7 @@ from hnn_vi_ros.accuracy import calibration
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.calibration import Choice
 from hnn_vi_ros.accuracy.trials import Tolerance
-from hnn_vi_ros.ros.choosing import told
+from hnn_vi_ros.ros.selection import report
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 from processes import finish, start
@@ -90,9 +90,9 @@ def test_budget_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose
 
 def test_choice_that_cannot_keep_the_pace_is_warned_of_before_the_run():
     choice = Choice('gauss16', 0.01, 1e-4, 10.0, 0.25, 1e4, {}, 0.5)
-    assert [event.level for event in told(TOLERANCE, choice, 0.0)] == ['INFO']
-    assert [event.level for event in told(TOLERANCE, choice, 3.9)] == ['INFO']
-    _, warning = told(TOLERANCE, choice, 4.1)
+    assert [event.level for event in report(TOLERANCE, choice, 0.0)] == ['INFO']
+    assert [event.level for event in report(TOLERANCE, choice, 3.9)] == ['INFO']
+    _, warning = report(TOLERANCE, choice, 4.1)
     assert warning.level == 'WARN'
     assert 'no method holds energy_error 0.001 up to 10 s at real_time_factor 4.1' in warning.text
     assert 'at most about 4,' in warning.text

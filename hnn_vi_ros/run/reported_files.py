@@ -30,7 +30,7 @@ def picture_lines(picture: Path) -> list[str]:
             if picture.exists() else '  was removed']
 
 
-def tell_files(lines: Sequence[str]) -> None:
+def report_files(lines: Sequence[str]) -> None:
     """Print what is to be said of all files."""
     if lines:
         sys.stdout.write('\n'.join(lines) + '\n')
