@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Commanded, Effect, Force, Live
+from hnn_vi_ros.effects.base import Commanded, Effect, EffectState, Force
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.evaluation import momentum
 from hnn_vi_ros.learning.motions import Motion
@@ -66,9 +66,9 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Motion)
         A velocity has no momentum.
 
     """
-    live = Live.empty(len(effects), hamiltonian.dimension)
+    state = EffectState.empty(len(effects), hamiltonian.dimension)
     # All of them: a magnetic field's gauge is in what others take.
-    resolved = [(effect, effect.resolve(hamiltonian.coordinates, live)) for effect in effects]
+    resolved = [(effect, effect.resolve(hamiltonian.coordinates, state)) for effect in effects]
     motors = [(effect, own) for effect, own in resolved if isinstance(effect, Commanded)]
     friction = [(effect, own) for effect, own in resolved
                 if isinstance(effect, Force) and not isinstance(effect, Commanded)]
