@@ -34,7 +34,11 @@ its `rule` says, at the h of the data |
 `euler_lagrange` | any implicit method, or `discrete_euler_lagrange` |
 | coordinates that are not canonical, such as q and dq/dt | `symplectic_form` | `vector_field` | \
 `variational_midpoint` |
-| a robot's commands beside its states | `control_affine` | `vector_field` | the effect \
+| what a robot publishes, q, dq/dt and the forces of its motors, with friction | `mechanical` | \
+`trajectory`; `forward` where accelerations are known | any method that takes forces, and the \
+effects `learned_friction` and `external_force` with the model: [machines](machines.md) |
+| commands and momenta, where it is open which joints a command moves | `control_affine` | \
+`vector_field` | the effect \
 `external_force` with the model |
 
 A model that was trained through a scheme (`steps`, `discrete_gradient`, `discrete_lagrangian`)
