@@ -7,19 +7,26 @@ from pathlib import Path
 
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.mechanical_card import (
-    CoulombTerm, FrictionCard, MechanicalCard, StribeckTerm)
+    CoulombTerm, FrictionCard, MechanicalCard, PriorCard, Quantity, StribeckTerm)
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 import numpy as np
 import torch
 
+PRIOR = PriorCard(kind='double_pendulum', parameters={
+    name: Quantity(value=value, unit='1') for name, value in {
+        'inertia1': 1.5, 'inertia2': 0.7, 'coupling12': 0.6, 'gravity1': 1.3, 'gravity2': -0.4,
+        'motor_inertia2': 0.2}.items()})
 # An arm of two joints that turn over, seen by absolute angles; a cart with a pole; a joint that
-# does not turn over, with a constant mass; three coordinates, combined.
+# does not turn over, with a constant mass; an arm beside a prior; three coordinates, combined.
 SHAPES = {
     'arm': {'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
             'mass_features': [[0.0, 1.0]]},
     'cart and pole': {'kinds': ['prismatic', 'continuous'], 'features': [[1.0, 0.0], [0.0, 1.0]],
                       'mass_features': [[0.0, 1.0]], 'diagonal_mass': True},
     'joint': {'kinds': ['revolute'], 'features': [[1.0]], 'mass_features': []},
+    'double pendulum': {
+        'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
+        'mass_features': [[0.0, 1.0]], 'floor': 0.0, 'prior': PRIOR},
     'three': {'kinds': ['revolute', 'continuous', 'prismatic'], 'features': [
         [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.5, 0.0, -1.0]], 'mass_features': [
             [1.0, 0.0, -0.5], [0.0, 1.0, 0.0]]},
@@ -36,11 +43,11 @@ def random_friction(d: int) -> FrictionCard:
 
 def random_mechanical(shape: str, **changes) -> Checkpoint:
     """Return a model of random networks of the usual size."""
-    settings = SHAPES[shape] | changes
+    settings = {'floor': 0.05} | SHAPES[shape] | changes
     d = len(settings['kinds'])
     rng = np.random.default_rng(d)
     mechanical = MechanicalCard(
-        **settings, mass_scale=rng.uniform(0.5, 1.5, d).tolist(), floor=0.05,
+        **settings, mass_scale=rng.uniform(0.5, 1.5, d).tolist(),
         friction=random_friction(d))
     networks = {}
     for name, features, outputs in (
@@ -97,4 +104,20 @@ def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
     scale = torch.diag(torch.tensor(card.mass_scale, dtype=torch.float64))
     mass = scale @ (L @ L.T + card.floor * torch.eye(d, dtype=torch.float64)) @ scale
     potential = network(model.networks['potential'], seen(card, card.features, q))[0]
+    if card.prior is not None:
+        mass, potential = mass + prior_mass(q), potential + prior_potential(q)
     return 0.5 * p @ torch.linalg.inv(mass) @ p + potential
+
+
+def prior_mass(q: torch.Tensor) -> torch.Tensor:
+    """Return M of PRIOR, whose second angle is from the first link, as books have it."""
+    a, b, c, _, _, r = (quantity.value for quantity in PRIOR.parameters.values())
+    both = b + c * torch.cos(q[1])
+    return torch.stack([torch.stack([a + 2.0 * both - b, both]),
+                        torch.stack([both, torch.tensor(b + r, dtype=q.dtype)])])
+
+
+def prior_potential(q: torch.Tensor) -> torch.Tensor:
+    weights = [PRIOR.parameters[f'gravity{i}'].value for i in (1, 2)]
+    return (weights[0] * (1.0 - torch.cos(q[0]))
+            + weights[1] * (1.0 - torch.cos(q[0] + q[1])))

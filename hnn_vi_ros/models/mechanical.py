@@ -12,6 +12,9 @@ from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.outputs import (
     evaluate_outputs, output_tangents, pack_layers, part_gradient, weigh)
+from hnn_vi_ros.models.prior_terms import (
+    add_mass, add_prior_slope, add_prior_slope_change, prior_gradient, prior_potential,
+    subtract_turned_mass)
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import pack
 import numpy as np
@@ -28,7 +31,8 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         H_p = v = M^-1 p,    H_q = V' - sum_ij u_i w_j L_ij',
 
     since v . M v = |w|^2 + floor |u|^2: one forward and one backward pass through each network.
-    Its friction is the effect learned_friction.
+    Its friction is the effect learned_friction. A prior of the card, such as the double pendulum,
+    adds its M and V of fitted parameters, and the networks are what it lacks.
 
     Parameters
     ----------
@@ -57,16 +61,16 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         potential = (pack(*even_layers(networks['potential']), card.activation),
                      pack_features(mechanical, mechanical.features))
         parameters = (mass, potential, np.zeros((5, len(mechanical.entries))),
-                      np.zeros((3, d, d)), np.zeros((7, d)))
+                      np.zeros((3, d, d)), np.zeros((7, d)), tuple(mechanical.terms))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True)
 
     def masses(self, q: np.ndarray) -> np.ndarray:
         """Return M(q), shape (m, d, d), at q of shape (m, d), in extended precision."""
-        return self._roots(q)[0]
+        return self._roots(q)[0] + prior_gradient(self._mechanical.terms, q, np.zeros(q.shape))[0]
 
     def _roots(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return M, L, and the derivatives of L by q, shape (m, d, d, d)."""
+        """Return M without the prior's, L, and the derivatives of L, shape (m, d, d, d)."""
         card, d = self._mechanical, self.dimension
         x, x_q = inputs_of(card, card.mass_features, q)
         y, y_x = self._evaluated('mass', x)
@@ -83,7 +87,8 @@ class MechanicalHamiltonian(LearnedHamiltonian):
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         card, (q, p) = self._mechanical, np.split(z, 2, axis=1)
-        masses, L, L_q = self._roots(q)
+        L, L_q = self._roots(q)[1:]
+        masses = self.masses(q)
         v = p.astype(np.longdouble)
         for mass, right in zip(masses, v, strict=True):
             factorise(mass)
@@ -94,7 +99,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         x, x_q = inputs_of(card, card.features, q)
         slope = (self._evaluated('potential', x)[1] @ x_q)[:, 0]
         kinetic = (L_q * (u[:, :, None] * w[:, None, :])[..., None]).sum(axis=(1, 2))
-        return np.hstack([slope - kinetic, v])
+        return np.hstack([slope - kinetic + prior_gradient(card.terms, q, v)[1], v])
 
 
 @kept(error_model='numpy')
@@ -105,7 +110,7 @@ def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
     see(seen, q)
     x = seen[2][0]
     half = x.size // 2
-    energy = perceptron.energy(network, x[:half], x[half:])
+    energy = perceptron.energy(network, x[:half], x[half:]) + prior_potential(parameters[5], q)
     for i in range(p.size):
         energy += 0.5 * p[i] * v[i]
     return energy
@@ -114,7 +119,7 @@ def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
 @kept(error_model='numpy')
 def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    mass, (network, seen), entries, _, space = parameters
+    mass, (network, seen), entries, _, space, prior = parameters
     d = space.shape[1]
     half = seen[2].shape[1] // 2
     mass_half = mass[1][2].shape[1] // 2
@@ -132,6 +137,7 @@ def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
             dH_dq[a + i], dH_dp[a + i] = 0.0, space[0, i]
         add_covector(mass[1], -1.0, 2, dH_dq[a:b])
         add_covector(seen, 1.0, 2, dH_dq[a:b])
+        add_prior_slope(prior, q[a:b], space[0], dH_dq[a:b])
 
 
 @kept(error_model='numpy')
@@ -144,8 +150,11 @@ def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: n
         product_q[a:b] = 0.0
         _solve(parameters, q[a:b], p[a:b])
         _weigh_entries(parameters)
-        _differentiate_mass(parameters, v_q[a:b], v_p[a:b], product_q[a:b], product_p[a:b])
+        _differentiate_mass(parameters, q[a:b], v_q[a:b], v_p[a:b], product_q[a:b],
+                            product_p[a:b])
         _differentiate_potential(parameters[1], q[a:b], v_q[a:b], product_q[a:b])
+        add_prior_slope_change(parameters[5], q[a:b], parameters[4][0], v_q[a:b], product_p[a:b],
+                               product_q[a:b])
 
 
 @part(error_model='numpy')
@@ -165,10 +174,10 @@ def _differentiate_potential(potential: Parameters, q: np.ndarray, v_q: np.ndarr
 
 
 @part(error_model='numpy')
-def _differentiate_mass(parameters: Parameters, v_q: np.ndarray, v_p: np.ndarray,
-                        product_q: np.ndarray, product_p: np.ndarray) -> None:
+def _differentiate_mass(parameters: Parameters, q: np.ndarray, v_q: np.ndarray,
+                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the change of v, and add that of -sum_ij u_i w_j L_ij'; after _weigh_entries."""
-    (network, seen, places, scale, _), _, entries, matrices, space = parameters
+    (network, seen, places, scale, _), _, entries, matrices, space, prior = parameters
     y, c, y_v, c_v, _ = entries
     L, C, L_v = matrices
     u, w, u_v, w_v = space[1], space[2], space[3], space[4]
@@ -185,7 +194,8 @@ def _differentiate_mass(parameters: Parameters, v_q: np.ndarray, v_p: np.ndarray
     for k in range(y.size):
         i, j = places[k]
         L_v[i, j] = y_v[k] * _slope(y[k]) if i == j else y_v[k]
-    # A u = S^-1 p with A = L L^T + floor, so A u' = S^-1 p' - L' w - L (L'^T u).
+    # A u = S^-1 p with A = L L^T + floor + S^-1 M S^-1 of the prior, so
+    # A u' = S^-1 p' - L' w - L (L'^T u) - S^-1 M' v.
     for j in range(d):
         space[5, j] = 0.0
         for i in range(j, d):
@@ -194,6 +204,7 @@ def _differentiate_mass(parameters: Parameters, v_q: np.ndarray, v_p: np.ndarray
         u_v[i] = v_p[i] / scale[i]
         for j in range(i + 1):
             u_v[i] -= L_v[i, j] * w[j] + L[i, j] * space[5, j]
+    subtract_turned_mass(prior, q, v_q, space[0], scale, u_v)
     solve_lower(C, u_v)
     solve_upper(C, u_v)
     for j in range(d):
@@ -215,7 +226,7 @@ def _differentiate_mass(parameters: Parameters, v_q: np.ndarray, v_p: np.ndarray
 @part(error_model='numpy')
 def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill y, L, the Cholesky factor of L L^T + floor, and v, u, w; NaN where there is none."""
-    (network, seen, places, scale, floor), _, entries, matrices, space = parameters
+    (network, seen, places, scale, floor), _, entries, matrices, space, prior = parameters
     L, C = matrices[0], matrices[1]
     y, v, u, w = entries[0], space[0], space[1], space[2]
     d = scale.size
@@ -235,6 +246,7 @@ def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
             C[i, j] = floor if i == j else 0.0
             for k in range(j + 1):
                 C[i, j] += L[i, k] * L[j, k]
+    add_mass(prior, q, scale, C)
     if not factorise(C):
         u[:] = np.nan
     solve_lower(C, u)

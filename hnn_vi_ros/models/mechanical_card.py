@@ -5,6 +5,9 @@
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.models.planar_chain import (
+    chain_terms, ChainName, check_chain, no_terms, parameter_names, Terms)
+import numpy as np
 from pydantic import Field, model_validator
 
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -44,6 +47,20 @@ class FrictionCard(StrictModel):
         return self
 
 
+class Quantity(StrictModel):
+    """A number and its unit."""
+
+    value: float
+    unit: str
+
+
+class PriorCard(StrictModel):
+    """A parametric system; M and V of the networks are added to its own."""
+
+    kind: ChainName = Field(description='whose links turn by the angles that are the features')
+    parameters: dict[str, Quantity] = Field(description='as they were fitted')
+
+
 class MechanicalCard(StrictModel):
     """How the networks of the mass matrix M and of the potential V see the coordinates."""
 
@@ -55,8 +72,10 @@ class MechanicalCard(StrictModel):
     diagonal_mass: bool = Field(False, description='whether M is diagonal')
     mass_scale: list[Positive] = Field(description=(
         'S of M = S (L L^T + floor) S, the square roots of the inertias in play'))
-    floor: float = Field(gt=0.0, description='least eigenvalue of S^-1 M S^-1')
+    floor: float = Field(ge=0.0, description=(
+        'least eigenvalue of S^-1 M S^-1; 0 beside a prior, whose M is positive by itself'))
     friction: FrictionCard
+    prior: PriorCard | None = None
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':
@@ -78,7 +97,36 @@ class MechanicalCard(StrictModel):
                 raise ValueError(f'features: {row} mixes a continuous coordinate with others, or '
                                  'takes a part of it, which has no period of 2 pi; take whole '
                                  'multiples of continuous coordinates')
+        self._check_prior(self.prior)
         return self
+
+    def _check_prior(self, prior: PriorCard | None) -> None:
+        if prior is None:
+            if not self.floor:
+                raise ValueError('floor must be positive without a prior')
+            return
+        if 'prismatic' in self.kinds:
+            raise ValueError(f'prior: the links of a {prior.kind} turn; a prismatic coordinate '
+                             'does not')
+        check_chain(prior.kind, self.features, len(self.kinds))
+        names = parameter_names(self.features)
+        if sorted(prior.parameters) != sorted(names):
+            raise ValueError(f'prior: parameters {", ".join(prior.parameters)}, expected '
+                             f'{", ".join(names)}')
+        rows, matrices = self.terms[:2]
+        # Of two links M is smallest where they are in line.
+        for sign in (-1.0, 1.0):
+            mass = np.where(rows.any(axis=1), sign, 1.0) @ matrices.reshape(len(rows), -1)
+            if not np.linalg.eigvalsh(mass.reshape(2 * matrices.shape[1:2]))[0] > 0.0:
+                raise ValueError('prior: its mass matrix is not positive definite')
+
+    @property
+    def terms(self) -> Terms:
+        """Return M and V of the prior, which are zero if there is none."""
+        if self.prior is None:
+            return no_terms(len(self.kinds))
+        return chain_terms(self.features, {
+            name: quantity.value for name, quantity in self.prior.parameters.items()})
 
     def is_periodic(self, row: list[float]) -> bool:
         """Tell whether a network sees the sine and cosine of a combination of coordinates."""

@@ -9,9 +9,10 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
+from hnn_vi_ros.models.mechanical_card import (
+    FrictionCard, MechanicalCard, PriorCard, Quantity)
 from hnn_vi_ros.simulation import Simulation
-from mechanical_models import random_mechanical, saved, SHAPES, torch_energy
+from mechanical_models import PRIOR, random_mechanical, saved, SHAPES, torch_energy
 import numpy as np
 import pytest
 import torch
@@ -65,12 +66,23 @@ def test_model_file_keeps_family_and_friction(tmp_path: Path):
     assert (before == after).all()
 
 
+def changed(**values: float) -> PriorCard:
+    return PriorCard(kind=PRIOR.kind, parameters=PRIOR.parameters | {
+        name: Quantity(value=value, unit='1') for name, value in values.items()})
+
+
 @pytest.mark.parametrize('changes, message', [
     ({'kinds': ['continuous', 'prismatic']}, 'mixes a continuous coordinate'),
     ({'features': [[0.5, 0.0]]}, 'no period'),
     ({'features': [[0.0, 0.0]]}, 'a row of zeros'),
     ({'features': [[1.0]]}, r'features\[0\] has 1 entries'),
     ({'mass_features': [[1.0]]}, r'mass_features\[0\] has 1 entries'),
+    ({'floor': 0.0}, 'floor must be positive'),
+    ({'prior': PRIOR, 'kinds': ['continuous', 'prismatic'], 'features': [[1.0, 0.0], [0.0, 1.0]],
+      'mass_features': []}, 'a prismatic coordinate does not'),
+    ({'prior': PRIOR, 'features': [[1.0, 0.0], [0.0, 1.0]]}, 'expected inertia1, .*, gravity2 '),
+    ({'prior': PRIOR, 'features': [[1.0, 0.0]]}, 'angles of its 2 links'),
+    ({'prior': changed(coupling12=1.2)}, 'not positive definite'),
 ])
 def test_card_refuses_features_that_make_no_sense(changes: dict, message: str):
     settings = SHAPES['arm'] | {'mass_scale': [1.0, 1.0], 'floor': 0.1,
