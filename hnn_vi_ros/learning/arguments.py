@@ -71,7 +71,7 @@ def evaluate() -> Parser:
     parser.add_argument('--smoothing', type=float, metavar='HZ', help=(
         'cut-off of the zero-phase filter of the initial states (default: 40)'))
     parser.add_argument('--baselines', nargs='+', metavar='FILE', help=(
-        'compare with a linear model that is fitted to these motions as well'))
+        'compare with a linear model, and with a rigid body, that are fitted to these motions'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
         'a new folder for a report with this table, a picture of the predictions over what was '
         'measured, and a recording of both for rerun'))

@@ -28,11 +28,13 @@ from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccou
 from hnn_vi_ros.learning.evaluation import (
     constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
     variance_of)
-from hnn_vi_ros.learning.machine_config import load_machine
+from hnn_vi_ros.learning.machine_config import load_machine, Trajectory
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, read_motions
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.plain_network import predicted_by
+from hnn_vi_ros.learning.rigid_body import best_rigid_body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene import load_scene
@@ -76,7 +78,12 @@ def main(argv: Sequence[str]) -> None:
     asked = motions, arguments.horizons, arguments.every, arguments.longest
     scores, fans = judge(simulation, effects, *asked)
     if arguments.baselines is not None:
-        scores['linear model'] = score(linear_model(known), *asked)
+        others = {'linear model': linear_model(known)}
+        if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
+            # Its windows are those that training has unless it is told otherwise.
+            rigid = best_rigid_body(Trajectory(kind='trajectory'), known)
+            others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
+        scores |= {name: score(other, *asked) for name, other in others.items()}
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
             'median of the valid prediction time,\nand what the energy changes by over each '

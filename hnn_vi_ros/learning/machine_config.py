@@ -14,6 +14,7 @@ from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_logs import LogMotions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
+from hnn_vi_ros.models.planar_chain import ChainName, check_chain
 from pydantic import Field, model_validator
 
 # A term of a linear combination: sign, number, name.
@@ -74,6 +75,12 @@ class MechanicalChoice(StrictModel):
     mass_depends_on: list[str] | None = Field(None, description=(
         'what M sees, in the same way; each coordinate'))
     friction: FrictionChoice = Field(default_factory=FrictionChoice)
+    prior: ChainName | None = Field(None, description=(
+        'a rigid body whose parameters are fitted, to which the networks are added; its links '
+        'turn by the angles that are the features'))
+    residual: bool = Field(True, description='whether there are networks beside a prior')
+    residual_weight: float = Field(1e-3, ge=0.0, description=(
+        'of the size of the networks beside a prior, at random states, in the loss'))
 
 
 class Stage(StrictModel):
@@ -153,11 +160,17 @@ class MachineConfig(StrictModel):
         self.structure()
         return self
 
+    @property
+    def windows(self) -> Trajectory:
+        """Return the windows that a rigid body is fitted by, whatever networks are."""
+        return self.loss if isinstance(self.loss, Trajectory) else Trajectory(kind='trajectory')
+
     def loss_of(self, measured: bool) -> Forward | Inverse | Discrete | Trajectory:
         """Return the loss, for data whose accelerations were measured or not."""
         if self.loss is not None:
             return self.loss
-        return Forward(kind='forward') if measured else Trajectory(kind='trajectory')
+        return Forward(kind='forward') if measured and self.family.prior is None else \
+            Trajectory(kind='trajectory')
 
     def structure(self) -> Structure:
         """Return what the networks see; ValueError for what names no coordinate."""
@@ -169,12 +182,22 @@ class MachineConfig(StrictModel):
                                  'out')
             seen = []
         friction = family.friction
+        features = [combination(text, names, 'features') for text in family.features or names]
+        if family.prior is not None:
+            if any(coordinate.kind == 'prismatic' for coordinate in self.coordinates):
+                raise ValueError(f'prior: the links of a {family.prior} turn; a prismatic '
+                                 'coordinate does not')
+            check_chain(family.prior, features, len(names))
+            if not isinstance(self.loss, Trajectory | None):
+                raise ValueError(f'loss: {self.loss.kind} fits no prior; take trajectory')
+        elif not family.residual:
+            raise ValueError('residual: without a prior there is nothing but the networks')
         return Structure(
             [coordinate.kind for coordinate in self.coordinates],
-            [combination(text, names, 'features') for text in family.features or names],
+            features,
             [combination(text, names, 'mass_depends_on') for text in seen],
             family.mass == 'diagonal',
-            friction.viscous, friction.coulomb, friction.stribeck)
+            friction.viscous, friction.coulomb, friction.stribeck, family.prior, family.residual)
 
 
 def combination(text: str, names: list[str], key: str) -> list[float]:

@@ -105,8 +105,13 @@ def mean_forces(motion: Motion, every: int) -> np.ndarray:
 def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor
                       ) -> torch.Tensor:
     """Return the soft size of the errors of the accelerations, in units of their usual size."""
+    return _soft(acceleration_errors(network, samples, rows))
+
+
+def acceleration_errors(network: Network, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
+    """Return the errors of the accelerations, shape (N, d), in units of their usual size."""
     predicted = network.accelerations(samples.q[rows], samples.v[rows], samples.tau[rows])
-    return _soft((predicted - samples.a[rows]) / torch.tensor(network.scales.a))
+    return (predicted - samples.a[rows]) / torch.tensor(network.scales.a)
 
 
 def force_loss(network: Mechanics, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
@@ -158,6 +163,12 @@ def balanced_step(motions: Sequence[Motion]) -> float:
 def window_loss(network: Network, samples: Samples, starts: torch.Tensor, count: int,
                 time_scale: float) -> torch.Tensor:
     """Return the soft size of the errors of windows of ``count`` steps from these samples."""
+    return _soft(window_errors(network, samples, starts, count, time_scale))
+
+
+def window_errors(network: Network, samples: Samples, starts: torch.Tensor, count: int,
+                  time_scale: float) -> torch.Tensor:
+    """Return the errors of q and v after each step of windows, shape (2 count, N, d)."""
     unit = _USUAL_ERROR * torch.tensor(network.scales.v)
     q, v, errors = samples.q[starts], samples.v[starts], []
     for k in range(count):
@@ -166,7 +177,7 @@ def window_loss(network: Network, samples: Samples, starts: torch.Tensor, count:
                            samples.step_size)
         at = at + samples.every
         errors += [(q - samples.q[at]) / (time_scale * unit), (v - samples.v[at]) / unit]
-    return _soft(torch.stack(errors))
+    return torch.stack(errors)
 
 
 def _soft(z: torch.Tensor) -> torch.Tensor:

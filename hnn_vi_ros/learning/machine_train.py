@@ -24,6 +24,7 @@ from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
+from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
@@ -72,9 +73,7 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
         config = config.model_copy(update={'seed': arguments.seed})
     train, test, description = _read(source, config, arguments.data)
     begun = time.perf_counter()
-    structure, scales = config.structure(), scales_of(train)
-    network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
-    losses = fit(network, config, train)
+    network, losses = learn(config, train)
     seconds = time.perf_counter() - begun
     if not any(motion.tau.any() for motion in train):
         fix_scale(network, train)
@@ -92,11 +91,13 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     asked = test, horizons, _EVERY, _LONGEST
     scores, fans = judge(simulation, effects, *asked)
     print('for comparison, a plain network of (q, v, tau):', flush=True)
-    plain = PlainNetwork(structure.kinds, config.hidden, scales, config.seed)
+    plain = PlainNetwork(network.structure.kinds, config.hidden, network.scales, config.seed)
     fit(plain, _of_plain_network(config), train)
-    for name, other in (('linear model', linear_model(train)),
-                        ('plain network', predicted_by(plain))):
-        scores[name] = score(other, *asked)
+    others = {'linear model': linear_model(train), 'plain network': predicted_by(plain)}
+    if 'prismatic' not in network.structure.kinds:
+        rigid = best_rigid_body(config.windows, train)
+        others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
+    scores |= {name: score(other, *asked) for name, other in others.items()}
     draw_predictions(outputs.picture, out.stem, hamiltonian.coordinates,
                      shown(fans, max(horizons)))
     found = f'{table(scores, names)}\n\n{verdict(scores)}'
@@ -122,7 +123,8 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
             f'from a state every {_EVERY:g} s, with the measured forces; root mean square of the '
             'error at the end of each horizon. The energy mismatch is what H changes by over each '
             'horizon beside the work of forces and friction, as a share of its range. The plain '
-            f'network of (q, v, tau) has the same hidden layers and was trained {way}.\n\n'
+            f'network of (q, v, tau) has the same hidden layers and was trained {way}; a '
+            'rigid body is a chain of links fitted by least squares.\n\n'
             f'{found}\n\n{energy}'
             f'![Predictions of what was held out]({outputs.picture.name})\n')
 
@@ -150,6 +152,30 @@ def _of_plain_network(config: MachineConfig) -> MachineConfig:
         config.model_copy(update={'loss': Trajectory(kind='trajectory')})
 
 
+def learn(config: MachineConfig, motions: list[Motion]
+          ) -> tuple[MechanicalNetwork, dict[str, float]]:
+    """Return a network that was fitted, and its losses: after its prior, if it has one."""
+    structure, scales = config.structure(), scales_of(motions)
+    network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
+    if structure.prior is None:
+        return network, fit(network, config, motions)
+    rigid = MechanicalNetwork(replace(structure, residual=False), config.hidden, scales,
+                              config.seed)
+    losses = fit_rigid_body(rigid, config.windows, motions)
+    if not np.isfinite([*losses.values()]).all():
+        raise DataError(f'prior: no {structure.prior} follows these motions; look at the '
+                        'features, which must be the angles of its links from the vertical, and '
+                        'for outliers in the data')
+    if not structure.residual:
+        return rigid, losses
+    network.begin_with(rigid)
+
+    def penalty(generator: torch.Generator) -> torch.Tensor:
+        return config.family.residual_weight * network.residual_size(
+            network.random_states(config.windows.batch, generator))
+    return network, losses | fit(network, config, motions, penalty)
+
+
 def fix_scale(network: MechanicalNetwork, motions: list[Motion]) -> None:
     """Give the first coordinate a mean inertia of 1: motions without forces leave it open."""
     q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
@@ -162,7 +188,8 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: list[Mo
     """Return a trained network with its card."""
     q, v = (np.concatenate([getattr(motion, key) for motion in motions])
             for key in ('q_smooth', 'v_smooth'))
-    networks, mechanical = network.networks(), network.card()
+    networks = network.networks()
+    mechanical = network.card(config.coordinates[0].p_unit)
     with torch.no_grad():
         p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
     card = ModelCard(

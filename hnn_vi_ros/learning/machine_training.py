@@ -49,7 +49,8 @@ def scales_of(motions: Sequence[Motion]) -> MotionScales:
                         size[0], size[1], inertia)
 
 
-def fit(network: Network, config: MachineConfig, motions: Sequence[Motion]) -> dict[str, float]:
+def fit(network: Network, config: MachineConfig, motions: Sequence[Motion],
+        penalty: Callable[[torch.Generator], torch.Tensor] | None = None) -> dict[str, float]:
     """
     Fit a network to motions.
 
@@ -62,6 +63,8 @@ def fit(network: Network, config: MachineConfig, motions: Sequence[Motion]) -> d
         How.
     motions : sequence of Motion
         What to learn from.
+    penalty : callable, optional
+        Added to the loss of windows, of a network that begins near its end, and so with them.
 
     Returns
     -------
@@ -77,7 +80,8 @@ def fit(network: Network, config: MachineConfig, motions: Sequence[Motion]) -> d
     loss = config.loss_of(all(motion.accelerations for motion in motions))
     generator = torch.Generator().manual_seed(config.seed)
     if isinstance(loss, Trajectory):
-        return _fit_windows(network, config, loss, samples_of(motions, loss.step_size), generator)
+        return _fit_windows(network, config, loss, samples_of(motions, loss.step_size), generator,
+                            penalty)
     step_size = motions[0].spacing
     if isinstance(loss, Discrete):
         step_size = loss.step_size or balanced_step(motions)
@@ -139,14 +143,16 @@ def _regress(network: Network, config: MachineConfig, loss: Forward | Inverse | 
 
 
 def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samples: Samples,
-                 generator: torch.Generator) -> dict[str, float]:
+                 generator: torch.Generator,
+                 penalty: Callable[[torch.Generator], torch.Tensor] | None) -> dict[str, float]:
     losses = {}
 
     def forward() -> torch.Tensor:
         rows = torch.randint(len(samples.q), (loss.forward_batch,), generator=generator)
         return acceleration_loss(network, samples, rows)
-    losses['forward'] = _descend(network, forward, loss.forward_steps, config.learning_rate,
-                                 'accelerations')
+    if penalty is None:
+        losses['forward'] = _descend(network, forward, loss.forward_steps, config.learning_rate,
+                                     'accelerations')
     for stage in loss.windows:
         count = round(stage.duration / samples.step_size)
         starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
@@ -156,7 +162,8 @@ def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samp
 
         def windows(starts: torch.Tensor = starts, count: int = count) -> torch.Tensor:
             chosen = starts[torch.randint(len(starts), (loss.batch,), generator=generator)]
-            return window_loss(network, samples, chosen, count, loss.time_scale)
+            errors = window_loss(network, samples, chosen, count, loss.time_scale)
+            return errors if penalty is None else errors + penalty(generator)
         losses[f'windows_{stage.duration:g}'] = _descend(
             network, windows, stage.steps, 0.2 * config.learning_rate,
             f'windows of {stage.duration:g} s')

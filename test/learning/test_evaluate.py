@@ -65,6 +65,7 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     train.main(['--config', str(tmp_path / 'machine.yaml'), '--data', data, '--out', str(out)])
     said = capsys.readouterr().out
     assert 'The model follows the machine for' in said and '| linear model |' in said
+    assert '| rigid body |' in said
     card = load_checkpoint(out).card
     assert card.family == 'mechanical' and card.mechanical.kinds == ['continuous']
     page = (tmp_path / 'machine.report.md').read_text()
@@ -78,7 +79,8 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
                     str(tmp_path / 'machine.safetensors')])
     evaluate.main([str(out), '--data', f'{data}:c', '--json', str(tmp_path / 'machine.json'),
                    '--horizons', '0.1', '0.5', '--baselines', f'{data}:a,b'])
-    assert '| linear model |' in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert '| linear model |' in said and '| rigid body |' not in said
     written = json.loads((tmp_path / 'machine.json').read_text())
     (motion,), _ = read_arrays(Path(data), ArraysData(), 1, ['c'])
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)

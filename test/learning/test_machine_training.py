@@ -48,13 +48,17 @@ def random_motions(d: int, seed: int = 0) -> list[Motion]:
     Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]],
               [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], diagonal_mass=True),
     Structure(['revolute'], [[1.0]], [], coulomb=0),
+    Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
+              prior='double_pendulum'),
+    Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
+              prior='double_pendulum', residual=False),
 ])
 def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structure, tmp_path):
     motions = random_motions(len(structure.kinds))
     network = MechanicalNetwork(structure, [6, 5], scales_of(motions), 3)
     with torch.no_grad():
         # Away from the initial values, at which M and friction are near constants.
-        for parameter in network.parameters():
+        for parameter in filter(lambda parameter: parameter.requires_grad, network.parameters()):
             parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
                                              generator=torch.Generator().manual_seed(1)))
     d = network.d
@@ -220,6 +224,10 @@ def test_what_is_no_linear_combination_is_refused(text):
     ({'features': ['c']}, 'no linear combination'),
     ({'mass_depends_on': ['c']}, 'mass_depends_on: .* no linear combination'),
     ({'mass': 'constant'}, 'depends on nothing'),
+    ({'features': ['a', 'b', 'a + b'], 'prior': 'double_pendulum'}, 'angles of its 2 links'),
+    ({'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, 'angles of its 2 links'),
+    ({'prior': 'pendulum'}, 'has 1 coordinates, not 2'),
+    ({'residual': False}, 'nothing but the networks'),
 ])
 def test_configuration_refuses_what_makes_no_sense(changes, message):
     with pytest.raises(ValueError, match=message):

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
+from hnn_vi_ros.learning.families.planar_chain import PlanarChain
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import (
-    CoulombTerm, FrictionCard, Kind, MechanicalCard, StribeckTerm)
+    CoulombTerm, FrictionCard, Kind, MechanicalCard, PriorCard, StribeckTerm)
+from hnn_vi_ros.models.planar_chain import ChainName
 import numpy as np
 import torch
 
@@ -17,6 +19,11 @@ import torch
 _NARROWEST, _WIDEST = 0.003, 1.0
 # Least eigenvalue of S^-1 M S^-1.
 _FLOOR = 1e-3
+# Least friction beside networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
+_LEAST_FRICTION = -5.0
+# What is added to M of a prior begins at a small share of this one of its inertias, and networks
+# beside a prior count as large at this share of its inertias, and of the forces they make.
+_ADDED, _LARGE = 0.1, 0.05
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,10 @@ class Structure:
         Whether there is friction -b v.
     coulomb, stribeck : int
         How many terms -c tanh(v / w), and how many that end with speed.
+    prior : str, optional
+        The parametric system whose M and V those of the networks are added to.
+    residual : bool
+        Whether there are networks beside it.
 
     """
 
@@ -48,6 +59,8 @@ class Structure:
     viscous: bool = True
     coulomb: int = 2
     stribeck: int = 0
+    prior: ChainName | None = None
+    residual: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,7 +91,7 @@ class MechanicalNetwork(torch.nn.Module):
     M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = tau, in float64.
 
     M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and friction are
-    those of MechanicalHamiltonian and LearnedFriction.
+    those of MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
 
     Parameters
     ----------
@@ -98,7 +111,11 @@ class MechanicalNetwork(torch.nn.Module):
         super().__init__()
         d = len(structure.kinds)
         self.structure, self.scales, self.d = structure, scales, d
-        card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d))
+        # M of a prior is positive definite by itself.
+        self.floor = _FLOOR if structure.prior is None else 0.0
+        self.prior = PlanarChain(structure.features, float(scales.inertia.mean())) \
+            if structure.prior is not None else None
+        card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
         self._rows, self._columns = rows.tolist(), columns.tolist()
@@ -110,6 +127,7 @@ class MechanicalNetwork(torch.nn.Module):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self._sees('mass', card, card.mass_features)
         self._sees('potential', card, card.features)
+        hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
         self.mass = Perceptron(mass_hidden, *self._units('mass'), np.ones(len(rows)), seed)
         with torch.no_grad():
@@ -120,6 +138,51 @@ class MechanicalNetwork(torch.nn.Module):
         self.potential = Perceptron(hidden, *self._units('potential'), np.array([energy]),
                                     seed + 1)
         self._make_friction(d)
+        if not structure.residual:
+            self._leave_out_networks()
+
+    def _leave_out_networks(self) -> None:
+        with torch.no_grad():
+            for network in (self.mass, self.potential):
+                network.linears[-1].weight.zero_()
+                network.linears[-1].bias.zero_()
+                network.requires_grad_(False)
+            # log(1 + exp(-80)) is below what rounding keeps of any other inertia.
+            self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
+
+    def begin_with(self, rigid: 'MechanicalNetwork') -> None:
+        """Take prior and friction of one that has no networks; those of this one begin small."""
+        assert self.prior is not None and rigid.prior is not None
+        with torch.no_grad():
+            known = dict(rigid.named_parameters())
+            for name, parameter in self.named_parameters():
+                if name.startswith(('prior.', 'raw_')):
+                    parameter.copy_(known[name])
+            for raw in (self.raw_viscous, self.raw_force):
+                # What is zero has no slope: it would stay there.
+                raw.clamp_(min=_LEAST_FRICTION)
+            states = self.random_states(256, torch.Generator().manual_seed(0))
+            inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
+            self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
+            self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
+            self.potential.linears[-1].weight.mul_(0.01)
+
+    def random_states(self, count: int, generator: torch.Generator) -> torch.Tensor:
+        """Return coordinates, shape (count, d), of all turns, or of the range of the data."""
+        turns = torch.tensor([kind == 'continuous' for kind in self.structure.kinds])
+        centre, half = torch.tensor(self.scales.q_centre), torch.tensor(self.scales.q_half)
+        share = 2.0 * torch.rand(count, self.d, generator=generator, dtype=torch.float64) - 1.0
+        return torch.where(turns, math.pi * share, centre + half * share)
+
+    def residual_size(self, q: torch.Tensor) -> torch.Tensor:
+        """Return the mean square of what the networks add to M and V_q, at q of shape (N, d)."""
+        L = self._matrix(self.roots(q)[0])
+        inertia = self.root_inertia.square() / _ADDED
+        x, x_q = self.inputs('potential', q)
+        force = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
+        unit = _LARGE * inertia * torch.tensor(self.scales.a)
+        return ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean()
+                + (force / unit).square().mean())
 
     def _make_friction(self, d: int) -> None:
         structure, scales = self.structure, self.scales
@@ -178,9 +241,8 @@ class MechanicalNetwork(torch.nn.Module):
 
     def masses(self, q: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
-        L = self._matrix(self.roots(q)[0])
-        return (self.root_inertia[:, None] * (L @ L.transpose(1, 2) + _FLOOR * self.identity)
-                * self.root_inertia)
+        S = self.root_inertia
+        return S[:, None] * self._gram(q, self._matrix(self.roots(q)[0])) * S
 
     def _matrix(self, entries: torch.Tensor) -> torch.Tensor:
         return (entries @ self.place).reshape(-1, self.d, self.d)
@@ -207,6 +269,10 @@ class MechanicalNetwork(torch.nn.Module):
 
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
         """Return dv/dt, all of shape (N, d)."""
+        if self.prior is not None and not self.structure.residual:
+            values = self.prior.values()
+            force = tau - self.prior.forces(q, v, values) - self.friction(v)
+            return _solve(self.prior.mass(q, values), force)
         gram, needed = self._equations(q, v)
         return _solve(gram, tau / self.root_inertia - needed) / self.root_inertia
 
@@ -219,20 +285,33 @@ class MechanicalNetwork(torch.nn.Module):
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
         L, _, u, w, rest = self._parts(q, v)
-        return self.root_inertia * (L @ w + _FLOOR * u)[:, :, 0], rest
+        p = self.root_inertia * (L @ w + self.floor * u)[:, :, 0]
+        if self.prior is not None:
+            values = self.prior.values()
+            p = p + (self.prior.mass(q, values) @ v[:, :, None])[:, :, 0]
+            rest = rest + self.prior.slopes(q, v, values)[1]
+        return p, rest
 
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
-        L, S = self._matrix(self.roots(q)[0]), self.root_inertia
-        return _solve(L @ L.transpose(1, 2) + _FLOOR * self.identity, p / S) / S
+        S = self.root_inertia
+        return _solve(self._gram(q, self._matrix(self.roots(q)[0])), p / S) / S
 
     def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
         L, entries_q, u, w, rest = self._parts(q, v)
         L_dot = self._matrix((entries_q @ v[:, :, None])[:, :, 0])
         inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
-        return (L @ L.transpose(1, 2) + _FLOOR * self.identity,
-                inertial - rest / self.root_inertia)
+        needed = inertial - rest / self.root_inertia
+        if self.prior is not None:
+            needed = needed + self.prior.forces(q, v, self.prior.values()) / self.root_inertia
+        return self._gram(q, L), needed
+
+    def _gram(self, q: torch.Tensor, L: torch.Tensor) -> torch.Tensor:
+        """Return S^-1 M S^-1, shape (N, d, d)."""
+        S, gram = self.root_inertia, L @ L.transpose(1, 2) + self.floor * self.identity
+        return gram if self.prior is None else \
+            gram + self.prior.mass(q, self.prior.values()) / (S[:, None] * S)
 
     def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
@@ -247,7 +326,8 @@ class MechanicalNetwork(torch.nn.Module):
     def scale_energy(self, factor: float) -> None:
         """Multiply M, V and the friction by a factor, which changes no motion without tau."""
         self.root_inertia *= math.sqrt(factor)
-        for unit in (self.potential.output_scale, self.viscous_unit, self.force_unit):
+        units = [self.potential.output_scale, self.viscous_unit, self.force_unit]
+        for unit in units if self.prior is None else [*units, self.prior.unit]:
             unit *= factor
 
     def networks(self) -> dict[str, Layers]:
@@ -256,15 +336,16 @@ class MechanicalNetwork(torch.nn.Module):
         x0 = self.inputs('potential', centre)[0][0].numpy()
         return {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
 
-    def _card(self, friction: FrictionCard, scale: np.ndarray) -> MechanicalCard:
+    def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
+              ) -> MechanicalCard:
         structure = self.structure
         return MechanicalCard(
-            kinds=structure.kinds, features=structure.features, friction=friction, floor=_FLOOR,
-            mass_features=structure.mass_features, mass_scale=scale.tolist(),
-            diagonal_mass=structure.diagonal_mass)
+            kinds=structure.kinds, features=structure.features, friction=friction,
+            floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),
+            diagonal_mass=structure.diagonal_mass, prior=prior)
 
-    def card(self) -> MechanicalCard:
-        """Return what else of the model card is known."""
+    def card(self, p_unit: str = 'N m s') -> MechanicalCard:
+        """Return what else of the model card is known, for momenta in this unit."""
         b, c, w, s = (part.detach().tolist() for part in self.friction_coefficients())
         n = self.structure.coulomb
         friction = FrictionCard(
@@ -272,7 +353,12 @@ class MechanicalNetwork(torch.nn.Module):
                                 for force, width in zip(c[:n], w[:n], strict=True)],
             stribeck=[StribeckTerm(force=force, width=width, speed=speed)
                       for force, width, speed in zip(c[n:], w[n:], s, strict=True)])
-        return self._card(friction, self.root_inertia.numpy())
+        return self._card(friction, self.root_inertia.numpy(), self._prior_card(p_unit))
+
+    def _prior_card(self, p_unit: str) -> PriorCard | None:
+        if self.prior is None or self.structure.prior is None:
+            return None
+        return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit))
 
 
 def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor

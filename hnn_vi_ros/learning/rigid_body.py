@@ -1,0 +1,217 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fit the parameters of a rigid body with friction to measured motions, by least squares.
+
+The forces are linear in the parameters, and so the fit begins with them; but noise of the
+accelerations shrinks what is found so. Windows that are simulated end it, by the trust-region
+form of the Levenberg-Marquardt method.
+"""
+
+from collections.abc import Callable, Sequence
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, Structure
+from hnn_vi_ros.learning.machine_config import Trajectory
+from hnn_vi_ros.learning.machine_losses import (
+    acceleration_errors, Samples, samples_of, window_errors)
+from hnn_vi_ros.learning.machine_training import scales_of
+from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.planar_chain import CHAINS
+import numpy as np
+from scipy.optimize import least_squares, lsq_linear
+import torch
+
+# Evenly spread samples and windows; more change the parameters by less than their errors.
+_SAMPLES, _WINDOWS = 4000, 500
+# Of each fit, which ends earlier as a rule.
+_EVALUATIONS = 20
+# Least inertia and friction that a fit begins with, in units of the usual ones.
+_LEAST = 1e-4
+
+
+def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Motion]
+                   ) -> dict[str, float]:
+    """
+    Fit prior and friction of a network, whose widths of friction stay what they are.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a prior and without networks; changed in place.
+    loss : Trajectory
+        Its windows are simulated.
+    motions : sequence of Motion
+        What to learn from.
+
+    Returns
+    -------
+    dict
+        The loss after each fit, infinite where one had no place to begin: windows were thrown far.
+
+    """
+    samples = samples_of(motions, loss.step_size)
+    physical = _Physical(network)
+    found = _regression(physical, samples)
+    rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
+    losses = {}
+    found, losses['rigid_body_forward'] = _least_squares(
+        physical, found, lambda: acceleration_errors(network, samples, rows))
+    for stage in loss.windows:
+        count = round(stage.duration / samples.step_size)
+        starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
+        if count < 1 or not len(starts):
+            raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
+                            'every motion lasts')
+        chosen = _spread(starts, _WINDOWS)
+
+        def errors(chosen: torch.Tensor = chosen, count: int = count) -> torch.Tensor:
+            return window_errors(network, samples, chosen, count, loss.time_scale)
+        found, losses[f'rigid_body_{stage.duration:g}'] = _least_squares(physical, found, errors)
+    physical.give(found)
+    return losses
+
+
+def best_rigid_body(loss: Trajectory, motions: Sequence[Motion]) -> MechanicalNetwork | None:
+    """
+    Return a chain of as many links as there are coordinates, by the angles that fit better.
+
+    None where there is none, or none follows the motions through the first windows.
+    """
+    scales = scales_of(motions)
+    d = len(scales.v)
+    kinds: list[Kind] = ['revolute'] * d
+    fitted = []
+    for kind, links in CHAINS.items():
+        # Angles from the vertical, and from the link before.
+        for features in (np.eye(d), np.tril(np.ones((d, d))))[:d if links == d else 0]:
+            network = MechanicalNetwork(Structure(
+                kinds, features.tolist(), [], prior=kind, residual=False), [1], scales, 0)
+            *_, last = fit_rigid_body(network, loss, motions).values()
+            if np.isfinite(last):
+                fitted.append((last, len(fitted), network))
+    return min(fitted)[2] if fitted else None
+
+
+def _spread(rows: torch.Tensor, most: int) -> torch.Tensor:
+    return rows[:: max(1, len(rows) // most)]
+
+
+class _Physical:
+    """
+    Parameters of a rigid body and of its friction in their own units: forces are linear in them.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        Whose they are.
+
+    """
+
+    def __init__(self, network: MechanicalNetwork):
+        prior, structure = network.prior, network.structure
+        assert prior is not None
+        d, n = network.d, structure.coulomb + structure.stribeck
+        self.network, self.prior = network, prior
+        self.sizes = [len(prior.names), structure.viscous * d, n * d]
+        free = np.array([name.startswith(('coupling', 'gravity')) for name in prior.names])
+        unit = float(prior.unit)
+        self.scale = np.concatenate([
+            np.full(len(free), unit), network.viscous_unit.numpy()[:self.sizes[1]],
+            np.tile(network.force_unit.numpy(), n)])
+        # Inertia and friction are positive.
+        self.least = np.where(np.append(free, np.zeros(sum(self.sizes[1:]), bool)), -np.inf, 0.0)
+
+    def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the parameters of the network."""
+        network = self.network
+        values, viscous, forces = x.split(self.sizes)
+        forces = forces.reshape(-1, network.d)
+        found = {'prior.raw': self.prior.raw_of(values)}
+        if len(viscous):
+            found['raw_viscous'] = _inverse_softplus(viscous / network.viscous_unit)
+        if len(forces):
+            found['raw_force'] = _inverse_softplus(forces / network.force_unit)
+        return found
+
+    def give(self, x: np.ndarray) -> None:
+        """Give the network these parameters."""
+        with torch.no_grad():
+            for name, parameter in self.raw(torch.tensor(x)).items():
+                self.network.get_parameter(name).copy_(parameter)
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter if it is one, shape (N, d, k)."""
+        network, prior = self.network, self.prior
+        columns = [(prior.mass(q, unit) @ a[:, :, None])[:, :, 0] + prior.forces(q, v, unit)
+                   for unit in torch.eye(len(prior.names), dtype=torch.float64)]
+        _, _, widths, speeds = (part.detach() for part in network.friction_coefficients())
+        frictions = [v] * network.structure.viscous
+        for k, width in enumerate(widths):
+            slower = k - network.structure.coulomb
+            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
+            frictions.append(torch.tanh(v / width) * ends)
+        columns += [friction * unit for friction in frictions for unit in network.identity]
+        return torch.stack(columns, dim=-1)
+
+
+def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
+    return torch.log(torch.expm1(torch.clamp(x, min=_LEAST)))
+
+
+def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
+    """Return the parameters that explain the forces best."""
+    rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
+    q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
+    # Each joint in units of its own force.
+    scales = physical.network.scales
+    unit = torch.tensor(scales.inertia * scales.a)
+    matrix = (physical.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
+    right = (tau / unit).flatten().numpy()
+    if right.any():
+        found = lsq_linear(matrix, right, (physical.least, np.inf)).x
+    else:
+        # Without forces all is known up to a common factor: the first inertia is one.
+        found = np.append(1.0, lsq_linear(
+            matrix[:, 1:], -matrix[:, 0], (physical.least[1:], np.inf)).x)
+    n = physical.sizes[0]
+    values = physical.prior.possible(torch.tensor(found[:n])).numpy()
+    return np.append(values, np.maximum(found[n:], _LEAST * physical.scale[n:]))
+
+
+def _least_squares(physical: _Physical, start: np.ndarray, errors: Callable[[], torch.Tensor]
+                   ) -> tuple[np.ndarray, float]:
+    """Return the parameters of the least soft size of errors, and that size."""
+    module, scale = _Errors(physical.network, errors), torch.tensor(physical.scale)
+
+    def residuals(x: torch.Tensor) -> torch.Tensor:
+        parts = {f'network.{name}': part for name, part in physical.raw(x * scale).items()}
+        return torch.func.functional_call(module, parts, ()).reshape(-1)
+
+    def values(x: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            # Infinite where M would not be positive, and where a window is thrown far.
+            return np.nan_to_num(residuals(torch.tensor(x)).numpy(), nan=np.inf)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return torch.func.jacfwd(residuals)(torch.tensor(x)).numpy()
+    if not np.isfinite(values(start / physical.scale)).all():
+        return start, np.inf
+    found = least_squares(values, start / physical.scale, jacobian, (physical.least, np.inf),
+                          loss='soft_l1', x_scale='jac', ftol=1e-5, max_nfev=_EVALUATIONS)
+    # The cost is half the sum of what the losses of networks are the mean of.
+    return found.x * physical.scale, 2.0 * float(found.cost) / len(found.fun)
+
+
+class _Errors(torch.nn.Module):
+    """Errors of a network, as a module whose parameters can be replaced."""
+
+    def __init__(self, network: MechanicalNetwork, errors: Callable[[], torch.Tensor]):
+        super().__init__()
+        self.network, self.errors = network, errors
+
+    def forward(self) -> torch.Tensor:
+        """Return them."""
+        return self.errors()
