@@ -336,12 +336,14 @@ def test_clock_is_that_of_the_samples_at_100_hz_monotonic_over_a_reset_and_never
 
 
 def test_duration_counts_simulated_time_without_pauses(folder):
+    # Begun by steps, so that no busy machine is through before it is paused.
     process = start(folder, scene='driven.yaml', duration=3, record_path='bag',
-                    rerun_sink='none', real_time_factor=2)
+                    rerun_sink='none', real_time_factor=2, start_paused='true', step_count=50)
     with peer() as other:
-        other.spin_until(lambda: other.states)
-        other.pause()
+        other.wait_for_state('active')
+        other.spin_until(lambda: other.trigger('step').success)
         other.spin(1.0)
+        assert process.poll() is None
         other.pause(False)
         other.spin_until(lambda: process.poll() is not None)
     assert finish(process)[0] == 0
