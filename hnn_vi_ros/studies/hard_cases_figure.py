@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 import math
 from pathlib import Path
+from typing import Any
 
 from hnn_vi_ros.studies.hard_cases_plan import Case
 from hnn_vi_ros.studies.hard_cases_results import Row
@@ -25,6 +26,10 @@ _LABELS = {
     'constraint': 'largest abs(H - H0) of a block [J]',
     'repeatability': 'abs(H - H0) [J]',
 }
+
+# The end of a run that stopped: no method's own marker.
+_STOPPED = 'stopped'
+_END: dict[str, Any] = {'marker': 'P', 'color': INK, 'markersize': 11.0, 'linestyle': ''}
 
 
 def draw_case(path: Path, case: Case, rows: Sequence[Row]) -> Path:
@@ -55,9 +60,10 @@ def draw_case(path: Path, case: Case, rows: Sequence[Row]) -> Path:
         title = ', '.join(part for part in (f'{hamiltonian} H', set_up) if part)
         _draw_panel(ax, case, title, [row for row in rows if (row.hamiltonian, row.set_up)
                                       == (hamiltonian, set_up)])
-    methods = list(dict.fromkeys(row.method for row in rows))
-    figure.legend(handles=[_handle(method) for method in methods], loc='outside right upper',
-                  frameon=False, fontsize=8.5)
+    handles = [_handle(method) for method in dict.fromkeys(row.method for row in rows)]
+    if any(row.verdict == _STOPPED for row in rows):
+        handles.append(Line2D([], [], label='stopped: a step failed', **_END))
+    figure.legend(handles=handles, loc='outside right upper', frameon=False, fontsize=8.5)
     figure.savefig(path, dpi=_DPI)
     return path
 
@@ -90,8 +96,8 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[Row]) -> None:
         step = max(1, t.size // _MARKS)
         ax.plot(t, error, markevery=(k * step // max(len(rows), 1), step), **_style(row.method))
         ends.append(float(t[-1]))
-        if row.verdict == 'stopped':
-            ax.plot(t[-1], error[-1], marker='X', color=INK, markersize=9, linestyle='')
+        if row.verdict == _STOPPED:
+            ax.plot(t[-1], error[-1], **_END)
     if not ends:
         ax.text(0.5, 0.5, 'every run stopped at once', transform=ax.transAxes, ha='center',
                 color=FAINT)

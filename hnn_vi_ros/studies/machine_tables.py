@@ -16,10 +16,9 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.config import find_config
 from hnn_vi_ros.learning.evaluate import simulation_of
 from hnn_vi_ros.learning.evaluation import Predict, score, simulated, variance_of
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, fix_scale
-from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
+from hnn_vi_ros.learning.machine_train import describe, fix_scale, learn
+from hnn_vi_ros.learning.machine_training import fit, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
@@ -196,9 +195,7 @@ def run_case(case: Case, data: Path, seed: int, quick: bool) -> tuple[Measures, 
             file = letters_by_name(file, Path(folder) / 'letters.npz')
         motions, description = read_motions(file, config.data, names, [str(file)])
         train, test = split_motions(motions, config.data.test_runs)
-        scales = scales_of(train)
-        network = MechanicalNetwork(config.structure(), config.hidden, scales, seed)
-        losses = fit(network, config, train)
+        network, losses = learn(config, train)
         driven = any(motion.tau.any() for motion in train)
         if not driven:
             fix_scale(network, train)
@@ -211,7 +208,7 @@ def run_case(case: Case, data: Path, seed: int, quick: bool) -> tuple[Measures, 
         simulation = simulation_of(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
                                    test, spacing / case.steps)
         predict = simulated(simulation, spacing, _FOREVER, variance_of(test))
-        plain = PlainNetwork(config.structure().kinds, config.hidden, scales, seed)
+        plain = PlainNetwork(network.structure.kinds, config.hidden, network.scales, seed)
         fit(plain, config, train)
         return (case.measure(predict, test, data),
                 case.measure(predicted_by(plain), test, data))
