@@ -9,10 +9,11 @@ from typing import Any
 
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -22,6 +23,28 @@ SIMULATOR = '/hnn_simulator'
 # Transitions and states by number, as lifecycle_msgs has them.
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
 UNCONFIGURED_SHUTDOWN, INACTIVE_SHUTDOWN, ACTIVE_SHUTDOWN = 5, 6, 7
+
+
+def wait_for_way_back(
+        node: Node, spin_until: Callable[[Callable[[], Any]], None], server: str) -> None:
+    """
+    Wait until another node has discovered all that was made here.
+
+    It drops a response whose reader it does not know yet, and readers become known in the order
+    in which they were made: the first response that comes to a new one shows it.
+    """
+    probe = node.create_client(ListParameters, f'{server}/list_parameters')
+    spin_until(probe.service_is_ready)
+    futures: list[Any] = []
+    begin = time.monotonic()
+
+    def answered() -> bool:
+        if len(futures) < time.monotonic() - begin:
+            futures.append(probe.call_async(ListParameters.Request()))
+        return any(future.done() for future in futures)
+
+    spin_until(answered)
+    node.destroy_client(probe)
 
 
 class Peer:
@@ -68,29 +91,9 @@ class Peer:
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, f'{SIMULATOR}/{name}')
             self.spin_until(self._clients[name].service_is_ready)
-            self._wait_for_way_back()
+            wait_for_way_back(self.node, self.spin_until, SIMULATOR)
         self.spin_until(self._clients[name].service_is_ready)
         return self._clients[name]
-
-    def _wait_for_way_back(self) -> None:
-        """
-        Wait until the simulator has discovered all that was made here.
-
-        It drops a response whose reader it does not know yet, and readers become known in the
-        order in which they were made: the first response that comes to a new one shows it.
-        """
-        probe = self.node.create_client(GetState, f'{SIMULATOR}/get_state')
-        self.spin_until(probe.service_is_ready)
-        futures = []
-
-        def answered() -> bool:
-            if len(futures) < time.monotonic() - begin:
-                futures.append(probe.call_async(GetState.Request()))
-            return any(future.done() for future in futures)
-
-        begin = time.monotonic()
-        self.spin_until(answered)
-        self.node.destroy_client(probe)
 
     def call(self, kind: type, name: str, **fields: Any) -> Any:
         """Call a service of the simulator and wait for the response."""

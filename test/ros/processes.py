@@ -54,7 +54,7 @@ def standard_error(process: subprocess.Popen) -> str:
     return Path(f'/proc/{process.pid}/fd/2').read_text()
 
 
-def wait_until(condition, timeout: float = 30.0) -> None:
+def wait_until(condition, timeout: float = 120.0) -> None:
     """Wait until the condition holds."""
     deadline = time.monotonic() + timeout
     while not condition():

@@ -19,6 +19,7 @@ from hnn_vi_ros.ros.replay_node import find_type, main
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.ros.topics import LATCHED
 from mcap.writer import Writer
+from peer import wait_for_way_back
 from processes import finish, start_executable, wait_until
 import pytest
 import rclpy
@@ -55,7 +56,7 @@ class Listener:
                 kind, topic, lambda data, topic=topic: self.heard[topic].append(
                     (time.monotonic_ns(), bytes(data))), QoSProfile(depth=1000), raw=True)
 
-    def spin_until(self, condition, timeout: float = 30.0) -> None:
+    def spin_until(self, condition, timeout: float = 120.0) -> None:
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, 'timed out'
@@ -64,6 +65,7 @@ class Listener:
     def call(self, kind: type, name: str, request: object):
         client = self.node.create_client(kind, name)
         self.spin_until(client.service_is_ready)
+        wait_for_way_back(self.node, self.spin_until, name.rpartition('/')[0])
         future = client.call_async(request)
         self.spin_until(future.done)
         self.node.destroy_client(client)
