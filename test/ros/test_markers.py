@@ -58,8 +58,8 @@ def test_markers_come_at_most_30_times_a_second():
     begin = time.monotonic()
     while time.monotonic() < begin + 0.5:
         markers.publish(sample_of([0.0]))
-    # Half a second has room for 15 after the first.
-    assert 5 <= len(publisher.messages) <= 16
+    # Half a second has room for 15 after the first, what a busy machine adds for more.
+    assert 1 < len(publisher.messages) <= 1 + 30.0 * (time.monotonic() - begin)
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_markers_reach_a_subscriber_with_the_geometry_of_every_part(name: str, e
     markers = MarkerPublisher(publisher, MECHANISMS[name], 0.7, 'map')
     # The second message is made of the first, with the moving parts at other places.
     for second, q in enumerate([np.array(STATES[name]), -0.5 * np.array(STATES[name])]):
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 60.0
         while not received or received[-1].markers[0].header.stamp.sec != second:
             assert time.monotonic() < deadline, 'no markers came'
             markers.publish(sample_of(q, second * 10**9 + 5))

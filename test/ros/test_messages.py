@@ -186,7 +186,7 @@ def test_subscriber_receives_the_encoded_bytes(node):
         publishers.append(node.create_publisher(kind, f'topic{i}', QOS))
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline and not all(
             publisher.get_subscription_count() for publisher in publishers):
         executor.spin_once(timeout_sec=0.05)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from hnn_vi_ros.ros.clock_publisher import CLOCK_PERIOD
 from hnn_vi_ros.ros.player import Player, read_ahead
 import numpy as np
+from processes import wait_until
 import pytest
 
 MS = 1_000_000
@@ -35,34 +36,38 @@ def play(times: list[int], last: int | None = None, clock: bool = False, **optio
 @pytest.mark.parametrize('rate', [0.5, 1.0, 4.0])
 def test_player_keeps_to_the_times_at_any_rate(rate):
     times = [i * 10 * MS for i in range(41)]
+    begin = time.monotonic_ns()
     player, heard, _ = play(times, rate=rate)
-    player.join(10.0)
+    player.join(60.0)
     stamps, walls = np.array(heard).T
     assert stamps.tolist() == times
     # Never early; how late depends on the machine, but it does not add up.
-    expected = walls[0] + (stamps - stamps[0]) / rate
-    assert np.median(walls - expected) < 5 * MS
+    assert (walls - begin >= stamps / rate).all()
+    late = walls - walls[0] - stamps / rate
+    assert late[-20:].min() < 5 * MS
     assert player.published == 41 and player.problem is None
-    assert player.timing_errors()['median'] < 5.0
+    told = player.timing_errors()
+    assert 0.0 <= told['median'] <= told['p99'] <= told['largest']
 
 
 def test_player_goes_on_after_a_pause_where_it_was_without_a_burst():
-    times = [i * 20 * MS for i in range(26)]
+    times = [i * 20 * MS for i in range(101)]
     player, heard, _ = play(times)
-    time.sleep(0.15)
+    wait_until(lambda: len(heard) > 3)
     player.set_paused(True)
-    time.sleep(0.02)
+    # One may be on its way.
+    time.sleep(0.1)
     before = len(heard)
-    assert 3 < before < 20
+    assert before < 101
     time.sleep(0.3)
     assert len(heard) == before
-    player.set_paused(False)
     resumed = time.monotonic_ns()
-    player.join(10.0)
+    player.set_paused(False)
+    player.join(60.0)
     stamps, walls = np.array(heard).T
     assert stamps.tolist() == times
     # The rest took the rest of the time, up to one message of it.
-    assert walls[-1] - resumed > (25 - before - 1) * 20 * MS
+    assert walls[-1] - resumed > (100 - before - 1) * 20 * MS
 
 
 def test_step_hands_out_all_messages_of_one_time_and_only_while_paused():
@@ -75,26 +80,26 @@ def test_step_hands_out_all_messages_of_one_time_and_only_while_paused():
         assert len(heard) == 4 * (step + 1)
     player.set_paused(False)
     assert player.step() is None
-    player.join(10.0)
+    player.join(60.0)
     assert [stamp for stamp, _ in heard] == times
 
 
 def test_player_loops_without_drift_until_it_is_stopped():
     times = [i * 10 * MS for i in range(11)]
     player, heard, _ = play(times, loop=True)
-    time.sleep(0.45)
+    wait_until(lambda: len(heard) > 55)
     player.stop()
     assert not player.is_alive()
-    rounds = len(heard) // 11
-    assert rounds >= 2
-    assert [stamp for stamp, _ in heard[:22]] == times * 2
-    firsts = np.array([wall for stamp, wall in heard if stamp == 0])
-    assert abs((firsts[-1] - firsts[0]) / (firsts.size - 1) - 100 * MS) < 20 * MS
+    assert [stamp for stamp, _ in heard[:55]] == times * 5
+    firsts = np.array([wall for stamp, wall in heard if stamp == 0])[:6]
+    # How late a round begins depends on the machine; a drift would add up.
+    late = firsts - firsts[0] - 100 * MS * np.arange(firsts.size)
+    assert late[-3:].min() < 20 * MS
 
 
 def test_clock_is_told_each_10_ms_never_zero_never_twice():
     player, heard, told = play([0, 3 * MS, 4 * MS, 100 * MS], clock=True)
-    player.join(10.0)
+    player.join(60.0)
     assert told[0] > 0
     assert np.diff(told).min() > 0
     assert np.diff(told).max() <= CLOCK_PERIOD
@@ -105,7 +110,7 @@ def test_clock_is_told_each_10_ms_never_zero_never_twice():
 def test_window_without_messages_takes_its_time():
     begin = time.monotonic()
     player, heard, _ = play([], last=100 * MS)
-    player.join(10.0)
+    player.join(60.0)
     assert heard == [] and time.monotonic() - begin >= 0.1
 
 
@@ -117,7 +122,7 @@ def test_error_of_the_reader_ends_the_player_and_is_kept():
     heard = []
     player = Player(lambda: read_ahead(read()), heard.append, None, 0, 1)
     player.start()
-    player.join(10.0)
+    player.join(60.0)
     assert not player.is_alive()
     assert str(player.problem) == 'the disk is gone' and len(heard) == 1
 
@@ -136,7 +141,7 @@ def test_reading_ahead_is_bounded_and_ends_with_its_taker():
     time.sleep(0.1)
     assert len(read) < 20 * 270
     messages.close()
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     while threading.active_count() > before:
         assert time.monotonic() < deadline
         time.sleep(0.01)

@@ -19,6 +19,7 @@ from hnn_vi_ros.ros.replay_node import find_type, main
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.ros.topics import LATCHED
 from mcap.writer import Writer
+import numpy as np
 from peer import wait_for_way_back
 from processes import finish, start_executable, wait_until
 import pytest
@@ -173,8 +174,8 @@ def test_window_topics_and_rate_are_chosen_by_parameters(bag, listener):
     listener.spin_until(lambda: len(listener.heard['/hnn_simulator/energy']) == 101)
     assert listener.heard['/hnn_simulator/q'] == []
     walls = [wall for wall, _ in listener.heard['/joint_states']]
-    # A second at twice the pace; as late as a busy machine is.
-    assert walls[-1] - walls[0] == pytest.approx(0.5e9, abs=0.25e9)
+    # Every 10 ms, at twice the pace.
+    assert np.median(np.diff(walls)) < 7.5e6 and walls[-1] - walls[0] > 0.25e9
 
 
 def test_loop_goes_on_until_sigint_and_exits_0(bag, listener):
@@ -294,10 +295,10 @@ def test_readme_table_of_the_replay_is_that_of_the_node():
 
 
 def test_replay_ends_in_time_when_it_is_terminated_before_it_begins(bag):
-    replay = start_replay(bag, '--discovery-time', 60)
+    replay = start_replay(bag, '--discovery-time', 600)
     time.sleep(2.0)
     replay.send_signal(signal.SIGTERM)
-    wait_until(lambda: replay.poll() is not None, 10.0)
+    wait_until(lambda: replay.poll() is not None)
     assert finish(replay)[0] in (0, -signal.SIGTERM)
 
 
