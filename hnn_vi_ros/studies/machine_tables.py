@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+import itertools
 import json
 from pathlib import Path
 import tempfile
@@ -22,8 +23,9 @@ from hnn_vi_ros.learning.machine_training import fit, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.models.planar_chain import ChainName
 import numpy as np
 from tqdm import tqdm
 
@@ -32,6 +34,10 @@ _FOREVER = 1e9
 # that each of its samples is simulated in: forces are held over 0.04 s.
 _VALID, _LETTER_STEPS = 0.01, 20
 _EVERY = 0.05
+
+# The models of a case, by their names in the tables.
+NETWORKS, WITH_PRIOR = 'networks', 'rigid body and networks'
+RIGID_BODY, PLAIN = 'rigid body', 'plain network'
 
 # Values by the name of the measure; of several coordinates, one each.
 Measures = dict[str, list[float]]
@@ -54,7 +60,9 @@ class Case:
     references : dict
         Of each measure, what others reached.
     goals : dict
-        Of each measure, what ours is to reach.
+        Of each model and measure, what ours is to reach, where it is another value.
+    prior : str, optional
+        The rigid body that is fitted as well, alone and with networks.
     steps : int
         In which a model is simulated from each sample to the next.
     longer : bool
@@ -66,7 +74,8 @@ class Case:
     file: str
     measure: Measure
     references: dict[str, list[float]]
-    goals: dict[str, list[float]]
+    goals: dict[str, Measures]
+    prior: ChainName | None = None
     steps: int = 1
     longer: bool = False
 
@@ -120,24 +129,30 @@ CASES = {
         'two_link_arm_characters', 'lutter_peters_2021/two_link_arm_characters.npz', valid_times,
         {'valid prediction time [s], e and v': [2.90],
          'valid prediction time [s], e, q and v': [2.73]},
-        {'valid prediction time [s], e and v': [3.2],
-         'valid prediction time [s], e, q and v': [3.1]}, steps=_LETTER_STEPS, longer=True),
+        {NETWORKS: {'valid prediction time [s], e and v': [3.2],
+                    'valid prediction time [s], e, q and v': [3.1]}},
+        steps=_LETTER_STEPS, longer=True),
     'real actuated double pendulum': Case(
         'dfki_double_pendulum', 'dfki_double_pendulum/sysid.npz', dfki_errors,
         {'RMS error [rad] after 0.1 s, test': [.0105, .0155],
          'RMS error [rad] after 0.5 s, test': [.124, .248],
          'RMS error [rad] after 0.1 s, later acrobot': [.011, .019],
          'RMS error [rad] after 0.1 s, later pendubot': [.025, .020]},
-        {'RMS error [rad] after 0.1 s, test': [.0105, .0155],
-         'RMS error [rad] after 0.5 s, test': [.090, .140],
-         'RMS error [rad] after 0.1 s, later acrobot': [.0085, .0120],
-         'RMS error [rad] after 0.1 s, later pendubot': [.030, .037]}),
+        {NETWORKS: {'RMS error [rad] after 0.5 s, test': [.090, .140],
+                    'RMS error [rad] after 0.1 s, later acrobot': [.0085, .0120],
+                    'RMS error [rad] after 0.1 s, later pendubot': [.030, .037]},
+         WITH_PRIOR: {'RMS error [rad] after 0.5 s, test': [.110, .205],
+                      'RMS error [rad] after 0.1 s, later acrobot': [.0076, .0111],
+                      'RMS error [rad] after 0.1 s, later pendubot': [.0235, .0220]}},
+        prior='double_pendulum'),
     'real free double pendulum': Case(
         'multiarm_double_pendulum', 'multiarm_pendulum/double.npz', multiarm_errors,
         {'RMS error [rad] over 0.5 s, validation': [.0038, .0045],
          'RMS error [rad] over 1 s, validation': [.0039, .0054],
          'RMS error [rad] over 2 s, validation': [.0044, .0064]},
-        {'RMS error [rad] over 2 s, validation': [.0050, .0072]}),
+        {NETWORKS: {'RMS error [rad] over 2 s, validation': [.0050, .0072]},
+         WITH_PRIOR: {'RMS error [rad] over 2 s, validation': [.0036, .0055]}},
+        prior='double_pendulum'),
 }
 
 
@@ -182,8 +197,8 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     return out
 
 
-def run_case(case: Case, data: Path, seed: int, quick: bool) -> tuple[Measures, Measures]:
-    """Train a model and a plain network, and measure both."""
+def run_case(case: Case, data: Path, seed: int, quick: bool) -> dict[str, Measures]:
+    """Train the models of a case, and a plain network, and measure each of them."""
     config = load_machine(find_config(case.config))
     if quick:
         config = _quick(config)
@@ -195,27 +210,45 @@ def run_case(case: Case, data: Path, seed: int, quick: bool) -> tuple[Measures, 
             file = letters_by_name(file, Path(folder) / 'letters.npz')
         motions, description = read_motions(file, config.data, names, [str(file)])
         train, test = split_motions(motions, config.data.test_runs)
-        network, losses = learn(config, train)
-        driven = any(motion.tau.any() for motion in train)
-        if not driven:
-            fix_scale(network, train)
-        model = Path(folder) / 'model.safetensors'
-        checkpoint = describe(network, config, train, description, losses, case.config, '')
-        save_checkpoint(model, checkpoint)
-        effects = [LearnedFriction(str(model)), *(
-            [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
-        spacing = test[0].spacing
-        simulation = simulation_of(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
-                                   test, spacing / case.steps)
-        predict = simulated(simulation, spacing, _FOREVER, variance_of(test))
+        measures = {}
+        for name, variant in _variants(case, config):
+            network, losses = learn(variant, train)
+            if not any(motion.tau.any() for motion in train):
+                fix_scale(network, train)
+            checkpoint = describe(network, variant, train, description, losses, case.config, '')
+            model = Path(folder) / f'{name}.safetensors'
+            save_checkpoint(model, checkpoint)
+            measures[name] = case.measure(_predicted(case, model, checkpoint, train, test), test,
+                                          data)
         plain = PlainNetwork(network.structure.kinds, config.hidden, network.scales, seed)
         fit(plain, config, train)
-        return (case.measure(predict, test, data),
-                case.measure(predicted_by(plain), test, data))
+        return measures | {PLAIN: case.measure(predicted_by(plain), test, data)}
+
+
+def _variants(case: Case, config: MachineConfig) -> Iterator[tuple[str, MachineConfig]]:
+    """Yield the models of a case, by name, with what trains them."""
+    yield NETWORKS, config
+    if case.prior is not None:
+        for name, residual in ((WITH_PRIOR, True), (RIGID_BODY, False)):
+            family = config.family.model_copy(update={'prior': case.prior, 'residual': residual})
+            yield name, config.model_copy(update={'family': family})
+
+
+def _predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Motion],
+               test: Sequence[Motion]) -> Predict:
+    """Return what a saved model predicts, in the simulation that a scene of it would run."""
+    names = [coordinate.name for coordinate in checkpoint.card.coordinates]
+    driven = any(motion.tau.any() for motion in train)
+    effects = [LearnedFriction(str(model)), *(
+        [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
+    spacing = test[0].spacing
+    simulation = simulation_of(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
+                               test, spacing / case.steps)
+    return simulated(simulation, spacing, _FOREVER, variance_of(test))
 
 
 def _quick(config: MachineConfig) -> MachineConfig:
-    loss = {'kind': 'forward', 'steps': 2, 'lbfgs_steps': 0}
+    loss = {'kind': 'trajectory', 'forward_steps': 2, 'windows': [{'duration': 0.08, 'steps': 2}]}
     return MachineConfig.model_validate(config.model_dump() | {'loss': loss})
 
 
@@ -231,17 +264,20 @@ def letters_by_name(file: Path, out: Path) -> Path:
     return out
 
 
-def rows_of(name: str, case: Case, results: Sequence[tuple[Measures, Measures]]
+def rows_of(name: str, case: Case, results: Sequence[dict[str, Measures]]
             ) -> Iterator[dict[str, Any]]:
-    """Yield a row for each measure: means over the seeds, and whether the goal is met."""
+    """Yield a row for each model and measure: means over seeds, and whether the goal is met."""
     sign = -1.0 if case.longer else 1.0
-    for measure in results[0][0]:
-        seeds = [ours[measure] for ours, _ in results]
+    models = [NETWORKS] if case.prior is None else [NETWORKS, WITH_PRIOR]
+    for model, measure in itertools.product(models, case.references):
+        seeds = [measures[model][measure] for measures in results]
         ours = np.mean(seeds, axis=0)
-        goal = case.goals.get(measure, case.references[measure])
+        goal = case.goals[model].get(measure, case.references[measure])
         worst = np.min(seeds, axis=0) if case.longer else np.max(seeds, axis=0)
-        yield {'case': name, 'measure': measure, 'ours': ours.tolist(), 'worst': worst.tolist(),
-               'plain_network': np.mean([plain[measure] for _, plain in results],
-                                        axis=0).tolist(),
+        baselines = {baseline: np.mean([measures[baseline][measure] for measures in results],
+                                       axis=0).tolist()
+                     for baseline in (RIGID_BODY, PLAIN) if baseline in results[0]}
+        yield {'case': name, 'measure': measure, 'model': model, 'ours': ours.tolist(),
+               'worst': worst.tolist(), 'baselines': baselines,
                'reference': case.references[measure], 'goal': goal,
                'met': bool(np.all(sign * ours <= sign * np.array(goal))), 'seeds': seeds}

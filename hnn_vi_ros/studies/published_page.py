@@ -203,15 +203,20 @@ def _machines_table(path: Path) -> Iterator[str]:
     if not path.is_file():
         yield 'Not measured.'
         return
-    yield ('| machine | measure | others | goal | ours, mean (worst of seeds) | plain network | '
-           'met |')
-    yield '|---' * 7 + '|'
+    yield ('| machine | measure | model | others | goal | ours, mean (worst of seeds) '
+           '| baselines | met |')
+    yield '|---' * 8 + '|'
     for row in json.loads(path.read_text(encoding='utf-8')):
-        others, goal, ours, worst, plain = (
-            ' '.join(f'{value:.3g}' for value in row[key])
-            for key in ('reference', 'goal', 'ours', 'worst', 'plain_network'))
-        yield (f'| {row["case"]} | {row["measure"]} | {others} | {goal} | {ours} ({worst} of '
-               f'{len(row["seeds"])}) | {plain} | {"yes" if row["met"] else "**no**"} |')
+        baselines = '; '.join(f'{name} {_numbers(values)}'
+                              for name, values in row['baselines'].items())
+        yield (f'| {row["case"]} | {row["measure"]} | {row["model"]} '
+               f'| {_numbers(row["reference"])} | {_numbers(row["goal"])} '
+               f'| {_numbers(row["ours"])} ({_numbers(row["worst"])} of {len(row["seeds"])}) '
+               f'| {baselines} | {"yes" if row["met"] else "**no**"} |')
+
+
+def _numbers(values: list[float]) -> str:
+    return ' '.join(f'{value:.3g}' for value in values)
 
 
 def spread(values: np.ndarray) -> str:

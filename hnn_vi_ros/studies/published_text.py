@@ -119,12 +119,13 @@ time, fitted to the energy of the test itself.
 
 ## Machines
 
-The family `mechanical`, networks alone, each trained by `train --config NAME` as shipped
+The family `mechanical`, each trained by `train --config NAME` as shipped
 (`two_link_arm_characters`, `dfki_double_pendulum`, `multiarm_double_pendulum`), with no
-hyper-parameter of its own; of several coordinates, one number each. *Others* is the best that was
-published with the data, or a rigid body fitted to it. The plain network is of (q, v, tau), with
-the same hidden layers, trained in the same way. Every value:
-[machines.json](learning/machines.json).
+hyper-parameter of its own; of several coordinates, one number each. *Networks* know nothing of the
+machine but what turns; *rigid body and networks* adds `prior: double_pendulum`. *Others* is the
+best that was published with the data, or a rigid body fitted to it. Of the baselines, the rigid
+body is the prior alone with friction, and the plain network is of (q, v, tau), with the same
+hidden layers, trained in the same way. Every value: [machines.json](learning/machines.json).
 
 {machines}
 
