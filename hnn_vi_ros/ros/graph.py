@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joining the graph: subscribers that are there already, and what reaches them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 import gc
 import time
 
@@ -16,8 +16,9 @@ THREAD_TURN = 2e-4
 DISCOVERY_PERIOD = 0.02
 # Subscribers whose number has not changed for so long are taken for all there are [s].
 _SETTLED = 0.5
-# What the delivery of the last messages may take [s].
-_DELIVERY = 1.0
+# What the delivery of the last messages may take [s], and how often signals are looked for.
+_DELIVERY, _DELIVERY_AFTER_SIGNAL = 10.0, 1.0
+_DELIVERY_TURN = 0.1
 
 
 def freeze_memory() -> None:
@@ -58,8 +59,22 @@ class Discovery:
         return now >= self._until or (found > 0 and now - self._since > _SETTLED)
 
 
-def wait_for_delivery(publishers: Iterable[Publisher]) -> None:
-    """Let matched subscribers receive what is still on its way, for at most a second."""
-    deadline = time.monotonic() + _DELIVERY
+def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) -> None:
+    """
+    Let matched subscribers receive what is still on its way, as long as they may need.
+
+    Who is slow has ten seconds at the end of a run, and one where a signal has ended it.
+
+    Parameters
+    ----------
+    publishers : iterable of Publisher
+        Whose messages they are.
+    received : sequence of int
+        The signals that came, to which a handler adds.
+
+    """
+    begin = time.monotonic()
     for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+        while not publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TURN)):
+            if time.monotonic() - begin > (_DELIVERY_AFTER_SIGNAL if received else _DELIVERY):
+                return

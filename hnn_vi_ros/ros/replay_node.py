@@ -102,9 +102,9 @@ class ReplayNode(Node):
         """Return whether playing has begun."""
         return self._timer.is_canceled()
 
-    def wait_for_delivery(self) -> None:
-        """Let matched subscribers receive what is still on its way."""
-        wait_for_delivery(set(self._publishers_of.values()))
+    def wait_for_delivery(self, received: Sequence[int]) -> None:
+        """Let matched subscribers receive what is still on its way; signals shorten it."""
+        wait_for_delivery(set(self._publishers_of.values()), received)
 
     def report(self) -> str:
         """Return how many messages were published, and how late."""
@@ -267,7 +267,7 @@ def _play(node: ReplayNode, received: Sequence[int]) -> int:
         executor.spin_once(timeout_sec=0.1)
     if node.started:
         player.stop()
-    node.wait_for_delivery()
+    node.wait_for_delivery(received)
     node.get_logger().info(node.report())
     if node.damage:
         node.get_logger().warning(node.damage)

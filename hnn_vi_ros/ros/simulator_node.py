@@ -253,4 +253,4 @@ def _spin(node: SimulatorNode, received: list[int]) -> None:
         with suppress(RCLError):
             take_once(executor)
     if node.topics is not None:
-        node.topics.wait_for_delivery()
+        node.topics.wait_for_delivery(received)

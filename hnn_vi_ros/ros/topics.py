@@ -199,9 +199,9 @@ class Topics:
         """Return the number of subscribers to the topics of every tick."""
         return sum(publisher.get_subscription_count() for publisher in self._publishers)
 
-    def wait_for_delivery(self) -> None:
-        """Let matched subscribers receive what is still on its way."""
-        wait_for_delivery((*self._publishers, self.diagnostics))
+    def wait_for_delivery(self, received: Sequence[int]) -> None:
+        """Let matched subscribers receive what is still on its way; signals shorten it."""
+        wait_for_delivery((*self._publishers, self.diagnostics), received)
 
     def _publisher(self, topic: str, message_type: type, qos: QoSProfile) -> Publisher:
         publisher = create_publisher(self._node, message_type, topic, qos)
