@@ -33,6 +33,8 @@ _PIP_NAMES = {
 _TRAINING = ('matplotlib', 'torch', 'tqdm')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
+# The status of a process that SIGINT has ended, as shells give it.
+_INTERRUPTED = 128 + signal.SIGINT
 
 
 def simulator() -> NoReturn:
@@ -164,7 +166,11 @@ def _call(name: str, module: str) -> int | str | None:
     """Return the status of a module's ``main``; of an error that a user can mend, one line."""
     try:
         _answer_at_once(name, module, sys.argv[1:])
-        return import_module(module).main(sys.argv[1:])
+        # Libraries in C turn an interrupt of their import into errors of their own.
+        signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
+        found = import_module(module)
+        _merge_interrupts()
+        return found.main(sys.argv[1:])
     except HnnViRosError as problem:
         return f'{name}: {problem}'
     except ModuleNotFoundError as problem:
@@ -172,7 +178,7 @@ def _call(name: str, module: str) -> int | str | None:
             raise
         return f'{name}: {_missing(problem.name.partition(".")[0])}'
     except KeyboardInterrupt:
-        return 130
+        return _INTERRUPTED
 
 
 def _missing(package: str) -> str:
