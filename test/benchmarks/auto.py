@@ -44,7 +44,10 @@ def _row(name: str, tolerance: Tolerance, settings: Settings) -> Row:
         times[:, 0],
         times[:, 1], target=1.5, scale=1e6 / _TIMED, peer_name=f'{label}, h = {h:g}',
         note=f'auto took {chosen}, h = {choice.step_size:.3g}; the peer is the fastest '
-             'row of the grid that holds the tolerance')
+             'row of the grid that holds the tolerance',
+        miss='auto counts gradients, so that its answer does not depend on how busy the machine '
+             'is; what else an implicit step costs, a microsecond or two, is most of it where a '
+             'gradient takes some nanoseconds.')
 
 
 def _contestant(problem: Problem, method: str | Method, h: float) -> Callable:
