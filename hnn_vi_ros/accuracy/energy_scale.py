@@ -10,6 +10,9 @@ import numpy as np
 # Of the state, over which H is differenced where (q, p) is not canonical: truncation and rounding
 # are some 1e-6 both.
 _SPACING = 1e-5
+# Samples from which on their mean stands for that over the path; of fewer any may lie at a
+# turning point.
+_MEAN = 20
 
 
 class EnergyScale:
@@ -23,8 +26,9 @@ class EnergyScale:
 
         E_s(t) = (1 / t) integral over the path so far of abs(p . H_p)
 
-    from when p . H_p has fallen, from its largest value, by its mean: energy has been turned over
-    once. Before, a start at rest would have no scale. Until then it is the largest value so far
+    from when p . H_p has fallen, from its largest value, by its mean, and samples are enough for a
+    mean: energy has been turned over once. Before, a start at rest would have no scale. Until
+    then it is the largest value so far
     of (abs((q - c) . H_q) + abs(p . H_p)) / 2 with c the middle of the training box, 0 where
     there is none; angles count modulo a turn about c.
 
@@ -60,6 +64,7 @@ class EnergyScale:
         self._angles = angles if angles.any() else None
         self._gauge = hamiltonian.gauge
         self._sum, self._time, self._largest, self._first = 0.0, 0.0, 0.0, 0.0
+        self._count = 0
         self.turned = False
 
     def add(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray,
@@ -77,9 +82,7 @@ class EnergyScale:
             Time since the sample before, in any unit.
 
         """
-        if self._gauge is not None:
-            # In terms of P = p - c A(q): far from where A vanishes p . H_p is mostly c A . v.
-            p, dH_dq = p - self._gauge @ q, dH_dq + self._gauge.T @ dH_dp
+        p, dH_dq = self._ungauged(q, p, dH_dq, dH_dp)
         if self.turned:
             virial = self._virial(q, p, dH_dp)
         else:
@@ -90,10 +93,47 @@ class EnergyScale:
             self._sum += weight * virial
             self._time += weight
             self._largest = max(self._largest, virial)
+            self._count += 1
             mean = self._sum / self._time
-            self.turned = self.turned or self._largest - virial >= mean > 0.0
+            self.turned = self.turned or (
+                self._count >= _MEAN and self._largest - virial >= mean > 0.0)
             self.value = mean if self.turned else self._first
         return self.value
+
+    def least(self, weights: np.ndarray, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+              dH_dp: np.ndarray) -> np.ndarray:
+        """
+        Return the least value along each of m paths of a canonical H, after the first sample.
+
+        Parameters
+        ----------
+        weights : np.ndarray, shape (n,)
+            See ``add``.
+        q, p, dH_dq, dH_dp : np.ndarray, shape (n, m, d)
+            The paths, at n >= 2 samples, all finite.
+
+        Returns
+        -------
+        np.ndarray, shape (m,)
+            [J].
+
+        """
+        p, dH_dq = self._ungauged(q, p, dH_dq, dH_dp)
+        potential = np.abs(np.einsum('nmd,nmd->nm', self._offset(q), dH_dq))
+        virial = np.abs(np.einsum('nmd,nmd->nm', p, dH_dp))
+        mean = np.cumsum(weights[:, None] * virial, axis=0) / np.cumsum(weights)[:, None]
+        falls = np.maximum.accumulate(virial, axis=0) - virial >= mean
+        falls[:_MEAN - 1] = False
+        turned = np.logical_or.accumulate(falls & (mean > 0.0), axis=0)
+        first = np.maximum.accumulate(0.5 * (potential + virial), axis=0)
+        return np.where(turned, mean, first)[1:].min(axis=0)
+
+    def _ungauged(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
+                  ) -> tuple[np.ndarray, np.ndarray]:
+        """Return P = p - c A(q) and its H_q: far from where A vanishes p . H_p is c A . v."""
+        if self._gauge is None:
+            return p, dH_dq
+        return p - q @ self._gauge.T, dH_dq + dH_dp @ self._gauge
 
     def _virial(self, q: np.ndarray, p: np.ndarray, dH_dp: np.ndarray) -> float:
         """Return abs(p . H_p) [J]."""
@@ -104,12 +144,17 @@ class EnergyScale:
     def _both(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
               ) -> tuple[float, float]:
         """Return abs((q - c) . H_q) and abs(p . H_p) [J]."""
-        x = q if self._middle is None else q - self._middle
-        if self._angles is not None:
-            x = np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
+        x = self._offset(q)
         if self._hamiltonian.canonical:
             return abs(float(np.vdot(x, dH_dq))), self._virial(q, p, dH_dp)
         return abs(self._slope(q, p, x, np.zeros_like(p))), self._virial(q, p, dH_dp)
+
+    def _offset(self, q: np.ndarray) -> np.ndarray:
+        """Return q from the middle of the box."""
+        x = q if self._middle is None else q - self._middle
+        if self._angles is None:
+            return x
+        return np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
 
     def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> float:
         """Return H' (v_q, v_p), where what stands for the gradient of H is none."""

@@ -10,7 +10,7 @@ from hnn_vi_ros.guards.base import Alarm, Observed
 
 # H may go this many times as far as the modified energy that the method keeps: that it does is
 # the method's own, and no loss, but beyond a fifth of the energies in play it is no resolution.
-_PLAIN = 4.0
+PLAIN = 4.0
 
 
 class ResolutionGuard(BandGuard):
@@ -50,7 +50,7 @@ class ResolutionGuard(BandGuard):
     @property
     def band(self) -> float:
         """Return the range of the modified energy, or a quarter of that of H if larger [J]."""
-        return max(super().band, self._plain_band / _PLAIN) if self._modified else super().band
+        return max(super().band, self._plain_band / PLAIN) if self._modified else super().band
 
     @property
     def _plain_band(self) -> float:
@@ -71,8 +71,8 @@ class ResolutionGuard(BandGuard):
         # Of H, if that is what went too far.
         plain = self._modified and self.band > super().band
         order = self._order if plain or not self._modified else 2 * self._order
-        band, limit = (_PLAIN * x if plain else x for x in (self.band, limit))
-        share = self._share * self.band / limit * (_PLAIN if plain else 1.0)
+        band, limit = (PLAIN * x if plain else x for x in (self.band, limit))
+        share = self._share * self.band / limit * (PLAIN if plain else 1.0)
         enough = self._step_size * min(limit / band, 1.0) ** (1.0 / order)
         # Rounded down, to two digits.
         digits = 10.0 ** (math.floor(math.log10(enough)) - 1)

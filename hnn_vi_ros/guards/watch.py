@@ -11,6 +11,7 @@ from hnn_vi_ros.guards.base import Alarm, Guard, Look
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.guards.screening import suspects
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
@@ -150,10 +151,10 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
     kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
     hamiltonian = simulation.hamiltonian
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
-        for k, own in enumerate(alarms):
+        for k in np.flatnonzero(suspects(simulation, steps, q, p, energy, modified)):
             watch = Watch(simulation, hamiltonian.barrier, kinds=kinds)
             watch.show(simulation, steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
-            own += watch.alarms
+            alarms[k] += watch.alarms
     return energy
 
 

@@ -107,6 +107,24 @@ def test_energy_scale_is_proportional_to_the_mass(name):
     assert other.value == 8.0 * one.value > 0.0
 
 
+@pytest.mark.parametrize('name', MOTIONS)
+@pytest.mark.parametrize('every', [1, 100])
+def test_least_energy_scale_of_many_paths_is_that_of_each(name, every):
+    motion = MOTIONS[name]
+    q, p = (x[::every] for x in path(motion._replace(period=0.3 * motion.period), 2.0))
+    many_q, many_p = (np.stack([x, 0.7 * x, 1.1 * x[::-1]], axis=1) for x in (q, p))
+    slopes = motion.hamiltonian.gradient(many_q, many_p)
+    weights = np.random.default_rng(1).integers(1, 5, len(q)).astype(float)
+    expected = []
+    for k in range(3):
+        scale = EnergyScale(motion.hamiltonian)
+        expected.append(min([scale.add(*sample, weight) for *sample, weight in zip(
+            many_q[:, k], many_p[:, k], *(x[:, k] for x in slopes), weights, strict=True)][1:]))
+    found = EnergyScale(motion.hamiltonian).least(weights, many_q, many_p, *slopes)
+    # Sums of n terms in two orders.
+    assert found == pytest.approx(expected, rel=4 * len(q) * np.finfo(float).eps)
+
+
 def test_energy_scale_of_an_angle_does_not_grow_with_its_turns():
     motion = pendulum(0.0, 5.0, 1.3)
     q, p = path(motion, 4.0)

@@ -116,6 +116,15 @@ def test_simulate_is_silent_where_all_is_well(tmp_path):
             (), (), ())
 
 
+def test_ends_of_many_trajectories_alone_raise_no_alarm_where_each_path_is_resolved():
+    """Two samples have no mean: the later one may lie at a turning point, where p . H_p is 0."""
+    q, p = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 400, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        for duration in (0.2, 1.0):
+            simulate_many('pendulum', q, p, duration)
+
+
 def test_simulate_many_warns_once_and_tells_the_alarms_of_each_trajectory(tmp_path):
     scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
     q, p = zip(FAR, CLOSE, FAR, CLOSE, strict=True)

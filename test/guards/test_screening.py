@@ -1,0 +1,56 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Of many trajectories the guards look at those in which they can find something."""
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.guards.screening import suspects
+from hnn_vi_ros.guards.watch import energies_of, Watch
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+
+
+def shown(name: str, integrator: str, step_size: float, steps: int, every: int
+          ) -> tuple[np.ndarray, np.ndarray]:
+    """Return which of 60 trajectories are suspect, and which raise alarms if all are shown."""
+    scene = load_scene(name).with_overrides(step_size=step_size, integrator=integrator)
+    simulation = build(scene)
+    d = simulation.hamiltonian.dimension
+    rng = np.random.default_rng(4)
+    q, p = np.empty((2, steps // every + 1, 60, d))
+    # Beyond 0.3 some of Hénon and Heiles' trajectories escape.
+    largest = 0.3 if name == 'henon_heiles' else 1.5
+    for k, size in enumerate(np.geomspace(0.01, largest, 60)):
+        start = size * rng.uniform(-1.0, 1.0, (2, d))
+        simulation.restart(*start)
+        q[0, k], p[0, k] = start
+        q[1:, k], p[1:, k] = simulation.record(steps // every, every)
+    times = np.arange(len(q)) * every
+    energy, modified = energies_of(simulation, q, p)
+    alarmed = []
+    for k in range(60):
+        watch = Watch(simulation, simulation.hamiltonian.barrier)
+        watch.show(simulation, times, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
+        alarmed.append(bool(watch.alarms))
+    return suspects(simulation, times, q, p, energy, modified), np.array(alarmed)
+
+
+@pytest.mark.parametrize('integrator, step_size', [
+    ('variational_euler', 0.01), ('variational_euler', 0.3), ('rk4', 0.3), ('rk4', 0.6),
+    ('explicit_euler', 0.01)])
+@pytest.mark.parametrize('name', ['pendulum', 'exact_pendulum', 'henon_heiles'])
+@pytest.mark.parametrize('steps, every', [(100, 100), (60, 1), (2000, 1)])
+def test_who_is_not_suspect_raises_no_alarm(name, integrator, step_size, steps, every):
+    suspect, alarmed = shown(name, integrator, step_size, steps, every)
+    assert not (alarmed & ~suspect).any()
+
+
+def test_most_trajectories_of_a_resolved_run_are_not_looked_at():
+    suspect, alarmed = shown('pendulum', 'variational_euler', 0.01, 100, 10)
+    # The wide ones leave the training box.
+    assert not suspect[:50].any() and suspect.sum() <= 10 and alarmed.sum() <= suspect.sum()
+
+
+def test_who_raises_an_alarm_is_suspect_among_others_who_do_not():
+    suspect, alarmed = shown('exact_pendulum', 'variational_euler', 0.3, 60, 1)
+    assert 0 < alarmed.sum() < 60 and (suspect | ~alarmed).all()
