@@ -52,5 +52,5 @@ def test_most_trajectories_of_a_resolved_run_are_not_looked_at():
 
 
 def test_who_raises_an_alarm_is_suspect_among_others_who_do_not():
-    suspect, alarmed = shown('exact_pendulum', 'variational_euler', 0.3, 60, 1)
+    suspect, alarmed = shown('henon_heiles', 'variational_euler', 0.5, 100, 1)
     assert 0 < alarmed.sum() < 60 and (suspect | ~alarmed).all()
