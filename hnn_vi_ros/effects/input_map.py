@@ -8,9 +8,8 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
-from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs
+from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs, PackedOutputs
 import numpy as np
 
 
@@ -40,7 +39,7 @@ class Places(NamedTuple):
 class InputMap(NamedTuple):
     """The network of g(q), and space for its d m entries."""
 
-    network: Parameters
+    outputs: PackedOutputs
     entries: np.ndarray
 
 
@@ -97,7 +96,7 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                f_p: np.ndarray) -> None:
     """Add g(q) u, with the entries of g row by row, and u the first numbers of the command."""
     entries = own.entries
-    evaluate_outputs(own.network, q, p, entries)
+    evaluate_outputs(own.outputs, q, p, entries)
     m = entries.size // f_p.size
     for i in range(f_p.size):
         for k in range(m):

@@ -63,6 +63,28 @@ class GradientWork(NamedTuple):
         return cls(*np.zeros((7, stages * d), dtype), *np.zeros((4, stages * (d + 1)), dtype))
 
 
+class TransformedParameters(NamedTuple):
+    """
+    What the functions of K take first.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        H.
+    work : GradientWork
+        Space.
+    start, force, exponent : float
+        H_0 [J], F and a.
+
+    """
+
+    kernel: Kernel
+    work: GradientWork
+    start: float
+    force: float
+    exponent: float
+
+
 class TransformedWork(NamedTuple):
     """
     The workspace of a step of the clock, with t as the last coordinate of each point.
@@ -201,10 +223,9 @@ def _transform(base_step: Callable) -> Callable:
                 ahead.q_carry[i], ahead.p_carry[i] = z.q_carry[i], z.p_carry[i]
             ahead.q[n], ahead.p[n], ahead.q_carry[n], ahead.p_carry[n] = 0.0, 0.0, 0.0, 0.0
             clock[0], clock[1], clock[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
-        settings = (clock[0], force, exponent)
-        transformed = Kernel(kernel.energy, _gradient, _hessian_vector,
-                             (kernel, memory[2], settings), n + 1, kernel.gradient_scale,
-                             kernel.compiled, 1)
+        parameters = TransformedParameters(kernel, memory[2], clock[0], force, exponent)
+        transformed = Kernel(kernel.energy, _gradient, _hessian_vector, parameters, n + 1,
+                             kernel.gradient_scale, kernel.compiled, 1)
         copy_point(ahead, at)
         worst, gradients, time, carry = 0.0, 0, clock[1], clock[2]
         if fresh:
@@ -238,10 +259,11 @@ def _transform(base_step: Callable) -> Callable:
 
 
 @inlined
-def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+def _gradient(parameters: TransformedParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
               dH_dp: np.ndarray) -> None:
     """Fill the gradient of K at one or more stages, each d coordinates and then t."""
-    kernel, work, (start, force, exponent) = parameters
+    kernel, work = parameters.kernel, parameters.work
+    start, force, exponent = parameters.start, parameters.force, parameters.exponent
     d = kernel.dimension
     stages = q.size // (d + 1)
     size = stages * d
@@ -268,10 +290,11 @@ def _gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray
 
 
 @inlined
-def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+def _hessian_vector(parameters: TransformedParameters, q: np.ndarray, p: np.ndarray,
+                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                    product_p: np.ndarray) -> None:
     """Fill K'' v from a central difference: good enough for Newton's method to converge."""
-    work, size = parameters[1], 0.0
+    work, size = parameters.work, 0.0
     for i in range(q.size):
         size = max(size, abs(v_q[i]), abs(v_p[i]))
     spacing = _SPACING / size if size > 0.0 else 1.0

@@ -4,6 +4,7 @@
 
 from functools import cache, cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -18,6 +19,23 @@ import numpy as np
 
 # States on each face of the box at which the gradient is looked at.
 _SAMPLES = 64
+
+
+class ConfinedParameters(NamedTuple):
+    """
+    What the functions of a confined Hamiltonian take first.
+
+    Parameters
+    ----------
+    base : Parameters
+        Those of the base, by address.
+    walls : np.ndarray, shape (2 d, 3)
+        Of each coordinate, then each momentum: the ends of its interval, and K [J].
+
+    """
+
+    base: Parameters
+    walls: np.ndarray
 
 
 class ConfinedHamiltonian(Hamiltonian):
@@ -100,7 +118,7 @@ class ConfinedHamiltonian(Hamiltonian):
         base = by_address(self.base.kernel)
         walls = np.column_stack([np.concatenate(self.box), np.tile(self.energies, 2)])
         return composed(base, _confined(*functions_of(base)), (ConfinedHamiltonian,),
-                        (base.parameters, walls))
+                        ConfinedParameters(base.parameters, walls))
 
     def _wall_energies(self) -> np.ndarray:
         """Return K of each degree of freedom [J], from states on the faces of the box."""
@@ -140,8 +158,8 @@ def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
 @cache
 def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector
               ) -> Functions:
-    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        total, walls, d = base_energy(parameters[0], q, p), parameters[1], q.size
+    def energy(parameters: ConfinedParameters, q: np.ndarray, p: np.ndarray) -> float:
+        total, walls, d = base_energy(parameters.base, q, p), parameters.walls, q.size
         for i in range(d):
             if not walls[i, 0] <= q[i] <= walls[i, 1]:
                 total += _wall(walls, i, q[i])[0]
@@ -149,10 +167,10 @@ def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector:
                 total += _wall(walls, d + i, p[i])[0]
         return total
 
-    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+    def gradient(parameters: ConfinedParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
-        base_gradient(parameters[0], q, p, dH_dq, dH_dp)
-        walls = parameters[1]
+        base_gradient(parameters.base, q, p, dH_dq, dH_dp)
+        walls = parameters.walls
         d = walls.shape[0] // 2
         for k in range(q.size):
             i = k % d
@@ -161,10 +179,11 @@ def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector:
             if not walls[d + i, 0] <= p[k] <= walls[d + i, 1]:
                 dH_dp[k] += _wall(walls, d + i, p[k])[1]
 
-    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        base_hessian_vector(parameters[0], q, p, v_q, v_p, product_q, product_p)
-        walls = parameters[1]
+    def hessian_vector(parameters: ConfinedParameters, q: np.ndarray, p: np.ndarray,
+                       v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                       product_p: np.ndarray) -> None:
+        base_hessian_vector(parameters.base, q, p, v_q, v_p, product_q, product_p)
+        walls = parameters.walls
         d = walls.shape[0] // 2
         for k in range(q.size):
             i = k % d

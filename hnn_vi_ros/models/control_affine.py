@@ -2,14 +2,48 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, pack_outputs, part_gradient, weigh)
+    evaluate_outputs, output_tangents, pack_outputs, PackedOutputs, part_gradient, weigh)
 from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
+
+
+class ControlAffineParameters(NamedTuple):
+    """
+    What the functions of a control-affine network take first; ``_v`` marks changes.
+
+    Parameters
+    ----------
+    root : PackedOutputs
+        The network of the entries of A.
+    potential : PackedPerceptron
+        That of V.
+    A, A_v, c, c_v : np.ndarray, shape (d (d + 1) / 2,)
+        Space for the entries of A, and for p_i u_j, by which their derivatives are weighed.
+    u, u_v : np.ndarray, shape (d,)
+        Space for A^T p.
+    more_q, more_p : np.ndarray, shape (d,)
+        Space for a term of a sum.
+
+    """
+
+    root: PackedOutputs
+    potential: PackedPerceptron
+    A: np.ndarray
+    A_v: np.ndarray
+    c: np.ndarray
+    c_v: np.ndarray
+    u: np.ndarray
+    u_v: np.ndarray
+    more_q: np.ndarray
+    more_p: np.ndarray
 
 
 class ControlAffineHamiltonian(LearnedHamiltonian):
@@ -37,9 +71,9 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         d = self.dimension
-        parameters = (pack_outputs(self.checkpoint, 'mass_inverse'),
-                      self._packed('potential', 'q'),
-                      np.zeros((4, d * (d + 1) // 2)), np.zeros((4, d)))
+        parameters = ControlAffineParameters(
+            pack_outputs(self.checkpoint, 'mass_inverse'), self._packed('potential', 'q'),
+            *np.zeros((4, d * (d + 1) // 2)), *np.zeros((4, d)))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True)
 
@@ -57,78 +91,78 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-    root, potential, entries, space = parameters
-    evaluate_outputs(root, q, p, entries[0])
-    u = space[0]
-    _times_transposed(entries[0], p, u)
-    energy = perceptron.energy(potential, q, p)
+def _energy(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray) -> float:
+    A, u = parameters.A, parameters.u
+    evaluate_outputs(parameters.root, q, p, A)
+    _times_transposed(A, p, u)
+    energy = perceptron.energy(parameters.potential, q, p)
     for j in range(p.size):
         energy += 0.5 * u[j] * u[j]
     return energy
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    root, potential, entries, space = parameters
-    d = space.shape[1]
-    part_gradient(potential, q, p, dH_dq, dH_dp)
+    root, more_q, more_p = parameters.root, parameters.more_q, parameters.more_p
+    d = more_q.size
+    part_gradient(parameters.potential, q, p, dH_dq, dH_dp)
     for a in range(0, q.size, d):
         b = a + d
-        _first_order(root, entries, space, q[a:b], p[a:b])
-        _times(entries[0], space[0], dH_dp[a:b])
-        weigh(root, entries[1])
-        part_gradient(root[0], q[a:b], p[a:b], space[2], space[3])
+        _first_order(parameters, q[a:b], p[a:b])
+        _times(parameters.A, parameters.u, dH_dp[a:b])
+        weigh(root, parameters.c)
+        part_gradient(root.network, q[a:b], p[a:b], more_q, more_p)
         for i in range(d):
-            dH_dq[a + i] += space[2, i]
+            dH_dq[a + i] += more_q[i]
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+def _hessian_vector(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray,
+                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                    product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
-    root, potential, entries, space = parameters
-    d = space.shape[1]
-    perceptron.hessian_vector(potential, q, p, v_q, v_p, product_q, product_p)
-    A, c, A_v, c_v = entries
-    u, u_v = space[0], space[1]
+    root, A, A_v = parameters.root, parameters.A, parameters.A_v
+    c, c_v, u, u_v = parameters.c, parameters.c_v, parameters.u, parameters.u_v
+    more_q, more_p, d = parameters.more_q, parameters.more_p, parameters.u.size
+    perceptron.hessian_vector(parameters.potential, q, p, v_q, v_p, product_q, product_p)
     for a in range(0, q.size, d):
         b = a + d
-        _first_order(root, entries, space, q[a:b], p[a:b])
+        _first_order(parameters, q[a:b], p[a:b])
         weigh(root, c)
-        perceptron.hessian_vector(root[0], q[a:b], p[a:b], v_q[a:b], v_p[a:b], space[2], space[3])
+        perceptron.hessian_vector(root.network, q[a:b], p[a:b], v_q[a:b], v_p[a:b],
+                                  more_q, more_p)
         for i in range(d):
-            product_q[a + i] += space[2, i]
+            product_q[a + i] += more_q[i]
         output_tangents(root, A_v)
         _times_transposed(A_v, p[a:b], u_v)
-        _times_transposed(A, v_p[a:b], space[3])
+        _times_transposed(A, v_p[a:b], more_p)
         for j in range(d):
-            u_v[j] += space[3, j]
+            u_v[j] += more_p[j]
         _times(A_v, u, product_p[a:b])
-        _times(A, u_v, space[3])
+        _times(A, u_v, more_p)
         k = 0
         for i in range(d):
-            product_p[a + i] += space[3, i]
+            product_p[a + i] += more_p[i]
             for j in range(i + 1):
                 c_v[k] = v_p[a + i] * u[j] + p[a + i] * u_v[j]
                 k += 1
         weigh(root, c_v)
-        part_gradient(root[0], q[a:b], p[a:b], space[2], space[3])
+        part_gradient(root.network, q[a:b], p[a:b], more_q, more_p)
         for i in range(d):
-            product_q[a + i] += space[2, i]
+            product_q[a + i] += more_q[i]
 
 
 @part(error_model='numpy', forceinline=True)
-def _first_order(root: Parameters, entries: np.ndarray, space: np.ndarray, q: np.ndarray,
-                 p: np.ndarray) -> None:
-    """Fill A in the first row of entries, p_i u_j in the second, u in the first of space."""
-    evaluate_outputs(root, q, p, entries[0])
-    _times_transposed(entries[0], p, space[0])
+def _first_order(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill A, u and c."""
+    u, c = parameters.u, parameters.c
+    evaluate_outputs(parameters.root, q, p, parameters.A)
+    _times_transposed(parameters.A, p, u)
     k = 0
     for i in range(p.size):
         for j in range(i + 1):
-            entries[1, k] = p[i] * space[0, j]
+            c[k] = p[i] * u[j]
             k += 1
 
 

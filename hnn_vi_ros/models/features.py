@@ -7,30 +7,44 @@ Each row of F gives one input y_k, or the two inputs (sin y_k, cos y_k) if it is
 are padded with zeros to an even number n, since the loops of perceptron.py take two halves.
 """
 
-from hnn_vi_ros.kernels.kernel import Parameters
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 import numpy as np
 
 
-def pack_features(card: MechanicalCard, features: list[list[float]]) -> Parameters:
+class Features(NamedTuple):
     """
-    Return the parameters of the functions here.
+    What the functions here take first.
 
-    Returns
-    -------
+    Parameters
+    ----------
     rows : np.ndarray, shape (k, d)
         F.
     periodic : np.ndarray of int, shape (k,)
         Whether a row is seen by its sine and cosine.
-    space : np.ndarray, shape (4, n)
-        For inputs, their change, and two cotangents.
+    inputs, change : np.ndarray, shape (n,)
+        Space for what the network sees, and what it changes by.
+    cotangent, cotangent_change : np.ndarray, shape (n,)
+        Space for a derivative by the inputs, and for what that changes by.
 
     """
+
+    rows: np.ndarray
+    periodic: np.ndarray
+    inputs: np.ndarray
+    change: np.ndarray
+    cotangent: np.ndarray
+    cotangent_change: np.ndarray
+
+
+def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features:
+    """Return the features of a network for the functions here, with space of their own."""
     rows = np.array(features, dtype=np.float64).reshape(len(features), len(card.kinds))
     periodic = np.array([card.is_periodic(row) for row in features], dtype=np.int64)
-    return rows, periodic, np.zeros((4, _even(card.inputs(features))))
+    return Features(rows, periodic, *np.zeros((4, _even(card.inputs(features)))))
 
 
 def even_layers(layers: Layers) -> Layers:
@@ -65,63 +79,65 @@ def inputs_of(card: MechanicalCard, features: list[list[float]], q: np.ndarray
 
 
 @part(error_model='numpy')
-def see(seen: Parameters, q: np.ndarray) -> None:
-    """Fill the inputs, the first row of the space, at one state."""
-    rows, periodic, space = seen
+def see(seen: Features, q: np.ndarray) -> None:
+    """Fill the inputs at one state."""
+    rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
     at = 0
     for k in range(periodic.size):
         y = 0.0
         for i in range(q.size):
             y += rows[k, i] * q[i]
         if periodic[k]:
-            space[0, at], space[0, at + 1] = np.sin(y), np.cos(y)
+            inputs[at], inputs[at + 1] = np.sin(y), np.cos(y)
             at += 2
         else:
-            space[0, at] = y
+            inputs[at] = y
             at += 1
 
 
 @part(error_model='numpy')
-def see_change(seen: Parameters, v_q: np.ndarray) -> None:
-    """Fill the change of the inputs, the second row, along v_q; after ``see``."""
-    rows, periodic, space = seen
+def see_change(seen: Features, v_q: np.ndarray) -> None:
+    """Fill the change of the inputs along v_q; after ``see``."""
+    rows, periodic, inputs, x_v = seen.rows, seen.periodic, seen.inputs, seen.change
     at = 0
     for k in range(periodic.size):
         change = 0.0
         for i in range(v_q.size):
             change += rows[k, i] * v_q[i]
         if periodic[k]:
-            space[1, at], space[1, at + 1] = space[0, at + 1] * change, -space[0, at] * change
+            x_v[at], x_v[at + 1] = inputs[at + 1] * change, -inputs[at] * change
             at += 2
         else:
-            space[1, at] = change
+            x_v[at] = change
             at += 1
 
 
 @part(error_model='numpy')
-def add_covector(seen: Parameters, sign: float, row: int, covector: np.ndarray) -> None:
-    """Add sign times what a cotangent of the inputs, that row of the space, is for q."""
-    rows, periodic, space = seen
+def add_covector(seen: Features, sign: float, cotangent: np.ndarray, covector: np.ndarray
+                 ) -> None:
+    """Add sign times what a cotangent of the inputs is for q."""
+    rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
     at = 0
     for k in range(periodic.size):
         if periodic[k]:
-            slope = space[row, at] * space[0, at + 1] - space[row, at + 1] * space[0, at]
+            slope = cotangent[at] * inputs[at + 1] - cotangent[at + 1] * inputs[at]
             at += 2
         else:
-            slope = space[row, at]
+            slope = cotangent[at]
             at += 1
         for i in range(covector.size):
             covector[i] += sign * slope * rows[k, i]
 
 
 @part(error_model='numpy')
-def add_covector_change(seen: Parameters, sign: float, row: int, covector: np.ndarray) -> None:
+def add_covector_change(seen: Features, sign: float, covector: np.ndarray) -> None:
     """Add sign times what that covector changes by with the inputs, at a held cotangent."""
-    rows, periodic, space = seen
+    rows, periodic = seen.rows, seen.periodic
+    cotangent, change = seen.cotangent, seen.change
     at = 0
     for k in range(periodic.size):
         if periodic[k]:
-            slope = space[row, at] * space[1, at + 1] - space[row, at + 1] * space[1, at]
+            slope = cotangent[at] * change[at + 1] - cotangent[at + 1] * change[at]
             at += 2
             for i in range(covector.size):
                 covector[i] += sign * slope * rows[k, i]

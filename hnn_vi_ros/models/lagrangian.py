@@ -4,16 +4,17 @@
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 # States of the box at which the Lagrangian must be regular, and how much L_vv may vary there.
@@ -22,6 +23,45 @@ _CONDITION = 1e8
 _ITERATIONS = 50
 # Relative changes below which Newton's method goes on with the last inverse, and stops.
 _HOLD, _STOP = 1e-4, 1e-15
+
+
+class LagrangianParameters(NamedTuple):
+    """
+    What the functions of a Legendre transform take first.
+
+    Parameters
+    ----------
+    network : PackedPerceptron
+        N(q, v).
+    mass : np.ndarray, shape (d, d)
+        M.
+    start : np.ndarray, shape (d,)
+        Newton's method starts from v = start + start_slope p.
+    start_slope : np.ndarray, shape (d, d)
+        See there.
+    v, L_q, L_v : np.ndarray, shape (d,)
+        The velocity, and the derivatives of L there.
+    zero, unit, along_q, along_v, change : np.ndarray, shape (d,)
+        Zeros, and space for directions, products of N'' with them, and a step of Newton's method.
+    L_vv, inverse : np.ndarray, shape (d, d)
+        Space for its elimination, and L_vv^-1.
+
+    """
+
+    network: PackedPerceptron
+    mass: np.ndarray
+    start: np.ndarray
+    start_slope: np.ndarray
+    v: np.ndarray
+    L_q: np.ndarray
+    L_v: np.ndarray
+    zero: np.ndarray
+    unit: np.ndarray
+    along_q: np.ndarray
+    along_v: np.ndarray
+    change: np.ndarray
+    L_vv: np.ndarray
+    inverse: np.ndarray
 
 
 class LagrangianHamiltonian(LearnedHamiltonian):
@@ -74,7 +114,7 @@ class LagrangianHamiltonian(LearnedHamiltonian):
                 f'{masses[worst, 0]:.3g}, expected positive ones; train it longer or on more data')
 
     @cached_property
-    def _network(self) -> Parameters:
+    def _network(self) -> PackedPerceptron:
         return self._packed('lagrangian')
 
     def _masses(self, x: np.ndarray) -> np.ndarray:
@@ -99,10 +139,10 @@ class LagrangianHamiltonian(LearnedHamiltonian):
         d = self.dimension
         inverse = np.linalg.inv(self._masses(self._centre)[0])
         momentum = self._slope(self._centre)[0, d:].astype(np.float64)
-        start = np.vstack([self._centre[0, d:] - inverse @ momentum, inverse])
         # A copy has a network of its own: it is where the loops work.
-        parameters = (self._packed('lagrangian'), self._mass, start,
-                      np.zeros((7, d)), np.zeros((2, d, d)))
+        parameters = LagrangianParameters(
+            self._packed('lagrangian'), self._mass, self._centre[0, d:] - inverse @ momentum,
+            inverse, *np.zeros((8, d)), *np.zeros((2, d, d)))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True)
 
@@ -160,11 +200,10 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:
 
 
 @kept(error_model='numpy')
-def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-    network, mass, _, space, _ = parameters
+def _energy(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> float:
+    mass, v = parameters.mass, parameters.v
     _solve(parameters, q, p)
-    v = space[0]
-    energy = -perceptron.energy(network, q, v)
+    energy = -perceptron.energy(parameters.network, q, v)
     for i in range(v.size):
         energy += p[i] * v[i]
         for j in range(v.size):
@@ -173,26 +212,26 @@ def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    space = parameters[3]
-    d = space.shape[1]
+    v, L_q = parameters.v, parameters.L_q
+    d = v.size
     for a in range(0, q.size, d):
         _solve(parameters, q[a:a + d], p[a:a + d])
         for i in range(d):
-            dH_dq[a + i], dH_dp[a + i] = -space[1, i], space[0, i]
+            dH_dq[a + i], dH_dp[a + i] = -L_q[i], v[i]
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    network, _, _, space, matrices = parameters
-    d = space.shape[1]
-    zero, along_q, along_v = space[3], space[4], space[5]
+def _hessian_vector(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray,
+                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                    product_p: np.ndarray) -> None:
+    network, v, inverse = parameters.network, parameters.v, parameters.inverse
+    zero, along_q, along_v = parameters.zero, parameters.along_q, parameters.along_v
+    d = v.size
     for a in range(0, q.size, d):
         b = a + d
         _solve(parameters, q[a:b], p[a:b])
-        v, inverse = space[0], matrices[1]
         _invert_mass(parameters, q[a:b], v)
         perceptron.hessian_vector(network, q[a:b], v, v_q[a:b], zero, along_q, along_v)
         for i in range(d):
@@ -205,15 +244,16 @@ def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: n
 
 
 @part(error_model='numpy')
-def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
-    """Fill v, L_q and L_v in the first rows of the space by Newton's method for L_v(q, v) = p."""
-    network, mass, start, space, matrices = parameters
-    v, L_q, L_v, change, inverse = space[0], space[1], space[2], space[6], matrices[1]
+def _solve(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill v, L_q and L_v by Newton's method for L_v(q, v) = p."""
+    network, mass, inverse = parameters.network, parameters.mass, parameters.inverse
+    v, L_q, L_v, change = parameters.v, parameters.L_q, parameters.L_v, parameters.change
+    start, start_slope = parameters.start, parameters.start_slope
     d = v.size
     for i in range(d):
-        v[i] = start[0, i]
+        v[i] = start[i]
         for j in range(d):
-            v[i] += start[1 + i, j] * p[j]
+            v[i] += start_slope[i, j] * p[j]
     before, held = np.inf, False
     for _ in range(_ITERATIONS):
         part_gradient(network, q, v, L_q, L_v)
@@ -240,16 +280,17 @@ def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def _invert_mass(parameters: Parameters, q: np.ndarray, v: np.ndarray) -> None:
-    """Fill the second matrix with L_vv^-1 at (q, v)."""
-    network, mass, _, space, matrices = parameters
-    zero, unit, along_v = space[3], space[4], space[5]
-    A, inverse = matrices
+def _invert_mass(parameters: LagrangianParameters, q: np.ndarray, v: np.ndarray) -> None:
+    """Fill L_vv^-1 at (q, v)."""
+    network, mass = parameters.network, parameters.mass
+    A, inverse = parameters.L_vv, parameters.inverse
+    zero, unit = parameters.zero, parameters.unit
+    along_q, along_v = parameters.along_q, parameters.along_v
     d = v.size
     for j in range(d):
         for i in range(d):
             unit[i] = 1.0 if i == j else 0.0
-        perceptron.hessian_vector(network, q, v, zero, unit, space[6], along_v)
+        perceptron.hessian_vector(network, q, v, zero, unit, along_q, along_v)
         for i in range(d):
             A[i, j], inverse[i, j] = along_v[i] + mass[i, j], unit[i]
     # Gauss and Jordan, without a search for pivots: the matrix is positive definite in the box.

@@ -8,10 +8,10 @@ import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.networks.activations import ACTIVATIONS
-from hnn_vi_ros.networks.perceptron_memory import pack
+from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -70,7 +70,7 @@ class LearnedHamiltonian(Hamiltonian):
         return kernel._replace(gradient_scale=self._gradient_scale(called),
                                energy_scale=self._energy_scale(called))
 
-    def _packed(self, network: str, part: str = 'both') -> Parameters:
+    def _packed(self, network: str, part: str = 'both') -> PackedPerceptron:
         """Return a network of (q, p), or of q or p alone, for the loops of perceptron.py."""
         return pack(*padded(self.checkpoint.networks[network], part),
                     self.checkpoint.card.activation)

@@ -2,22 +2,105 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a mechanism: a mass matrix and a potential that are networks of q."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.features import (
-    add_covector, add_covector_change, even_layers, inputs_of, pack_features, see, see_change)
+    add_covector, add_covector_change, even_layers, Features, inputs_of, pack_features, see,
+    see_change)
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, pack_layers, part_gradient, weigh)
+    evaluate_outputs, output_tangents, pack_layers, PackedOutputs, part_gradient, weigh)
+from hnn_vi_ros.models.planar_chain import Terms
 from hnn_vi_ros.models.prior_terms import (
     add_mass, add_prior_slope, add_prior_slope_change, prior_gradient, prior_potential,
     subtract_turned_mass)
 from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import pack
+from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
+
+
+class MassNetwork(NamedTuple):
+    """
+    The network of M of k entries.
+
+    Parameters
+    ----------
+    outputs : PackedOutputs
+        The network of y.
+    seen : Features
+        What it sees of q.
+    places : np.ndarray of int, shape (k, 2)
+        Row and column of each entry in L.
+    scale : np.ndarray, shape (d,)
+        The diagonal of S.
+    floor : float
+        What is added to the diagonal of L L^T.
+
+    """
+
+    outputs: PackedOutputs
+    seen: Features
+    places: np.ndarray
+    scale: np.ndarray
+    floor: float
+
+
+class PotentialNetwork(NamedTuple):
+    """The network of V, and what it sees of q."""
+
+    network: PackedPerceptron
+    seen: Features
+
+
+class MechanicalWork(NamedTuple):
+    """
+    Space for one state; what ends in ``_v`` is a change along a direction.
+
+    Parameters
+    ----------
+    y, y_v, c, c_v : np.ndarray, shape (k,)
+        The entries, and their cotangent u_i w_j L_ij'(y): the derivative of -H by them.
+    L, L_v, factor : np.ndarray, shape (d, d)
+        L, and the Cholesky factor of S^-1 M S^-1.
+    v, u, u_v, w, w_v : np.ndarray, shape (d,)
+        The velocity, u = S v and w = L^T u.
+    turned : np.ndarray, shape (d,)
+        L'^T u of the change L' of L.
+
+    """
+
+    y: np.ndarray
+    y_v: np.ndarray
+    c: np.ndarray
+    c_v: np.ndarray
+    L: np.ndarray
+    L_v: np.ndarray
+    factor: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+    u_v: np.ndarray
+    w: np.ndarray
+    w_v: np.ndarray
+    turned: np.ndarray
+
+    @classmethod
+    def empty(cls, entries: int, d: int) -> 'MechanicalWork':
+        """Return space for so many entries and coordinates."""
+        return cls(*np.zeros((4, entries)), *np.zeros((3, d, d)), *np.zeros((6, d)))
+
+
+class MechanicalParameters(NamedTuple):
+    """What the functions of a mechanism take first: M, V, what a prior adds, and space."""
+
+    mass: MassNetwork
+    potential: PotentialNetwork
+    prior: Terms
+    work: MechanicalWork
 
 
 class MechanicalHamiltonian(LearnedHamiltonian):
@@ -55,13 +138,15 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     def _kernel(self) -> Kernel:
         card, d = self.checkpoint.card, self.dimension
         mechanical, networks = self._mechanical, self.checkpoint.networks
-        mass = (pack_layers(even_layers(networks['mass']), card.activation),
-                pack_features(mechanical, mechanical.mass_features),
-                np.array(mechanical.entries), np.array(mechanical.mass_scale), mechanical.floor)
-        potential = (pack(*even_layers(networks['potential']), card.activation),
-                     pack_features(mechanical, mechanical.features))
-        parameters = (mass, potential, np.zeros((5, len(mechanical.entries))),
-                      np.zeros((3, d, d)), np.zeros((7, d)), tuple(mechanical.terms))
+        mass = MassNetwork(
+            pack_layers(even_layers(networks['mass']), card.activation),
+            pack_features(mechanical, mechanical.mass_features), np.array(mechanical.entries),
+            np.array(mechanical.mass_scale), mechanical.floor)
+        potential = PotentialNetwork(
+            pack(*even_layers(networks['potential']), card.activation),
+            pack_features(mechanical, mechanical.features))
+        parameters = MechanicalParameters(mass, potential, mechanical.terms,
+                                          MechanicalWork.empty(len(mechanical.entries), d))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True)
 
@@ -103,48 +188,46 @@ class MechanicalHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-    network, seen = parameters[1]
+def _energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> float:
+    potential, v = parameters.potential, parameters.work.v
     _solve(parameters, q, p)
-    v = parameters[4][0]
-    see(seen, q)
-    x = seen[2][0]
+    see(potential.seen, q)
+    x = potential.seen.inputs
     half = x.size // 2
-    energy = perceptron.energy(network, x[:half], x[half:]) + prior_potential(parameters[5], q)
+    energy = (perceptron.energy(potential.network, x[:half], x[half:])
+              + prior_potential(parameters.prior, q))
     for i in range(p.size):
         energy += 0.5 * p[i] * v[i]
     return energy
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    mass, (network, seen), entries, _, space, prior = parameters
-    d = space.shape[1]
-    half = seen[2].shape[1] // 2
-    mass_half = mass[1][2].shape[1] // 2
+    mass, potential, work = parameters.mass, parameters.potential, parameters.work
+    v = work.v
+    d = mass.scale.size
     for a in range(0, q.size, d):
         b = a + d
         _solve(parameters, q[a:b], p[a:b])
         _weigh_entries(parameters)
-        weigh(mass[0], entries[1])
-        x, c = mass[1][2][0], mass[1][2][2]
-        part_gradient(mass[0][0], x[:mass_half], x[mass_half:], c[:mass_half], c[mass_half:])
-        see(seen, q[a:b])
-        x, c = seen[2][0], seen[2][2]
-        part_gradient(network, x[:half], x[half:], c[:half], c[half:])
+        weigh(mass.outputs, work.c)
+        _seen_gradient(mass.outputs.network, mass.seen)
+        see(potential.seen, q[a:b])
+        _seen_gradient(potential.network, potential.seen)
         for i in range(d):
-            dH_dq[a + i], dH_dp[a + i] = 0.0, space[0, i]
-        add_covector(mass[1], -1.0, 2, dH_dq[a:b])
-        add_covector(seen, 1.0, 2, dH_dq[a:b])
-        add_prior_slope(prior, q[a:b], space[0], dH_dq[a:b])
+            dH_dq[a + i], dH_dp[a + i] = 0.0, v[i]
+        add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq[a:b])
+        add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq[a:b])
+        add_prior_slope(parameters.prior, q[a:b], v, dH_dq[a:b])
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+def _hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
+                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                    product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
-    d = parameters[4].shape[1]
+    d = parameters.mass.scale.size
     for a in range(0, q.size, d):
         b = a + d
         product_q[a:b] = 0.0
@@ -152,64 +235,77 @@ def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: n
         _weigh_entries(parameters)
         _differentiate_mass(parameters, q[a:b], v_q[a:b], v_p[a:b], product_q[a:b],
                             product_p[a:b])
-        _differentiate_potential(parameters[1], q[a:b], v_q[a:b], product_q[a:b])
-        add_prior_slope_change(parameters[5], q[a:b], parameters[4][0], v_q[a:b], product_p[a:b],
-                               product_q[a:b])
+        _differentiate_potential(parameters.potential, q[a:b], v_q[a:b], product_q[a:b])
+        add_prior_slope_change(parameters.prior, q[a:b], parameters.work.v, v_q[a:b],
+                               product_p[a:b], product_q[a:b])
 
 
 @part(error_model='numpy')
-def _differentiate_potential(potential: Parameters, q: np.ndarray, v_q: np.ndarray,
-                             product_q: np.ndarray) -> None:
-    """Add V''(q) v_q."""
-    network, seen = potential
-    x, x_v, c, c_v = seen[2]
+def _seen_gradient(network: PackedPerceptron, seen: Features) -> None:
+    """Fill the cotangent: the derivative of a network of one output by its inputs."""
+    x, c = seen.inputs, seen.cotangent
     half = x.size // 2
-    see(seen, q)
-    see_change(seen, v_q)
     part_gradient(network, x[:half], x[half:], c[:half], c[half:])
+
+
+@part(error_model='numpy')
+def _seen_hessian_vector(network: PackedPerceptron, seen: Features) -> None:
+    """Fill the change of the cotangent with that of the inputs."""
+    x, x_v, c_v = seen.inputs, seen.change, seen.cotangent_change
+    half = x.size // 2
     perceptron.hessian_vector(network, x[:half], x[half:], x_v[:half], x_v[half:],
                               c_v[:half], c_v[half:])
-    add_covector(seen, 1.0, 3, product_q)
-    add_covector_change(seen, 1.0, 2, product_q)
 
 
 @part(error_model='numpy')
-def _differentiate_mass(parameters: Parameters, q: np.ndarray, v_q: np.ndarray,
+def _differentiate_potential(potential: PotentialNetwork, q: np.ndarray, v_q: np.ndarray,
+                             product_q: np.ndarray) -> None:
+    """Add V''(q) v_q."""
+    seen = potential.seen
+    see(seen, q)
+    see_change(seen, v_q)
+    _seen_gradient(potential.network, seen)
+    _seen_hessian_vector(potential.network, seen)
+    add_covector(seen, 1.0, seen.cotangent_change, product_q)
+    add_covector_change(seen, 1.0, product_q)
+
+
+@part(error_model='numpy')
+def _differentiate_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
                         v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the change of v, and add that of -sum_ij u_i w_j L_ij'; after _weigh_entries."""
-    (network, seen, places, scale, _), _, entries, matrices, space, prior = parameters
-    y, c, y_v, c_v, _ = entries
-    L, C, L_v = matrices
-    u, w, u_v, w_v = space[1], space[2], space[3], space[4]
-    d, x, x_v, g, g_v = scale.size, seen[2][0], seen[2][1], seen[2][2], seen[2][3]
-    half = x.size // 2
+    mass, work = parameters.mass, parameters.work
+    outputs, seen, places, scale = mass.outputs, mass.seen, mass.places, mass.scale
+    y, y_v, c_v = work.y, work.y_v, work.c_v
+    L, L_v, turned = work.L, work.L_v, work.turned
+    u, u_v, w, w_v = work.u, work.u_v, work.w, work.w_v
+    d = scale.size
     see_change(seen, v_q)
-    weigh(network, c)
-    part_gradient(network[0], x[:half], x[half:], g[:half], g[half:])
-    perceptron.hessian_vector(network[0], x[:half], x[half:], x_v[:half], x_v[half:],
-                              g_v[:half], g_v[half:])
-    add_covector(seen, -1.0, 3, product_q)
-    add_covector_change(seen, -1.0, 2, product_q)
-    output_tangents(network, y_v)
+    weigh(outputs, work.c)
+    _seen_gradient(outputs.network, seen)
+    _seen_hessian_vector(outputs.network, seen)
+    add_covector(seen, -1.0, seen.cotangent_change, product_q)
+    add_covector_change(seen, -1.0, product_q)
+    output_tangents(outputs, y_v)
     for k in range(y.size):
         i, j = places[k]
         L_v[i, j] = y_v[k] * _slope(y[k]) if i == j else y_v[k]
     # A u = S^-1 p with A = L L^T + floor + S^-1 M S^-1 of the prior, so
     # A u' = S^-1 p' - L' w - L (L'^T u) - S^-1 M' v.
     for j in range(d):
-        space[5, j] = 0.0
+        turned[j] = 0.0
         for i in range(j, d):
-            space[5, j] += L_v[i, j] * u[i]
+            turned[j] += L_v[i, j] * u[i]
     for i in range(d):
         u_v[i] = v_p[i] / scale[i]
         for j in range(i + 1):
-            u_v[i] -= L_v[i, j] * w[j] + L[i, j] * space[5, j]
-    subtract_turned_mass(prior, q, v_q, space[0], scale, u_v)
-    solve_lower(C, u_v)
-    solve_upper(C, u_v)
+            u_v[i] -= L_v[i, j] * w[j] + L[i, j] * turned[j]
+    subtract_turned_mass(parameters.prior, q, v_q, work.v, scale, u_v)
+    solve_lower(work.factor, u_v)
+    solve_upper(work.factor, u_v)
     for j in range(d):
         product_p[j] = u_v[j] / scale[j]
-        w_v[j] = space[5, j]
+        w_v[j] = turned[j]
         for i in range(j, d):
             w_v[j] += L[i, j] * u_v[i]
     for k in range(y.size):
@@ -218,22 +314,22 @@ def _differentiate_mass(parameters: Parameters, q: np.ndarray, v_q: np.ndarray,
         if i == j:
             slope = _slope(y[k])
             c_v[k] = c_v[k] * slope + u[i] * w[j] * slope * (1.0 - slope) * y_v[k]
-    weigh(network, c_v)
-    part_gradient(network[0], x[:half], x[half:], g[:half], g[half:])
-    add_covector(seen, -1.0, 2, product_q)
+    weigh(outputs, c_v)
+    _seen_gradient(outputs.network, seen)
+    add_covector(seen, -1.0, seen.cotangent, product_q)
 
 
 @part(error_model='numpy')
-def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
+def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill y, L, the Cholesky factor of L L^T + floor, and v, u, w; NaN where there is none."""
-    (network, seen, places, scale, floor), _, entries, matrices, space, prior = parameters
-    L, C = matrices[0], matrices[1]
-    y, v, u, w = entries[0], space[0], space[1], space[2]
+    mass, work = parameters.mass, parameters.work
+    seen, places, scale = mass.seen, mass.places, mass.scale
+    L, factor, y, v, u, w = work.L, work.factor, work.y, work.v, work.u, work.w
     d = scale.size
     see(seen, q)
-    x = seen[2][0]
+    x = seen.inputs
     half = x.size // 2
-    evaluate_outputs(network, x[:half], x[half:], y)
+    evaluate_outputs(mass.outputs, x[:half], x[half:], y)
     for k in range(y.size):
         i, j = places[k]
         L[i, j] = y[k]
@@ -243,14 +339,14 @@ def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
     for i in range(d):
         u[i] = p[i] / scale[i]
         for j in range(i + 1):
-            C[i, j] = floor if i == j else 0.0
+            factor[i, j] = mass.floor if i == j else 0.0
             for k in range(j + 1):
-                C[i, j] += L[i, k] * L[j, k]
-    add_mass(prior, q, scale, C)
-    if not factorise(C):
+                factor[i, j] += L[i, k] * L[j, k]
+    add_mass(parameters.prior, q, scale, factor)
+    if not factorise(factor):
         u[:] = np.nan
-    solve_lower(C, u)
-    solve_upper(C, u)
+    solve_lower(factor, u)
+    solve_upper(factor, u)
     for j in range(d):
         v[j], w[j] = u[j] / scale[j], 0.0
         for i in range(j, d):
@@ -258,14 +354,15 @@ def _solve(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def _weigh_entries(parameters: Parameters) -> None:
+def _weigh_entries(parameters: MechanicalParameters) -> None:
     """Fill the cotangent of y, u_i w_j times the slope of the diagonal's softplus."""
-    places, entries, space = parameters[0][2], parameters[2], parameters[4]
+    places, y, c = parameters.mass.places, parameters.work.y, parameters.work.c
+    u, w = parameters.work.u, parameters.work.w
     for k in range(places.shape[0]):
         i, j = places[k]
-        entries[1, k] = space[1, i] * space[2, j]
+        c[k] = u[i] * w[j]
         if i == j:
-            entries[1, k] *= _slope(entries[0, k])
+            c[k] *= _slope(y[k])
 
 
 @part(error_model='numpy')

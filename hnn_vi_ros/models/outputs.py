@@ -7,18 +7,39 @@ A network y = Y a_K + b of k outputs is packed as the network w . a_K of one, wh
 are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradient included.
 """
 
-from hnn_vi_ros.kernels.kernel import Parameters
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import padded
 from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import pack
+from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
 
 
-def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> Parameters:
+class PackedOutputs(NamedTuple):
     """
-    Return the parameters of the functions here: those of the loops, and Y and b.
+    What the functions here take first: a network of k outputs.
+
+    Parameters
+    ----------
+    network : PackedPerceptron
+        That of one output, w . a_K; see ``weigh``.
+    last : np.ndarray, shape (k, n)
+        Y.
+    bias : np.ndarray, shape (k,)
+        b.
+
+    """
+
+    network: PackedPerceptron
+    last: np.ndarray
+    bias: np.ndarray
+
+
+def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> PackedOutputs:
+    """
+    Return a network of several outputs for the functions here.
 
     Parameters
     ----------
@@ -33,27 +54,28 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> Param
     return pack_layers(padded(checkpoint.networks[network], part), checkpoint.card.activation)
 
 
-def pack_layers(layers: Layers, activation: str) -> Parameters:
+def pack_layers(layers: Layers, activation: str) -> PackedOutputs:
     """Return the same of a network of an even number of inputs."""
     weights, biases = layers
     one = np.zeros((1, weights[-1].shape[1]))
     packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), activation)
-    return packed, np.ascontiguousarray(weights[-1]), np.ascontiguousarray(biases[-1])
+    return PackedOutputs(packed, np.ascontiguousarray(weights[-1]),
+                         np.ascontiguousarray(biases[-1]))
 
 
 @part(error_model='numpy')
-def part_gradient(network: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+def part_gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                   dH_dp: np.ndarray) -> None:
     """Fill the gradient of one network: a call, since inlining several compiles for long."""
     perceptron.gradient(network, q, p, dH_dq, dH_dp)
 
 
 @part(error_model='numpy')
-def evaluate_outputs(parameters: Parameters, q: np.ndarray, p: np.ndarray, y: np.ndarray) -> None:
+def evaluate_outputs(outputs: PackedOutputs, q: np.ndarray, p: np.ndarray, y: np.ndarray) -> None:
     """Fill the outputs, shape (k,), at a state, q and p of shape (d,)."""
-    network, last, bias = parameters
-    perceptron.energy(network, q, p)
-    sizes, nodes = network[0], network[3]
+    last, bias = outputs.last, outputs.bias
+    perceptron.energy(outputs.network, q, p)
+    sizes, nodes = outputs.network.sizes, outputs.network.nodes
     for k in range(y.size):
         y[k] = bias[k]
         for i in range(last.shape[1]):
@@ -61,10 +83,10 @@ def evaluate_outputs(parameters: Parameters, q: np.ndarray, p: np.ndarray, y: np
 
 
 @part(error_model='numpy')
-def output_tangents(parameters: Parameters, y: np.ndarray) -> None:
+def output_tangents(outputs: PackedOutputs, y: np.ndarray) -> None:
     """Fill the change of the outputs along the direction of the last Hessian-vector product."""
-    network, last, _ = parameters
-    sizes, nodes = network[0], network[3]
+    last = outputs.last
+    sizes, nodes = outputs.network.sizes, outputs.network.nodes
     for k in range(y.size):
         y[k] = 0.0
         for i in range(last.shape[1]):
@@ -72,10 +94,10 @@ def output_tangents(parameters: Parameters, y: np.ndarray) -> None:
 
 
 @part(error_model='numpy')
-def weigh(parameters: Parameters, c: np.ndarray) -> None:
+def weigh(outputs: PackedOutputs, c: np.ndarray) -> None:
     """Make the network of one output c . y."""
-    network, last, _ = parameters
-    sizes, rows = network[0], network[1]
+    last = outputs.last
+    sizes, rows = outputs.network.sizes, outputs.network.rows
     at = sizes[0] + sizes.size - 1
     for i in range(last.shape[1]):
         rows[at, i] = 0.0

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a parametric system adds to a learned M and V: the Terms of planar_chain.py, compiled."""
 
-from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.planar_chain import Terms
 import numpy as np
@@ -28,9 +27,9 @@ def angle(row: np.ndarray, q: np.ndarray) -> float:
 
 
 @part(error_model='numpy')
-def add_mass(prior: Parameters, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -> None:
+def add_mass(prior: Terms, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -> None:
     """Add S^-1 M S^-1 on and below the diagonal."""
-    rows, matrices, _, _ = prior
+    rows, matrices = prior.mass_rows, prior.matrices
     for k in range(rows.shape[0]):
         c = np.cos(angle(rows[k], q))
         for i in range(q.size):
@@ -39,9 +38,9 @@ def add_mass(prior: Parameters, q: np.ndarray, scale: np.ndarray, gram: np.ndarr
 
 
 @part(error_model='numpy')
-def prior_potential(prior: Parameters, q: np.ndarray) -> float:
+def prior_potential(prior: Terms, q: np.ndarray) -> float:
     """Return V."""
-    _, _, rows, weights = prior
+    rows, weights = prior.rows, prior.weights
     energy = 0.0
     for k in range(rows.shape[0]):
         # 1 - cos y = 2 sin(y / 2)^2 keeps its digits in small swings.
@@ -61,9 +60,10 @@ def product_between(matrix: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
 
 
 @part(error_model='numpy')
-def add_prior_slope(prior: Parameters, q: np.ndarray, v: np.ndarray, covector: np.ndarray) -> None:
+def add_prior_slope(prior: Terms, q: np.ndarray, v: np.ndarray, covector: np.ndarray) -> None:
     """Add V_q - (v . M v)_q / 2 at held v."""
-    mass_rows, matrices, rows, weights = prior
+    mass_rows, matrices = prior.mass_rows, prior.matrices
+    rows, weights = prior.rows, prior.weights
     for k in range(mass_rows.shape[0]):
         slope = 0.5 * np.sin(angle(mass_rows[k], q)) * product_between(matrices[k], v, v)
         for i in range(q.size):
@@ -75,10 +75,10 @@ def add_prior_slope(prior: Parameters, q: np.ndarray, v: np.ndarray, covector: n
 
 
 @part(error_model='numpy')
-def subtract_turned_mass(prior: Parameters, q: np.ndarray, v_q: np.ndarray, v: np.ndarray,
+def subtract_turned_mass(prior: Terms, q: np.ndarray, v_q: np.ndarray, v: np.ndarray,
                          scale: np.ndarray, right: np.ndarray) -> None:
     """Subtract S^-1 M' v, M' being the change of M along v_q."""
-    rows, matrices, _, _ = prior
+    rows, matrices = prior.mass_rows, prior.matrices
     for k in range(rows.shape[0]):
         change = -np.sin(angle(rows[k], q)) * angle(rows[k], v_q)
         for i in range(q.size):
@@ -87,10 +87,11 @@ def subtract_turned_mass(prior: Parameters, q: np.ndarray, v_q: np.ndarray, v: n
 
 
 @part(error_model='numpy')
-def add_prior_slope_change(prior: Parameters, q: np.ndarray, v: np.ndarray, v_q: np.ndarray,
+def add_prior_slope_change(prior: Terms, q: np.ndarray, v: np.ndarray, v_q: np.ndarray,
                            v_change: np.ndarray, covector: np.ndarray) -> None:
     """Add the change of V_q - (v . M v)_q / 2 along changes of q and of v."""
-    mass_rows, matrices, rows, weights = prior
+    mass_rows, matrices = prior.mass_rows, prior.matrices
+    rows, weights = prior.rows, prior.weights
     for k in range(mass_rows.shape[0]):
         y = angle(mass_rows[k], q)
         slope = (0.5 * np.cos(y) * angle(mass_rows[k], v_q) * product_between(matrices[k], v, v)

@@ -2,13 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian whose kinetic and potential energies are networks of their own."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import MAX_STATES
+from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, PackedPerceptron
 import numpy as np
+
+
+class SeparableParameters(NamedTuple):
+    """The networks of T and of V, and space for what is zero, shape (m d,)."""
+
+    kinetic: PackedPerceptron
+    potential: PackedPerceptron
+    zero: np.ndarray
 
 
 class SeparableHamiltonian(LearnedHamiltonian):
@@ -29,8 +39,9 @@ class SeparableHamiltonian(LearnedHamiltonian):
     separable = True
 
     def _kernel(self) -> Kernel:
-        parameters = (self._packed('kinetic', 'p'), self._packed('potential', 'q'),
-                      np.zeros(MAX_STATES * self.dimension))
+        parameters = SeparableParameters(
+            self._packed('kinetic', 'p'), self._packed('potential', 'q'),
+            np.zeros(MAX_STATES * self.dimension))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension, (0.0, 0.0),
                       compiled=True)
 
@@ -41,15 +52,15 @@ class SeparableHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-    kinetic, potential, _ = parameters
-    return perceptron.energy(kinetic, q, p) + perceptron.energy(potential, q, p)
+def _energy(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray) -> float:
+    return (perceptron.energy(parameters.kinetic, q, p)
+            + perceptron.energy(parameters.potential, q, p))
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    kinetic, potential, space = parameters
+    kinetic, potential, space = parameters.kinetic, parameters.potential, parameters.zero
     for a in range(0, q.size, space.size):
         b = min(a + space.size, q.size)
         zero = space[:b - a]
@@ -58,9 +69,9 @@ def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    kinetic, potential, space = parameters
+    kinetic, potential, space = parameters.kinetic, parameters.potential, parameters.zero
     for a in range(0, q.size, space.size):
         b = min(a + space.size, q.size)
         zero = space[:b - a]

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned one-form and energy, whose motions follow in coordinates that are not canonical."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.outputs import pack_outputs, weigh
+from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
 from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 # States of the box at which W is looked at.
@@ -88,7 +89,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
         return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension,
                       (0.0, 0.0), compiled=True)
 
-    def _rounding(self, energy: Parameters) -> tuple[float, float]:
+    def _rounding(self, energy: PackedPerceptron) -> tuple[float, float]:
         """Return the rounding error of H in units of the unit round-off, and norm(W^-1)."""
         z, d = self._states(), self.dimension
         computed = np.array([perceptron.energy(energy, x[:d], x[d:]) for x in z])
@@ -156,8 +157,10 @@ class FormParameters(NamedTuple):
 
     Parameters
     ----------
-    energy, form : tuple
-        The networks of H, and of N, whose outputs are packed; see perceptron and outputs.
+    energy : PackedPerceptron
+        H.
+    form : PackedOutputs
+        N.
     mass : np.ndarray, shape (d, d)
         M.
     rows, two_form : np.ndarray, shape (2 d, 2 d)
@@ -169,8 +172,8 @@ class FormParameters(NamedTuple):
 
     """
 
-    energy: Parameters
-    form: Parameters
+    energy: PackedPerceptron
+    form: PackedOutputs
     mass: np.ndarray
     rows: np.ndarray
     two_form: np.ndarray
@@ -200,7 +203,7 @@ def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covect
         for k in range(2 * d):
             unit[k] = 1.0 if k == i else 0.0
         weigh(form, unit)
-        perceptron.gradient(form[0], q, p, rows[i, :d], rows[i, d:])
+        perceptron.gradient(form.network, q, p, rows[i, :d], rows[i, d:])
         if i < d:
             for j in range(d):
                 rows[i, d + j] += mass[i, j]
@@ -212,7 +215,7 @@ def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covect
 
 
 @_compiled
-def _gradient(parameters: Any, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: FormParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     d = parameters.mass.shape[0]
     rates = np.empty(2 * d)
@@ -224,7 +227,7 @@ def _gradient(parameters: Any, q: np.ndarray, p: np.ndarray,
 
 
 @_compiled
-def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def _hessian_vector(parameters: FormParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the derivative of what stands for the gradient, by a central difference."""
     size = max(np.abs(v_q).max(), np.abs(v_p).max())

@@ -2,13 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a constant mass matrix and a potential network."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
 from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
+
+
+class VariationalParameters(NamedTuple):
+    """M^-1, shape (d, d), and the network of V."""
+
+    mass_inverse: np.ndarray
+    potential: PackedPerceptron
 
 
 class VariationalHamiltonian(LearnedHamiltonian):
@@ -38,7 +48,7 @@ class VariationalHamiltonian(LearnedHamiltonian):
         return 0.5 * (inverse + inverse.T)
 
     def _kernel(self) -> Kernel:
-        parameters = self.mass_inverse, self._packed('potential', 'q')
+        parameters = VariationalParameters(self.mass_inverse, self._packed('potential', 'q'))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension, (0.0, 0.0),
                       compiled=True)
 
@@ -49,8 +59,8 @@ class VariationalHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-    inverse, potential = parameters
+def _energy(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray) -> float:
+    inverse, potential = parameters.mass_inverse, parameters.potential
     energy = perceptron.energy(potential, q, p)
     for i in range(p.size):
         for j in range(p.size):
@@ -59,18 +69,19 @@ def _energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    inverse, potential = parameters
+    inverse, potential = parameters.mass_inverse, parameters.potential
     # Fills dH_dp with zeros.
     part_gradient(potential, q, p, dH_dq, dH_dp)
     _add_velocity(inverse, p, dH_dp)
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    inverse, potential = parameters
+def _hessian_vector(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray,
+                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                    product_p: np.ndarray) -> None:
+    inverse, potential = parameters.mass_inverse, parameters.potential
     perceptron.hessian_vector(potential, q, p, v_q, v_p, product_q, product_p)
     _add_velocity(inverse, v_p, product_p)
 

@@ -3,18 +3,18 @@
 """
 What stands between the layers of a network: its value, its slope and its curvature.
 
-Each kind of parameters of perceptron_memory stands for an activation. By it the compiler chooses
-among the loops below, so that a network of one activation holds nothing of the others. tanh needs
-no memory of its own: its slope is 1 - a^2. Of the others the slope is kept, in a fifth group of
-rows of ``nodes``, and in a sixth its derivative along a_0' = v.
+Each class of PackedPerceptron stands for an activation. By it the compiler chooses among the loops
+below, so that a network of one activation holds nothing of the others. tanh needs no memory of
+its own: its slope is 1 - a^2. Of the others the slope is kept, in a fifth group of rows of
+``nodes``, and in a sixth its derivative along a_0' = v.
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import LINK_ONLY, part
-from hnn_vi_ros.networks.perceptron_memory import Relu, Sine, Softplus, TILE
+from hnn_vi_ros.networks.perceptron_memory import (
+    PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
 from hnn_vi_ros.networks.vector_sine import sine_and_cosine
 from hnn_vi_ros.networks.vector_softplus import softplus_and_slope
 from hnn_vi_ros.networks.vector_tanh import tanh
@@ -72,22 +72,22 @@ _FUNCTIONS: dict[type, tuple[Any, Any]] = {
     Relu: (_relu, _relu_curvature)}
 
 
-def activate(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
+def activate(network: PackedPerceptron, s: int, layer: int, first: int, last: int) -> None:
     """Replace z by the activation of z + b_l, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
-def scale(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int) -> None:
+def scale(network: PackedPerceptron, s: int, layer: int, row: int, first: int, last: int) -> None:
     """Multiply row + layer by the slope at z_l, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
-def scale_forth(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
+def scale_forth(network: PackedPerceptron, s: int, layer: int, first: int, last: int) -> None:
     """Replace z_l' by a_l', and keep the derivative of the slope, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
-def scale_tangent(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
+def scale_tangent(network: PackedPerceptron, s: int, layer: int, first: int, last: int) -> None:
     """Replace g_l' by delta_l' = slope g_l' + slope' g_l, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
@@ -95,78 +95,76 @@ def scale_tangent(parameters: Parameters, s: int, layer: int, first: int, last: 
 # In the loops below, an index without a sign cannot count from the end of an array, the check of
 # which would keep them from vectorising.
 @overload(activate, jit_options={**_OPTIONS, **LINK_ONLY})
-def _activate(parameters: Parameters, s: int, layer: int, first: int, last: int) -> Any:
-    def of_tanh(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
-        sizes, rows, _, nodes, _ = parameters
+def _activate(network: Any, s: int, layer: int, first: int, last: int) -> Any:
+    def of_tanh(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        sizes, rows, nodes = network.sizes, network.rows, network.nodes
         bias = sizes[0] + layer - 1
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, layer, i] = tanh(nodes[s, layer, i] + rows[bias, i])
 
-    def of_others(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
-        sizes, rows, _, nodes, _ = parameters
+    def of_others(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        sizes, rows, nodes = network.sizes, network.rows, network.nodes
         bias, slope = sizes[0] + layer - 1, 4 * sizes.size + layer
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             value, derivative = value_and_slope(nodes[s, layer, i] + rows[bias, i])
             nodes[s, layer, i] = value
             nodes[s, slope, i] = derivative
 
-    if not hasattr(parameters, 'instance_class'):
+    if network.instance_class is Tanh:
         return of_tanh
-    value_and_slope, _ = _FUNCTIONS[parameters.instance_class]
+    value_and_slope, _ = _FUNCTIONS[network.instance_class]
     return of_others
 
 
 @overload(scale, jit_options={**_OPTIONS, **LINK_ONLY})
-def _scale(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int) -> Any:
-    def of_tanh(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int
-                ) -> None:
-        nodes = parameters[3]
+def _scale(network: Any, s: int, layer: int, row: int, first: int, last: int) -> Any:
+    def of_tanh(network: Any, s: int, layer: int, row: int, first: int, last: int) -> None:
+        nodes = network.nodes
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, row + layer, i] *= 1.0 - nodes[s, layer, i] * nodes[s, layer, i]
 
-    def of_others(parameters: Parameters, s: int, layer: int, row: int, first: int, last: int
-                  ) -> None:
-        nodes, slope = parameters[3], 4 * parameters[0].size + layer
+    def of_others(network: Any, s: int, layer: int, row: int, first: int, last: int) -> None:
+        nodes, slope = network.nodes, 4 * network.sizes.size + layer
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, row + layer, i] *= nodes[s, slope, i]
 
-    return of_others if hasattr(parameters, 'instance_class') else of_tanh
+    return of_tanh if network.instance_class is Tanh else of_others
 
 
 @overload(scale_forth, jit_options={**_OPTIONS, **LINK_ONLY})
-def _scale_forth(parameters: Parameters, s: int, layer: int, first: int, last: int) -> Any:
-    def of_tanh(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
-        scale(parameters, s, layer, 2 * parameters[0].size, first, last)
+def _scale_forth(network: Any, s: int, layer: int, first: int, last: int) -> Any:
+    def of_tanh(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        scale(network, s, layer, 2 * network.sizes.size, first, last)
 
-    def of_others(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
-        nodes, g = parameters[3], parameters[0].size
+    def of_others(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        nodes, g = network.nodes, network.sizes.size
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             value, slope = nodes[s, layer, i], nodes[s, 4 * g + layer, i]
             z = nodes[s, 2 * g + layer, i]
             nodes[s, 5 * g + layer, i] = curvature(value, slope) * z
             nodes[s, 2 * g + layer, i] = slope * z
 
-    if not hasattr(parameters, 'instance_class'):
+    if network.instance_class is Tanh:
         return of_tanh
-    _, curvature = _FUNCTIONS[parameters.instance_class]
+    _, curvature = _FUNCTIONS[network.instance_class]
     return of_others
 
 
 @overload(scale_tangent, jit_options={**_OPTIONS, **LINK_ONLY})
-def _scale_tangent(parameters: Parameters, s: int, layer: int, first: int, last: int) -> Any:
-    def of_tanh(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
-        nodes, g = parameters[3], parameters[0].size
+def _scale_tangent(network: Any, s: int, layer: int, first: int, last: int) -> Any:
+    def of_tanh(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        nodes, g = network.nodes, network.sizes.size
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             a = nodes[s, layer, i]
             nodes[s, 3 * g + layer, i] = (
                 (1.0 - a * a) * nodes[s, 3 * g + layer, i]
                 - 2.0 * a * nodes[s, 2 * g + layer, i] * nodes[s, g + layer, i])
 
-    def of_others(parameters: Parameters, s: int, layer: int, first: int, last: int) -> None:
-        nodes, g = parameters[3], parameters[0].size
+    def of_others(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        nodes, g = network.nodes, network.sizes.size
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, 3 * g + layer, i] = (
                 nodes[s, 4 * g + layer, i] * nodes[s, 3 * g + layer, i]
                 + nodes[s, 5 * g + layer, i] * nodes[s, g + layer, i])
 
-    return of_others if hasattr(parameters, 'instance_class') else of_tanh
+    return of_tanh if network.instance_class is Tanh else of_others

@@ -7,16 +7,15 @@ With a_0 = (q, p), z_l = W_l a_(l-1) + b_l, a_l = f(z_l) and H = w . a_K + b, th
 propagated back by g_K = w, delta_l = f'(z_l) g_l, g_(l-1) = W_l^T delta_l, so (H_q, H_p) = g_0.
 The derivatives of these lines along a_0' = v, marked by a dash, end in H''(q, p) v = g_0'.
 
-Parameters are those of perceptron_memory.pack: a_l of state s is nodes[s, l], and with K + 1
+A network is a PackedPerceptron of perceptron_memory: a_l of state s is nodes[s, l], and with K + 1
 rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Layers are done in
 tiles of eight rows of weights.
 """
 
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.networks.activations import activate, FASTMATH, scale, scale_forth, scale_tangent
-from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, ROW, TILE
+from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE
 import numpy as np
 
 _compiled = kept(fastmath=FASTMATH, error_model='numpy')
@@ -30,12 +29,12 @@ _BLOCK = 4096
 
 
 @_compiled
-def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
+def energy(network: PackedPerceptron, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J] for q and p of shape (d,)."""
-    sizes, rows, _, nodes, _ = parameters
+    sizes, rows, nodes = network.sizes, network.rows, network.nodes
     n_layers = sizes.size - 1
-    _load(parameters, 0, 1, 0, q, p)
-    _forward(parameters, 1, n_layers, False)
+    _load(network, 0, 1, 0, q, p)
+    _forward(network, 1, n_layers, False)
     last = sizes[0] + n_layers
     total = rows[last + 1, 0]
     for i in range(sizes[n_layers]):
@@ -44,38 +43,38 @@ def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
 
 
 @_inlined
-def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray,
+def gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray,
              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     """Fill dH_dq and dH_dp, all of shape (m d,): m states one after another."""
-    sizes = parameters[0]
+    sizes = network.sizes
     n_states = 2 * q.size // sizes[0]
     for chunk in range((n_states + MAX_STATES - 1) // MAX_STATES):
         first = chunk * MAX_STATES
         n = min(MAX_STATES, n_states - first)
-        _load(parameters, first, n, 0, q, p)
-        _propagate(parameters, n, False)
-        _store(parameters, first, n, sizes.size, dH_dq, dH_dp)
+        _load(network, first, n, 0, q, p)
+        _propagate(network, n, False)
+        _store(network, first, n, sizes.size, dH_dq, dH_dp)
 
 
 @_compiled
-def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+def hessian_vector(network: PackedPerceptron, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the last two with H''(q, p) (v_q, v_p), all of shape (m d,)."""
-    sizes = parameters[0]
+    sizes = network.sizes
     n_states = 2 * q.size // sizes[0]
     for chunk in range((n_states + MAX_STATES - 1) // MAX_STATES):
         first = chunk * MAX_STATES
         n = min(MAX_STATES, n_states - first)
-        _load(parameters, first, n, 0, q, p)
-        _load(parameters, first, n, 2 * sizes.size, v_q, v_p)
-        _propagate(parameters, n, True)
-        _store(parameters, first, n, 3 * sizes.size, product_q, product_p)
+        _load(network, first, n, 0, q, p)
+        _load(network, first, n, 2 * sizes.size, v_q, v_p)
+        _propagate(network, n, True)
+        _store(network, first, n, 3 * sizes.size, product_q, product_p)
 
 
 @_part
-def _load(parameters: Parameters, first: int, n_states: int, row: int, q: np.ndarray, p: np.ndarray
-          ) -> None:
-    sizes, _, _, nodes, _ = parameters
+def _load(network: PackedPerceptron, first: int, n_states: int, row: int, q: np.ndarray,
+          p: np.ndarray) -> None:
+    sizes, nodes = network.sizes, network.nodes
     d = sizes[0] // 2
     for s in range(n_states):
         for i in range(d):
@@ -84,10 +83,9 @@ def _load(parameters: Parameters, first: int, n_states: int, row: int, q: np.nda
 
 
 @_part
-def _store(parameters: Parameters, first: int, n_states: int, row: int, q: np.ndarray,
-           p: np.ndarray
-           ) -> None:
-    sizes, _, _, nodes, _ = parameters
+def _store(network: PackedPerceptron, first: int, n_states: int, row: int, q: np.ndarray,
+           p: np.ndarray) -> None:
+    sizes, nodes = network.sizes, network.nodes
     d = sizes[0] // 2
     for s in range(n_states):
         for i in range(d):
@@ -96,11 +94,11 @@ def _store(parameters: Parameters, first: int, n_states: int, row: int, q: np.nd
 
 
 @_part
-def _propagate(parameters: Parameters, n_states: int, tangent: bool) -> None:
+def _propagate(network: PackedPerceptron, n_states: int, tangent: bool) -> None:
     """Fill g_0 from a_0 of the first states; with tangent, g_0' from a_0' too."""
-    sizes, rows, _, nodes, _ = parameters
+    sizes, rows, nodes = network.sizes, network.rows, network.nodes
     n_layers, g = sizes.size - 1, sizes.size
-    at = _forward(parameters, n_states, max(1, n_layers - 1), tangent)
+    at = _forward(network, n_states, max(1, n_layers - 1), tangent)
     for s in range(n_states):
         if tangent:
             for i in range(sizes[n_layers]):
@@ -110,17 +108,17 @@ def _propagate(parameters: Parameters, n_states: int, tangent: bool) -> None:
     for layer in range(n_layers, 1, -1):
         if layer < n_layers:
             at -= sizes[layer] // TILE
-        _back(parameters, n_states, at, layer, layer == n_layers, tangent)
+        _back(network, n_states, at, layer, layer == n_layers, tangent)
     for s in range(n_states):
-        _first_layer_back(parameters, s, tangent)
+        _first_layer_back(network, s, tangent)
 
 
 @_part
-def _forward(parameters: Parameters, n_states: int, n_layers: int, tangent: bool) -> int:
+def _forward(network: PackedPerceptron, n_states: int, n_layers: int, tangent: bool) -> int:
     """Fill a_1 to the activations of layer n_layers; return the tile where the next begins."""
-    sizes = parameters[0]
+    sizes = network.sizes
     for s in range(n_states):
-        _first_layer(parameters, s, tangent)
+        _first_layer(network, s, tangent)
     at = (sizes[0] + sizes.size + TILE) // TILE
     for layer in range(2, n_layers + 1):
         n_tiles = sizes[layer] // TILE
@@ -128,24 +126,24 @@ def _forward(parameters: Parameters, n_states: int, n_layers: int, tangent: bool
         for block in range(n_blocks):
             first, last = block * size, min(block * size + size, n_tiles)
             for s in range(n_states):
-                _block_forth(parameters, at, s, layer, first, last, tangent)
+                _block_forth(network, at, s, layer, first, last, tangent)
         at += n_tiles
     return at
 
 
 @_part
-def _back(parameters: Parameters, n_states: int, at: int, layer: int, forth: bool, tangent: bool
+def _back(network: PackedPerceptron, n_states: int, at: int, layer: int, forth: bool, tangent: bool
           ) -> None:
     """Go back through a layer, and first forth if it is the last: its weights are read once."""
-    sizes = parameters[0]
+    sizes = network.sizes
     n_tiles = sizes[layer] // TILE
     n_blocks, size = _blocks(sizes[layer - 1], n_tiles)
     for block in range(n_blocks):
         first, last = block * size, min(block * size + size, n_tiles)
         for s in range(n_states):
             if forth:
-                _block_forth(parameters, at, s, layer, first, last, tangent)
-            _block_back(parameters, at, s, layer, first, last, tangent)
+                _block_forth(network, at, s, layer, first, last, tangent)
+            _block_back(network, at, s, layer, first, last, tangent)
 
 
 @_part
@@ -156,52 +154,52 @@ def _blocks(n_in: int, n_tiles: int) -> tuple[int, int]:
 
 
 @_part
-def _block_forth(parameters: Parameters, at: int, s: int, layer: int, first: int, last: int,
+def _block_forth(network: PackedPerceptron, at: int, s: int, layer: int, first: int, last: int,
                  tangent: bool) -> None:
-    sizes = parameters[0]
-    _product(parameters, at, s, layer, sizes[layer - 1], first, last)
-    activate(parameters, s, layer, first, last)
+    sizes = network.sizes
+    _product(network, at, s, layer, sizes[layer - 1], first, last)
+    activate(network, s, layer, first, last)
     if tangent:
-        _product(parameters, at, s, 2 * sizes.size + layer, sizes[layer - 1], first, last)
-        scale_forth(parameters, s, layer, first, last)
+        _product(network, at, s, 2 * sizes.size + layer, sizes[layer - 1], first, last)
+        scale_forth(network, s, layer, first, last)
 
 
 @_part
-def _block_back(parameters: Parameters, at: int, s: int, layer: int, first: int, last: int,
+def _block_back(network: PackedPerceptron, at: int, s: int, layer: int, first: int, last: int,
                 tangent: bool) -> None:
-    sizes = parameters[0]
+    sizes = network.sizes
     g = sizes.size
     if tangent:
-        scale_tangent(parameters, s, layer, first, last)
-        _transposed_product(parameters, at, s, 3 * g + layer, sizes[layer - 1], first, last)
-    scale(parameters, s, layer, g, first, last)
-    _transposed_product(parameters, at, s, g + layer, sizes[layer - 1], first, last)
+        scale_tangent(network, s, layer, first, last)
+        _transposed_product(network, at, s, 3 * g + layer, sizes[layer - 1], first, last)
+    scale(network, s, layer, g, first, last)
+    _transposed_product(network, at, s, g + layer, sizes[layer - 1], first, last)
 
 
 @_part
-def _first_layer(parameters: Parameters, s: int, tangent: bool) -> None:
-    sizes = parameters[0]
-    _columns(parameters, s, 0)
-    activate(parameters, s, 1, 0, sizes[1] // TILE)
+def _first_layer(network: PackedPerceptron, s: int, tangent: bool) -> None:
+    sizes = network.sizes
+    _columns(network, s, 0)
+    activate(network, s, 1, 0, sizes[1] // TILE)
     if tangent:
-        _columns(parameters, s, 2 * sizes.size)
-        scale_forth(parameters, s, 1, 0, sizes[1] // TILE)
+        _columns(network, s, 2 * sizes.size)
+        scale_forth(network, s, 1, 0, sizes[1] // TILE)
 
 
 @_part
-def _first_layer_back(parameters: Parameters, s: int, tangent: bool) -> None:
-    sizes = parameters[0]
+def _first_layer_back(network: PackedPerceptron, s: int, tangent: bool) -> None:
+    sizes = network.sizes
     if tangent:
-        scale_tangent(parameters, s, 1, 0, sizes[1] // TILE)
-        _transposed_columns(parameters, s, 3 * sizes.size)
-    scale(parameters, s, 1, sizes.size, 0, sizes[1] // TILE)
-    _transposed_columns(parameters, s, sizes.size)
+        scale_tangent(network, s, 1, 0, sizes[1] // TILE)
+        _transposed_columns(network, s, 3 * sizes.size)
+    scale(network, s, 1, sizes.size, 0, sizes[1] // TILE)
+    _transposed_columns(network, s, sizes.size)
 
 
 @_part
-def _columns(parameters: Parameters, s: int, row: int) -> None:
+def _columns(network: PackedPerceptron, s: int, row: int) -> None:
     """Set row + 1 to W_1 times row: W_1 has few columns, too few to vectorise along its rows."""
-    sizes, rows, _, nodes, _ = parameters
+    sizes, rows, nodes = network.sizes, network.rows, network.nodes
     for j in range(0, sizes[0], 2):
         x, y = nodes[s, row, j], nodes[s, row, j + 1]
         for i in range(sizes[1]):
@@ -210,9 +208,9 @@ def _columns(parameters: Parameters, s: int, row: int) -> None:
 
 
 @_part
-def _transposed_columns(parameters: Parameters, s: int, row: int) -> None:
+def _transposed_columns(network: PackedPerceptron, s: int, row: int) -> None:
     """Set row to W_1^T times row + 1."""
-    sizes, rows, _, nodes, _ = parameters
+    sizes, rows, nodes = network.sizes, network.rows, network.nodes
     for j in range(0, sizes[0], 2):
         x, y = 0.0, 0.0
         for i in range(sizes[1]):
@@ -222,10 +220,10 @@ def _transposed_columns(parameters: Parameters, s: int, row: int) -> None:
 
 
 @_part
-def _product(parameters: Parameters, at: int, s: int, row: int, n_in: int, first: int, last: int
+def _product(network: PackedPerceptron, at: int, s: int, row: int, n_in: int, first: int, last: int
              ) -> None:
     """Set tiles first to last of a row to W_l times the row before."""
-    _, _, tiles, nodes, node_tiles = parameters
+    tiles, nodes, node_tiles = network.tiles, network.nodes, network.node_tiles
     whole = (n_in + ROW - 1) & -ROW
     for t in range(first, last):
         w = at + t
@@ -245,10 +243,10 @@ def _product(parameters: Parameters, at: int, s: int, row: int, n_in: int, first
 
 
 @_part
-def _transposed_product(parameters: Parameters, at: int, s: int, row: int, n_in: int,
+def _transposed_product(network: PackedPerceptron, at: int, s: int, row: int, n_in: int,
                         first: int, last: int) -> None:
     """Add to the row before what tiles first to last of a row contribute by W_l^T."""
-    _, _, tiles, nodes, node_tiles = parameters
+    tiles, nodes, node_tiles = network.tiles, network.nodes, network.node_tiles
     for t in range(first, last):
         w, d = at + t, node_tiles[s, row, t]
         d0, d1, d2, d3, d4, d5, d6, d7 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]

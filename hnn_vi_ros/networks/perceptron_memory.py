@@ -4,7 +4,6 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.kernel import Parameters
 import numpy as np
 
 # Eight rows of weights, used together, are a tile; layers are padded with zeros to whole tiles.
@@ -18,8 +17,26 @@ ROW = 2 * _LINE
 MAX_STATES = 32
 
 
-class Sine(NamedTuple):
-    """Parameters of a network with the sine between its layers; see ``pack``."""
+class PackedPerceptron(NamedTuple):
+    """
+    What the functions of perceptron.py take first: a network of K hidden layers, and scratch.
+
+    The activation between its layers is in the type, by which compiled code knows it: a network
+    is one of the classes below.
+
+    Parameters
+    ----------
+    sizes : np.ndarray of int, shape (K + 1,)
+        2 d, then the padded widths n_1, ..., n_K of the hidden layers.
+    rows, tiles : np.ndarray
+        The same memory, (rows, width) and (rows / 8, 8, width). Rows: the 2 d columns of W_1,
+        the biases b_1, ..., b_K, w, b; from the next whole tile on the rows of W_2, ..., W_K.
+    nodes, node_tiles : np.ndarray
+        The same scratch memory, (MAX_STATES, 4 K + 4, width) and (MAX_STATES, 4 K + 4,
+        width / 8, 8): a_0, ..., a_K of each state, then all g, then all a', then all g'. If it
+        is not Tanh, 2 K + 2 rows more: all slopes f'(z_l), then their derivatives f'(z_l)'.
+
+    """
 
     sizes: np.ndarray
     rows: np.ndarray
@@ -28,33 +45,38 @@ class Sine(NamedTuple):
     node_tiles: np.ndarray
 
 
-class Relu(NamedTuple):
-    """Parameters of a network with max(0, z) between its layers; see ``pack``."""
+class Tanh(PackedPerceptron):
+    """A network with tanh between its layers."""
 
-    sizes: np.ndarray
-    rows: np.ndarray
-    tiles: np.ndarray
-    nodes: np.ndarray
-    node_tiles: np.ndarray
+    __slots__ = ()
 
 
-class Softplus(NamedTuple):
-    """Parameters of a network with log(1 + exp(z)) between its layers; see ``pack``."""
+class Sine(PackedPerceptron):
+    """A network with the sine between its layers."""
 
-    sizes: np.ndarray
-    rows: np.ndarray
-    tiles: np.ndarray
-    nodes: np.ndarray
-    node_tiles: np.ndarray
+    __slots__ = ()
 
 
-_KINDS = {'sine': Sine, 'relu': Relu, 'softplus': Softplus}
+class Relu(PackedPerceptron):
+    """A network with max(0, z) between its layers."""
+
+    __slots__ = ()
+
+
+class Softplus(PackedPerceptron):
+    """A network with log(1 + exp(z)) between its layers."""
+
+    __slots__ = ()
+
+
+_KINDS: dict[str, type[PackedPerceptron]] = {
+    'tanh': Tanh, 'sine': Sine, 'relu': Relu, 'softplus': Softplus}
 
 
 def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
-         activation: str = 'tanh') -> Parameters:
+         activation: str = 'tanh') -> PackedPerceptron:
     """
-    Return the parameters of the functions of perceptron.py, with their scratch memory.
+    Return a network for the functions of perceptron.py, with scratch memory of its own.
 
     All rows are as long as the widest layer, padded.
 
@@ -65,20 +87,7 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
     biases : tuple of np.ndarray, each (outputs,)
         b_1, ..., b_K and b.
     activation : str
-        What stands between the layers. The parameters are a plain tuple for tanh; for another,
-        one of the classes above, whose type tells compiled code which.
-
-    Returns
-    -------
-    sizes : np.ndarray of int, shape (K + 1,)
-        2 d, then the padded widths n_1, ..., n_K of the hidden layers.
-    rows, tiles : np.ndarray
-        The same memory, (rows, width) and (rows / 8, 8, width). Rows: the 2 d columns of W_1,
-        the biases b_1, ..., b_K, w, b; from the next whole tile on the rows of W_2, ..., W_K.
-    nodes, node_tiles : np.ndarray
-        The same scratch memory, (MAX_STATES, 4 K + 4, width) and (MAX_STATES, 4 K + 4,
-        width / 8, 8): a_0, ..., a_K of each state, then all g, then all a', then all g'. If it
-        is not tanh, 2 K + 2 rows more: all slopes f'(z_l), then their derivatives f'(z_l)'.
+        What stands between the layers.
 
     """
     first, *middle, last = weights
@@ -92,11 +101,10 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
     for weight, n_out in zip(middle, sizes[2:], strict=True):
         rows[at:at + weight.shape[0], :weight.shape[1]] = weight
         at += n_out
-    kind = _KINDS.get(activation)
-    nodes = _aligned(MAX_STATES, (4 if kind is None else 6) * sizes.size, width)
-    parameters = (sizes, rows, rows.reshape(-1, TILE, width),
-                  nodes, nodes.reshape(*nodes.shape[:2], -1, TILE))
-    return parameters if kind is None else kind(*parameters)
+    kind = _KINDS[activation]
+    nodes = _aligned(MAX_STATES, (4 if kind is Tanh else 6) * sizes.size, width)
+    return kind(sizes, rows, rows.reshape(-1, TILE, width),
+                nodes, nodes.reshape(*nodes.shape[:2], -1, TILE))
 
 
 def _padded(n: int, multiple: int) -> int:

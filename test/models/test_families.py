@@ -14,11 +14,12 @@ from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.learning.choices import FamilyChoice
 from hnn_vi_ros.models import families
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from mechanical_models import random_mechanical
 import numpy as np
 from pydantic import TypeAdapter
 import pytest
@@ -120,6 +121,20 @@ def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
         v = v.detach() + torch.linalg.solve(mass, p - slope)
         return p @ v - torch_lagrangian(model, q, v)
     return network(nets['energy'], z)[0]
+
+
+def unnamed(value: object) -> bool:
+    """Tell whether a tuple without names is in a value."""
+    return isinstance(value, tuple) and (
+        not hasattr(value, '_fields') or any(unnamed(part) for part in value))
+
+
+@pytest.mark.parametrize('family', [*FAMILIES, 'mechanical'])
+def test_parameters_of_each_family_have_names(family: str):
+    hamiltonian = learned(family, 2) if family != 'mechanical' else (
+        families.FAMILIES[family].hamiltonian(random_mechanical('double pendulum')))
+    assert not unnamed(hamiltonian.kernel.parameters)
+    assert not unnamed(ConfinedHamiltonian(hamiltonian).kernel.parameters)
 
 
 def states(d: int, n: int = 5) -> np.ndarray:
