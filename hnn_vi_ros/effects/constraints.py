@@ -11,7 +11,7 @@ from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
 
-class Row(NamedTuple):
+class ConstraintEquation(NamedTuple):
     """
     One equation g(q) = 0 between coordinates, of n of them.
 
@@ -43,7 +43,7 @@ class Constraints(NamedTuple):
     Parameters
     ----------
     first, second, anchor, normal : np.ndarray, shape (L, n)
-        See Row; for the L distances and planes.
+        See ConstraintEquation; for the L distances and planes.
     sizes, planes : np.ndarray, shape (L,)
         The number of coordinates of each, and whether it is a plane.
     lengths : np.ndarray, shape (L,)
@@ -84,22 +84,24 @@ class Constraints(NamedTuple):
     middle: np.ndarray
 
     @classmethod
-    def of(cls, rows: Sequence[Row], dimension: int, effects: int) -> 'Constraints':
-        """Return rows, those of functions last, with space for a kernel of dimension D."""
-        known = [row for row in rows if row.function is None]
-        n = max((row.first.size for row in known), default=0)
+    def of(cls, listed: Sequence[ConstraintEquation], dimension: int, effects: int
+           ) -> 'Constraints':
+        """Return constraints, those of functions last, with space for a kernel of dimension D."""
+        known = [part for part in listed if part.function is None]
+        n = max((part.first.size for part in known), default=0)
         first, second = np.full((2, len(known), n), -1)
         anchor, normal = np.zeros((2, len(known), n))
-        for k, row in enumerate(known):
-            for target, part in zip((first, second, anchor, normal), (
-                    row.first, row.second, row.anchor, row.normal), strict=True):
-                target[k, :part.size] = part
-        old, new, response = np.zeros((3, len(rows), dimension))
-        right, defect, scale = np.zeros((3, len(rows)))
-        return cls(first, second, anchor, normal, np.array([row.first.size for row in known], int),
-                   np.asarray(normal.any(axis=1)), np.array([row.length for row in known], float),
+        for k, part in enumerate(known):
+            for target, values in zip((first, second, anchor, normal), (
+                    part.first, part.second, part.anchor, part.normal), strict=True):
+                target[k, :values.size] = values
+        old, new, response = np.zeros((3, len(listed), dimension))
+        right, defect, scale = np.zeros((3, len(listed)))
+        sizes = np.array([part.first.size for part in known], int)
+        lengths = np.array([part.length for part in known], float)
+        return cls(first, second, anchor, normal, sizes, np.asarray(normal.any(axis=1)), lengths,
                    old, new, response, np.zeros((4, dimension)),
-                   np.zeros((len(rows), len(rows))), right, defect, scale,
+                   np.zeros((len(listed), len(listed))), right, defect, scale,
                    np.zeros(effects), np.zeros(1, dtype=np.int64), np.zeros((2, dimension)))
 
 

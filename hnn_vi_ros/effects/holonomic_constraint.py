@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.effects.base import Constraint, EffectState, Together
-from hnn_vi_ros.effects.constraints import Row
-from hnn_vi_ros.effects.shapes import check_keys, function_row, rows_of
+from hnn_vi_ros.effects.constraints import ConstraintEquation
+from hnn_vi_ros.effects.shapes import check_keys, equations_of, function_equation
 from hnn_vi_ros.files.named_code import NAMES_CODE
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -64,22 +64,23 @@ class HolonomicConstraint(Constraint):
         self._given = check_keys(form, {
             'point': point, 'other': other, 'anchor': anchor, 'length': length, 'radius': radius,
             'normal': normal, 'factory': factory})
-        self._function = function_row(self._given['factory']) if form == 'python' else None
+        self._function = function_equation(self._given['factory']) if form == 'python' else None
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether the method is symmetric and of order 2, which RATTLE keeps."""
         keeps = integrator.requirements
         return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 
-    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> tuple[Row, ...]:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
+                ) -> tuple[ConstraintEquation, ...]:
         """Return the equations, of which a circle in space has two."""
         if self._function is not None:
             return (self._function,)
-        return rows_of(self.form, self._given, coordinates)
+        return equations_of(self.form, self._given, coordinates)
 
     @staticmethod
-    def together(listed: Sequence[tuple[int, str, tuple[Row, ...]]], kernel: Kernel, effects: int
-                 ) -> Together:
+    def together(listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]], kernel: Kernel,
+                 effects: int) -> Together:
         """Return the manifold that all constraints leave."""
         from hnn_vi_ros.effects.manifold import Manifold
         return Manifold(listed, kernel, effects)

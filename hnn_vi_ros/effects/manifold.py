@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.effects.constraints import Constraints, evaluator, Row
+from hnn_vi_ros.effects.constraints import ConstraintEquation, Constraints, evaluator
 from hnn_vi_ros.effects.rattle import rattle_kind
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT
@@ -27,7 +27,7 @@ class Manifold:
 
     Parameters
     ----------
-    listed : sequence of (int, str, tuple of Row)
+    listed : sequence of (int, str, tuple of ConstraintEquation)
         Place in the scene, name and equations of each.
     kernel : Kernel
         Of H with the forces, d coordinates and their channels.
@@ -48,22 +48,22 @@ class Manifold:
 
     """
 
-    def __init__(self, listed: Sequence[tuple[int, str, tuple[Row, ...]]], kernel: Kernel,
-                 effects: int):
-        rows = [(row, index, name) for index, name, parts in listed for row in parts]
-        rows.sort(key=lambda one: one[0].function is not None)
-        self._rows = [row for row, _, _ in rows]
-        self._places = [index for _, index, _ in rows]
-        self._names = [name for _, _, name in rows]
+    def __init__(self, listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]],
+                 kernel: Kernel, effects: int):
+        ordered = [(part, index, name) for index, name, parts in listed for part in parts]
+        ordered.sort(key=lambda entry: entry[0].function is not None)
+        self._listed = [part for part, _, _ in ordered]
+        self._places = [index for _, index, _ in ordered]
+        self._names = [name for _, _, name in ordered]
         self._kernel, self._d = kernel, kernel.dimension - kernel.channels
-        if len(rows) > self._d:
-            raise EffectError(self._places[-1], f'{len(rows)} constraints leave {self._d} '
+        if len(self._listed) > self._d:
+            raise EffectError(self._places[-1], f'{len(self._listed)} constraints leave {self._d} '
                                                 'coordinates no freedom; leave some out')
-        functions = tuple(row.function for row in self._rows if row.function is not None)
+        functions = tuple(part.function for part in self._listed if part.function is not None)
         for function, index in zip(functions, self._places[-len(functions):], strict=False):
             if kernel.compiled:
                 _check_compiles(function, index)
-        self.constraints = Constraints.of(self._rows, kernel.dimension, effects)
+        self.constraints = Constraints.of(self._listed, kernel.dimension, effects)
         self.kind, self._evaluate = rattle_kind(functions), evaluator(functions)
 
     @property
@@ -90,12 +90,12 @@ class Manifold:
         """
         state, (velocity, force) = np.zeros((2, 2, self._kernel.dimension))
         state[0, :self._d], state[1, :self._d] = q, p
-        gradient = np.zeros((len(self._rows), self._kernel.dimension))
+        gradient = np.zeros((len(self._listed), self._kernel.dimension))
         self._evaluate(self.constraints, state[0], gradient)
         defect = self.constraints.defect.copy()
-        for k, row in enumerate(self._rows):
-            if row.function is not None:
-                self._check_gradient(k, row.function, q, gradient[k])
+        for k, part in enumerate(self._listed):
+            if part.function is not None:
+                self._check_gradient(k, part.function, q, gradient[k])
             self._check_position(k, q, float(defect[k]), float(np.abs(gradient[k]).max()))
         self._kernel.gradient(self._kernel.parameters, state[0], state[1], force, velocity)
         for k, slope in enumerate(gradient):
@@ -119,19 +119,19 @@ class Manifold:
                     f'is {gradient[i]:.9g}, but differences of g give {slope:.9g}'))
 
     def _check_position(self, k: int, q: np.ndarray, g: float, slope: float) -> None:
-        row = self._rows[k]
-        if row.length > 0.0:
-            if not abs(g) <= _TOLERANCE * row.length:
+        part = self._listed[k]
+        if part.length > 0.0:
+            if not abs(g) <= _TOLERANCE * part.length:
                 raise ValueError(
-                    f'{self._names[k]} asks for a distance of {row.length!r} m, but the initial '
-                    f'q has {row.length + g!r} m, {abs(g):.3g} m off')
+                    f'{self._names[k]} asks for a distance of {part.length!r} m, but the initial '
+                    f'q has {part.length + g!r} m, {abs(g):.3g} m off')
         elif not abs(g) <= _TOLERANCE * slope * (1.0 + np.abs(q).max()):
             raise ValueError(f'{self._names[k]} asks for g(q) = 0, but the initial q has '
                              f'g = {g:.9g}')
 
     def _check_velocity(self, k: int, rate: float, scale: float) -> None:
         if not abs(rate) <= _TOLERANCE * scale:
-            distance = self._rows[k].length > 0.0
+            distance = self._listed[k].length > 0.0
             what, unit = ('a distance', 'm/s') if distance else ('g(q) = 0', '1/s')
             raise ValueError(f'{self._names[k]} keeps {what}, but the initial p changes it by '
                              f'{rate:.3g} {unit}; choose p whose velocity is along the constraint')

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from hnn_vi_ros.effects.constraints import Row
+from hnn_vi_ros.effects.constraints import ConstraintEquation
 from hnn_vi_ros.effects.points import resolve_pair
 from hnn_vi_ros.files.named_code import import_named
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
@@ -56,8 +56,8 @@ def check_keys(form: str, given: Mapping[str, Any]) -> dict[str, Any]:
     return there
 
 
-def rows_of(form: str, given: Mapping[str, Any], coordinates: Sequence[Coordinate]
-            ) -> tuple[Row, ...]:
+def equations_of(form: str, given: Mapping[str, Any], coordinates: Sequence[Coordinate]
+                 ) -> tuple[ConstraintEquation, ...]:
     """
     Return the equations of a form, other than python.
 
@@ -75,7 +75,8 @@ def rows_of(form: str, given: Mapping[str, Any], coordinates: Sequence[Coordinat
     if normal is not None and len(normal) != n:
         raise ValueError(f'normal has {len(normal)} entries, point has {n}: expected the same '
                          'number')
-    distance = Row(*ends, given.get('length', given.get('radius', 0.0)), np.zeros(n))
+    length = given.get('length', given.get('radius', 0.0))
+    distance = ConstraintEquation(*ends, length, np.zeros(n))
     if form == 'plane':
         return (_plane(ends, given['normal']),)
     if form == 'circle' and n not in (2, 3):
@@ -87,11 +88,12 @@ def rows_of(form: str, given: Mapping[str, Any], coordinates: Sequence[Coordinat
     return (distance,) if normal is None else (distance, _plane(ends, normal))
 
 
-def _plane(ends: tuple[np.ndarray, np.ndarray, np.ndarray], normal: Sequence[float]) -> Row:
-    return Row(*ends, 0.0, np.array(normal) / np.linalg.norm(normal))
+def _plane(ends: tuple[np.ndarray, np.ndarray, np.ndarray], normal: Sequence[float]
+           ) -> ConstraintEquation:
+    return ConstraintEquation(*ends, 0.0, np.array(normal) / np.linalg.norm(normal))
 
 
-def function_row(factory: str) -> Row:
+def function_equation(factory: str) -> ConstraintEquation:
     """
     Return the equation that a user's function makes.
 
@@ -111,7 +113,8 @@ def function_row(factory: str) -> Row:
                          'a function g(q, gradient)')
     none = np.zeros(0, dtype=np.int64)
     # Of a function that is compiled already, the Python: it will be compiled into the steps.
-    return Row(none, none, np.zeros(0), 0.0, np.zeros(0), getattr(function, 'py_func', function))
+    return ConstraintEquation(none, none, np.zeros(0), 0.0, np.zeros(0),
+                              getattr(function, 'py_func', function))
 
 
 @cache
