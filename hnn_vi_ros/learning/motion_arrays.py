@@ -8,7 +8,7 @@ from pathlib import Path
 import zipfile
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.motions import as_motions, Motion, MotionData, Run
+from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
 
@@ -95,7 +95,8 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
                       digest[:16])
 
 
-def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, d: int) -> Run:
+def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, d: int
+         ) -> MeasuredRun:
     def array(key: str, shape: tuple[int, ...]) -> np.ndarray:
         name = f'{run}/{key}' if run else key
         if name not in arrays:
@@ -115,4 +116,4 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
     q, v, tau, a = (None if key is None else array(key, (len(t), d))
                     for key in (data.q, data.v, data.tau, data.a))
     assert q is not None
-    return Run(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a)
+    return MeasuredRun(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.bag_signals import ARRAY, JOINT_STATE, SignalReader
-from hnn_vi_ros.learning.motions import as_motions, Motion, MotionData, Run
+from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
 
@@ -88,7 +88,7 @@ def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[Signal
     return reader, forces
 
 
-def _run(name: str, reader: SignalReader, forces: str, data: BagMotions) -> Run:
+def _run(name: str, reader: SignalReader, forces: str, data: BagMotions) -> MeasuredRun:
     t, values = reader.states(data.topic)
     q, v, effort = values.swapaxes(0, 1)
     tau = None
@@ -103,5 +103,5 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions) -> Run:
         # Each holds until the next; before the first there is none.
         at = np.searchsorted(signal.t, t, side='right')
         tau = np.vstack([np.zeros((1, q.shape[1])), signal.values])[at]
-    return Run(name, f'{reader.path}: {data.topic}', t, q,
-               None if data.estimate_velocity else v, tau, forces not in ('', EFFORT))
+    return MeasuredRun(name, f'{reader.path}: {data.topic}', t, q,
+                       None if data.estimate_velocity else v, tau, forces not in ('', EFFORT))

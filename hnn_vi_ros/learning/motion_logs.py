@@ -8,7 +8,7 @@ from typing import Literal
 
 from hnn_vi_ros.learning.dataset import Names
 from hnn_vi_ros.learning.measured_log import parse_log, read_log
-from hnn_vi_ros.learning.motions import as_motions, Motion, MotionData, Run
+from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -77,7 +77,7 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Motion], str]:
     for trial in dict.fromkeys(trials[np.isfinite(trials)].tolist()):
         rows = np.flatnonzero(trials == trial)
         name = f'{trial:g}' if data.trial else path.stem
-        runs.append(Run(name, f'{path}: {name}', column[data.time][rows], stacked(data.q, rows),
-                        stacked(data.v, rows), stacked(data.tau, rows),
-                        a=stacked(data.a, rows)))
+        runs.append(MeasuredRun(name, f'{path}: {name}', column[data.time][rows],
+                                stacked(data.q, rows), stacked(data.v, rows),
+                                stacked(data.tau, rows), a=stacked(data.a, rows)))
     return as_motions(runs, data, path.name, sha256(raw).hexdigest()[:16])

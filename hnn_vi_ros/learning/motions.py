@@ -43,7 +43,7 @@ class MotionData(StrictModel):
         'next; default: held for topics of commands, else interpolated'))
 
 
-class Run(NamedTuple):
+class MeasuredRun(NamedTuple):
     """
     One run as it was measured.
 
@@ -141,7 +141,7 @@ class Motion:
         return float(self.t[1] - self.t[0])
 
 
-def as_motions(runs: Sequence[Run], data: MotionData, name: str, digest: str
+def as_motions(runs: Sequence[MeasuredRun], data: MotionData, name: str, digest: str
                ) -> tuple[list[Motion], str]:
     """Return runs as motions at even times, and what they are and lack, for the model card."""
     bad = Bad()
@@ -151,13 +151,13 @@ def as_motions(runs: Sequence[Run], data: MotionData, name: str, digest: str
     return motions, f'{name} ({samples} samples, sha256 {digest}{told})'
 
 
-def motions_of(run: Run, data: MotionData, bad: Bad) -> Iterator[Motion]:
+def motions_of(run: MeasuredRun, data: MotionData, bad: Bad) -> Iterator[Motion]:
     """
     Yield a run as motions at even times, without what is bad in it.
 
     Parameters
     ----------
-    run : Run
+    run : MeasuredRun
         As measured.
     data : MotionData
         What to do with what is bad.
@@ -219,7 +219,8 @@ def run_of(motion: 'Motion') -> str:
     return motion.name.rpartition('#')[0] or motion.name
 
 
-def _motion(name: str, run: Run, rows: np.ndarray, spacing: float, data: MotionData) -> Motion:
+def _motion(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, data: MotionData
+            ) -> Motion:
     t, q = run.t[rows], run.q[rows]
     tau = np.zeros_like(q) if run.tau is None else run.tau[rows]
     times = t[0] + spacing * np.arange(int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1)

@@ -10,7 +10,7 @@ import shutil
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.studies.arguments import SCENES
-from hnn_vi_ros.studies.measuring import Row
+from hnn_vi_ros.studies.measuring import StudyRow
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw
 from hnn_vi_ros.studies.work_precision_report import (
@@ -154,13 +154,13 @@ def _section(name: str, results: Results) -> Iterator[str]:
         yield '\n' + best_table(of_horizon(results, horizon))
 
 
-def _cases(results: Mapping[str, Results]) -> Iterator[tuple[str, float, list[Row]]]:
+def _cases(results: Mapping[str, Results]) -> Iterator[tuple[str, float, list[StudyRow]]]:
     for name, entry in results.items():
         for horizon in horizons_of(entry):
             yield name, horizon, of_horizon(entry, horizon)
 
 
-def _has_paths(rows: list[Row]) -> bool:
+def _has_paths(rows: list[StudyRow]) -> bool:
     return any(not math.isnan(row.path_error) for row in rows)
 
 
@@ -204,7 +204,7 @@ def _first_order(results: Mapping[str, Results]) -> Iterator[str]:
            '- It is the cheapest nowhere in these tables.')
 
 
-def _growth(results: Results, method: str) -> tuple[Row, Row] | None:
+def _growth(results: Results, method: str) -> tuple[StudyRow, StudyRow] | None:
     """Return the rows of one step at the shortest and the longest horizon it was run to."""
     finished = [row for row in results.rows if row.method == method and row.finished]
     for horizon in reversed(horizons_of(results)[1:]):
@@ -243,7 +243,7 @@ def _rk4(results: Mapping[str, Results]) -> Iterator[str]:
                    f'{end.horizon:g} | {end.energy_band:.2g} | {verdict} |')
 
 
-def _drifting(results: Results) -> Iterator[tuple[Row, Row]]:
+def _drifting(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:
     """Yield rows of RK4 whose energy is ten times as far off, or more, at a longer horizon."""
     for row in results.rows:
         if row.method != _CLASSIC or row.horizon != horizons_of(results)[0] or row.failed:

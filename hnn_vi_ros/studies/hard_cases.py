@@ -12,8 +12,8 @@ from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.hard_cases_checks import run_job
 from hnn_vi_ros.studies.hard_cases_plan import Job, load_plan, make_jobs
 from hnn_vi_ros.studies.hard_cases_results import (
-    differences, expectations_file, Folder, FULL, judge, load_expectations, make_row, QUICK, Row,
-    write_expectations)
+    CaseRow, differences, expectations_file, Folder, FULL, judge, load_expectations, make_row,
+    QUICK, write_expectations)
 from hnn_vi_ros.studies.results import machine
 from hnn_vi_ros.version import __version__
 from tqdm import tqdm
@@ -70,14 +70,14 @@ def run_jobs(jobs: Sequence[Job], folder: Folder, processes: int) -> None:
             bar.set_postfix_str(f'case {row.case}, {row.method}')
 
 
-def run_one(job: Job) -> Row:
+def run_one(job: Job) -> CaseRow:
     """Run one job."""
     start = time.perf_counter()
     measured = run_job(job)
     return make_row(job, measured, time.perf_counter() - start)
 
 
-def _rows(jobs: Sequence[Job], processes: int) -> Iterator[Row]:
+def _rows(jobs: Sequence[Job], processes: int) -> Iterator[CaseRow]:
     """Yield the rows of jobs, which are sorted by what they compile."""
     if processes == 1:
         yield from map(run_one, jobs)
@@ -96,5 +96,5 @@ def _rows(jobs: Sequence[Job], processes: int) -> Iterator[Row]:
             pool.shutdown(cancel_futures=True)
 
 
-def _run_some(jobs: Sequence[Job]) -> list[Row]:
+def _run_some(jobs: Sequence[Job]) -> list[CaseRow]:
     return [run_one(job) for job in jobs]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.studies.hard_cases_plan import Case
-from hnn_vi_ros.studies.hard_cases_results import Row
+from hnn_vi_ros.studies.hard_cases_results import CaseRow
 from hnn_vi_ros.studies.work_precision_figure import FAINT, INK, STYLES
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -32,7 +32,7 @@ _STOPPED = 'stopped'
 _END: dict[str, Any] = {'marker': 'P', 'color': INK, 'markersize': 11.0, 'linestyle': ''}
 
 
-def draw_case(path: Path, case: Case, rows: Sequence[Row]) -> Path:
+def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
     """
     Draw the energy of a case's rows into a PNG file.
 
@@ -42,7 +42,7 @@ def draw_case(path: Path, case: Case, rows: Sequence[Row]) -> Path:
         Where to write.
     case : Case
         Whose set-ups are the panels.
-    rows : sequence of Row
+    rows : sequence of CaseRow
         All of this case.
 
     """
@@ -80,7 +80,7 @@ def _handle(method: str) -> Line2D:
     return Line2D([], [], label=method, **_style(method))
 
 
-def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[Row]) -> None:
+def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> None:
     ax.set_title(title, fontsize=10, color=INK)
     ax.set(yscale='log', xlabel='t [s]', ylabel=_LABELS[case.check])
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)

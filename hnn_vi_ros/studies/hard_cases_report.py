@@ -11,7 +11,8 @@ import shutil
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.studies.hard_cases_figure import draw_case
 from hnn_vi_ros.studies.hard_cases_plan import Case
-from hnn_vi_ros.studies.hard_cases_results import CSV, differences, Expectation, Folder, Key, Row
+from hnn_vi_ros.studies.hard_cases_results import (
+    CaseRow, CSV, differences, Expectation, Folder, Key)
 
 MARKDOWN = 'hard_cases.md'
 PAGE, PICTURES = 'hard-cases.md', 'hard_cases'
@@ -44,7 +45,7 @@ again and fails when a verdict differs.
 """
 
 
-def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[Row],
+def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
                  expected: Mapping[Key, Expectation]) -> list[Path]:
     """
     Write tables and pictures into the folder of a run; return the files.
@@ -67,7 +68,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[Row],
                              'give a folder that can be written') from problem
 
 
-def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[Row],
+def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[CaseRow],
                expected: Mapping[Key, Expectation], machine: str) -> list[Path]:
     """
     Write the page of the docs, its pictures and its table.
@@ -105,8 +106,8 @@ def picture_name(case: Case) -> str:
     return f'case_{case.number:02d}.png'
 
 
-def as_markdown(cases: Sequence[Case], rows: Sequence[Row], expected: Mapping[Key, Expectation],
-                pictures: str) -> str:
+def as_markdown(cases: Sequence[Case], rows: Sequence[CaseRow],
+                expected: Mapping[Key, Expectation], pictures: str) -> str:
     """Return summary and tables; the pictures lie in a folder."""
     parts = [*_summary(cases, rows, expected), '']
     for case in cases:
@@ -114,11 +115,11 @@ def as_markdown(cases: Sequence[Case], rows: Sequence[Row], expected: Mapping[Ke
     return '\n'.join(parts)
 
 
-def _of(case: Case, rows: Sequence[Row]) -> list[Row]:
+def _of(case: Case, rows: Sequence[CaseRow]) -> list[CaseRow]:
     return [row for row in rows if row.case == case.number]
 
 
-def _summary(cases: Sequence[Case], rows: Sequence[Row], expected: Mapping[Key, Expectation]
+def _summary(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]
              ) -> Iterator[str]:
     yield '| case | | rows | stable | alarm | stopped | unstable | as expected |'
     yield '|---' * 8 + '|'
@@ -132,8 +133,8 @@ def _summary(cases: Sequence[Case], rows: Sequence[Row], expected: Mapping[Key, 
                f'{"yes" if wrong == 0 else f"{wrong} are not"} |')
 
 
-def _section(case: Case, rows: Sequence[Row], expected: Mapping[Key, Expectation], pictures: str
-             ) -> Iterator[str]:
+def _section(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation],
+             pictures: str) -> Iterator[str]:
     yield f'## Case {case.number}: {case.title}\n'
     yield f'Claim: {case.claim}. {case.without}'.rstrip() + '\n'
     yield f'![case {case.number}]({pictures}{picture_name(case)})\n'
@@ -145,7 +146,7 @@ def _section(case: Case, rows: Sequence[Row], expected: Mapping[Key, Expectation
     yield ''
 
 
-def _cells(row: Row, expectation: Expectation | None) -> list[str]:
+def _cells(row: CaseRow, expectation: Expectation | None) -> list[str]:
     limits = expectation.limits if expectation is not None else {}
 
     def limited(name: str, value: float) -> str:

@@ -29,7 +29,7 @@ Key = tuple[int, str, str, str]
 
 
 @dataclass(frozen=True)
-class Row:
+class CaseRow:
     """
     One line of the table.
 
@@ -110,7 +110,7 @@ class Expectation(NamedTuple):
     limits: dict[str, float]
 
 
-def make_row(job: Job, measured: Measured, seconds: float) -> Row:
+def make_row(job: Job, measured: Measured, seconds: float) -> CaseRow:
     """Return the row of a job, not yet held against any expectation."""
     failed = failed_gates(measured, job.case.gates)
     said = [f'{alarm.kind} at step {alarm.step}' for alarm in measured.alarms]
@@ -119,14 +119,15 @@ def make_row(job: Job, measured: Measured, seconds: float) -> Row:
         said.append(f'{failure.reason} at step {round(failure.t / failure.h)}')
     stride = max(1, measured.t.size // _POINTS)
     number, name, kind, method = job.key
-    return Row(number, name, kind, method, job.steps, verdict(measured, failed), '; '.join(said),
-               ', '.join(failed), measured.band, measured.slope, measured.modified_band,
-               measured.residual, measured.reversal, measured.symplectic, measured.rounding,
-               measured.measures, seconds, job.digest, tuple(measured.t[::stride].tolist()),
-               tuple(measured.error[::stride].tolist()))
+    return CaseRow(number, name, kind, method, job.steps, verdict(measured, failed),
+                   '; '.join(said), ', '.join(failed),
+                   measured.band, measured.slope, measured.modified_band,
+                   measured.residual, measured.reversal, measured.symplectic, measured.rounding,
+                   measured.measures, seconds, job.digest, tuple(measured.t[::stride].tolist()),
+                   tuple(measured.error[::stride].tolist()))
 
 
-def judge(row: Row, expectation: Expectation | None) -> Row:
+def judge(row: CaseRow, expectation: Expectation | None) -> CaseRow:
     """Return the row as it stands against its limits: what exceeds one is not stable."""
     if expectation is None or row.verdict != STABLE:
         return row
@@ -143,7 +144,7 @@ def judge(row: Row, expectation: Expectation | None) -> Row:
                    failed=', '.join(([row.failed] if row.failed else []) + exceeded))
 
 
-def differences(rows: Iterable[Row], expected: dict[Key, Expectation]) -> list[str]:
+def differences(rows: Iterable[CaseRow], expected: dict[Key, Expectation]) -> list[str]:
     """Return a line for each row whose verdict, or first alarm, is not the committed one."""
     lines = []
     for row in rows:
@@ -190,7 +191,7 @@ def load_expectations(path: Path, run: str) -> dict[Key, Expectation]:
     return expected
 
 
-def write_expectations(path: Path, run: str, rows: Sequence[Row]) -> None:
+def write_expectations(path: Path, run: str, rows: Sequence[CaseRow]) -> None:
     """Write rows as what is expected from now on; rows that were not run stay as they are."""
     table = {(kind, *key): entry for kind in (QUICK, FULL)
              for key, entry in load_expectations(path, kind).items()}
@@ -260,18 +261,19 @@ class Folder:
         for line in lines[1:]:
             entry = json.loads(line)
             entry |= {name: tuple(entry[name]) for name in ('t', 'error')}
-            self.rows.append(Row(**entry))
+            self.rows.append(CaseRow(**entry))
 
-    def add(self, row: Row) -> None:
+    def add(self, row: CaseRow) -> None:
         """Keep a row."""
         self.rows.append(row)
         with (self.path / LINES).open('a', encoding='utf-8') as file:
             file.write(json.dumps(asdict(row)) + '\n')
 
-    def write_csv(self, rows: Sequence[Row]) -> Path:
+    def write_csv(self, rows: Sequence[CaseRow]) -> Path:
         """Write rows as a table for other programs."""
         path = self.path / CSV
-        names = [name for name in Row.__dataclass_fields__ if name not in ('digest', 't', 'error')]
+        names = [name for name in CaseRow.__dataclass_fields__
+                 if name not in ('digest', 't', 'error')]
         with path.open('w', newline='', encoding='utf-8') as file:
             writer = csv.writer(file, lineterminator='\n')
             writer.writerow(names)

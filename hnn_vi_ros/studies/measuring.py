@@ -24,7 +24,7 @@ OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
 
 
 @dataclass(frozen=True)
-class Row:
+class StudyRow:
     """
     What was measured; a figure that there is none for is NaN.
 
@@ -95,7 +95,7 @@ class RunFailure(Exception):
         self.reason, self.t, self.gradients = reason, t, gradients
 
 
-class Run(ABC):
+class MethodRun(ABC):
     """A method at one setting, ready to be run to any horizon that its step divides."""
 
     label: str
@@ -110,7 +110,7 @@ class Run(ABC):
         """Return a run that looks at nothing but the end, to be timed."""
 
 
-class OwnRun(Run):
+class OwnRun(MethodRun):
     """
     One of our methods, compiled.
 
@@ -132,7 +132,7 @@ class OwnRun(Run):
         simulation.compile()
 
     def measure(self, horizon: float) -> Measured:
-        """See Run."""
+        """See MethodRun."""
         simulation, energy = self._simulation, self._hamiltonian.energy
         simulation.restart(*self._start)
         steps = whole_steps(horizon, self.step_size)
@@ -153,7 +153,7 @@ class OwnRun(Run):
         return Measured(np.array(path), band, simulation.gradients, note)
 
     def prepare(self, horizon: float) -> Callable[[], object]:
-        """See Run."""
+        """See MethodRun."""
         self._simulation.restart(*self._start)
         steps = whole_steps(horizon, self.step_size)
         return lambda: self._simulation.advance(steps)
@@ -167,7 +167,7 @@ class Peer(NamedTuple):
     solve: Solve
 
 
-class PeerRun(Run):
+class PeerRun(MethodRun):
     """
     A peer at one tolerance or step size.
 
@@ -195,7 +195,7 @@ class PeerRun(Run):
         self._z0 = z0
 
     def measure(self, horizon: float) -> Measured:
-        """See Run."""
+        """See MethodRun."""
         states, spent = [self._z0], 0
         for part in range(INSTANTS):
             z, gradients = self._solve(
@@ -207,7 +207,7 @@ class PeerRun(Run):
         return Measured(end[None], float(np.abs(energies - energies[0]).max()), spent, '')
 
     def prepare(self, horizon: float) -> Callable[[], object]:
-        """See Run."""
+        """See MethodRun."""
         return lambda: self._peer.solve(self._z0, horizon, self._setting)
 
     def _solve(self, z: np.ndarray, duration: float, t: float, spent: int
@@ -229,13 +229,13 @@ def whole_steps(horizon: float, step_size: float) -> int | None:
     return steps if steps > 0 and abs(steps * step_size - horizon) <= 1e-9 * horizon else None
 
 
-def measure_row(run: Run, horizon: float, reference: Reference, runs: int) -> Row:
+def measure_row(run: MethodRun, horizon: float, reference: Reference, runs: int) -> StudyRow:
     """
     Run once to measure errors, and so often as asked to measure time.
 
     Parameters
     ----------
-    run : Run
+    run : MethodRun
         What is run.
     horizon : float
         T [s].
@@ -253,8 +253,8 @@ def measure_row(run: Run, horizon: float, reference: Reference, runs: int) -> Ro
     except RunFailure as failure:
         seconds, t = time.perf_counter() - start, failure.t
         rates = (seconds / t, failure.gradients / t) if t > 0.0 else (math.nan, math.nan)
-        return Row(run.label, run.step_size, horizon, math.nan, math.nan, rates[0], math.nan,
-                   rates[1], f'{failure.reason} at t = {t:.6g} s')
+        return StudyRow(run.label, run.step_size, horizon, math.nan, math.nan, rates[0], math.nan,
+                        rates[1], f'{failure.reason} at t = {t:.6g} s')
     times = _times(run, horizon, runs) / horizon
     error, status = math.nan, ENERGY_ONLY
     if reference.verified:
@@ -262,12 +262,12 @@ def measure_row(run: Run, horizon: float, reference: Reference, runs: int) -> Ro
         error = max(float(np.abs(measured.path - reference.path[stride - 1::stride]).max()),
                     reference.accuracy)
         status = OK
-    return Row(run.label, run.step_size, horizon, error, measured.energy_band,
-               float(np.median(times)), float(np.quantile(times, 0.95)),
-               measured.gradients / horizon, status + measured.note)
+    return StudyRow(run.label, run.step_size, horizon, error, measured.energy_band,
+                    float(np.median(times)), float(np.quantile(times, 0.95)),
+                    measured.gradients / horizon, status + measured.note)
 
 
-def _times(run: Run, horizon: float, runs: int) -> np.ndarray:
+def _times(run: MethodRun, horizon: float, runs: int) -> np.ndarray:
     """Return the wall time of each of some runs [s]."""
     times = np.empty(runs)
     gc.collect()

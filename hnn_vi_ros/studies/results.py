@@ -14,11 +14,11 @@ from typing import Any, TextIO
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.models.energy_error import EnergyError
-from hnn_vi_ros.studies.measuring import Row
+from hnn_vi_ros.studies.measuring import StudyRow
 from hnn_vi_ros.studies.references import ModelError, Reference
 import numpy as np
 
-COLUMNS = tuple(field.name for field in fields(Row))
+COLUMNS = tuple(field.name for field in fields(StudyRow))
 CSV, CARD = 'work_precision.csv', 'work_precision.json'
 _DIGITS = {'method': str, 'status': str, 'step_size': repr, 'horizon': repr}
 
@@ -50,7 +50,7 @@ class Results:
         self._commit = commit()
         self.references: dict[float, Reference] = {}
         self.model_errors: dict[float, ModelError] = {}
-        self._rows: dict[tuple, Row] = {}
+        self._rows: dict[tuple, StudyRow] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / CSV).touch()
@@ -63,15 +63,15 @@ class Results:
                                  'give a folder that can be written') from problem
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[StudyRow]:
         """Return what was measured, in the order of the first measurement."""
         return list(self._rows.values())
 
-    def find(self, key: tuple) -> Row | None:
+    def find(self, key: tuple) -> StudyRow | None:
         """Return the row of a key, None if there is none yet."""
         return self._rows.get(key)
 
-    def add(self, row: Row) -> None:
+    def add(self, row: StudyRow) -> None:
         """Keep a row, on disk as well; one of the same key is replaced."""
         if self._commit not in self.commits:
             self.commits.append(self._commit)
@@ -149,7 +149,7 @@ class Results:
         temporary.replace(self.folder / CARD)
 
 
-def read_rows(path: Path) -> list[Row]:
+def read_rows(path: Path) -> list[StudyRow]:
     """
     Read a table of rows; lines that are not whole are left out.
 
@@ -169,7 +169,7 @@ def read_rows(path: Path) -> list[Row]:
     for line in lines[1:]:
         if len(line) == len(COLUMNS):
             numbers = [float(text) if text else math.nan for text in line[1:-1]]
-            rows.append(Row(line[0], *numbers, line[-1]))
+            rows.append(StudyRow(line[0], *numbers, line[-1]))
     return rows
 
 
@@ -201,7 +201,7 @@ def _writer(file: TextIO) -> Any:
     return csv.writer(file, lineterminator='\n')
 
 
-def _as_text(row: Row) -> list[str]:
+def _as_text(row: StudyRow) -> list[str]:
     texts = []
     for name, value in zip(COLUMNS, astuple(row), strict=True):
         if isinstance(value, float) and math.isnan(value):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.arguments import SCENES
-from hnn_vi_ros.studies.measuring import measure_row, Row, Run, TOO_LONG
+from hnn_vi_ros.studies.measuring import measure_row, MethodRun, StudyRow, TOO_LONG
 from hnn_vi_ros.studies.references import make_reference, model_error, Reference, true_hamiltonian
 from hnn_vi_ros.studies.work_precision_plan import prepare, Setting, Study
 from tqdm import tqdm
@@ -48,7 +48,7 @@ def main(argv: list[str]) -> int:
 
 def measure(study: Study) -> None:
     """Measure every row that is not there yet, horizon by horizon, and show the time left."""
-    runs: dict[int, Run] = {}
+    runs: dict[int, MethodRun] = {}
     todo = [(horizon, i) for horizon in study.horizons for i in range(len(study.settings))
             if not _is_settled(study, horizon, i)]
     with tqdm(total=1.0, bar_format='{desc} {percentage:3.0f}% |{bar}|{postfix}',
@@ -85,10 +85,10 @@ def _is_settled(study: Study, horizon: float, i: int) -> bool:
 
 
 def _key(setting: Setting, horizon: float) -> tuple:
-    return Row(setting.label, setting.step_size, horizon, *[math.nan] * 5, status='').key
+    return StudyRow(setting.label, setting.step_size, horizon, *[math.nan] * 5, status='').key
 
 
-def _shorter_rows(study: Study, horizon: float, setting: Setting) -> list[Row]:
+def _shorter_rows(study: Study, horizon: float, setting: Setting) -> list[StudyRow]:
     """Return the rows of the same setting at shorter horizons, the longest of them first."""
     rows = (study.results.find(_key(setting, shorter))
             for shorter in reversed(study.horizons) if shorter < horizon)
@@ -113,7 +113,7 @@ def _expected(study: Study, horizon: float, i: int) -> float:
     return 0.05 if seconds > study.limit else 0.05 + seconds * (1 + _timed_runs(study, horizon))
 
 
-def _known_row(study: Study, horizon: float, setting: Setting) -> Row | None:
+def _known_row(study: Study, horizon: float, setting: Setting) -> StudyRow | None:
     """Return a row that needs no run: it fails as the shorter one did, or takes too long."""
     for row in _shorter_rows(study, horizon, setting):
         if row.failed:
@@ -121,8 +121,8 @@ def _known_row(study: Study, horizon: float, setting: Setting) -> Row | None:
     seconds = _seconds(study, horizon, setting)
     if seconds is None or seconds <= study.limit:
         return None
-    return Row(setting.label, setting.step_size, horizon, *[math.nan] * 5,
-               status=f'{TOO_LONG}: about {seconds:.3g} s')
+    return StudyRow(setting.label, setting.step_size, horizon, *[math.nan] * 5,
+                    status=f'{TOO_LONG}: about {seconds:.3g} s')
 
 
 def _reference(study: Study, horizon: float) -> Reference:

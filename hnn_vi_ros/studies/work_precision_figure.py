@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.studies.label_placement import place_labels
-from hnn_vi_ros.studies.measuring import Row
+from hnn_vi_ros.studies.measuring import StudyRow
 from hnn_vi_ros.studies.references import ModelError, Reference
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -47,7 +47,7 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 class Panel(NamedTuple):
-    """What a panel shows: two columns of Row, and what they are called."""
+    """What a panel shows: two columns of StudyRow, and what they are called."""
 
     x: str
     y: str
@@ -64,15 +64,15 @@ PANELS = (
 )
 
 
-def series_of(rows: Iterable[Row]) -> dict[str, list[Row]]:
+def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
     """Return the rows that make a line each; the tolerances of a peer are one line."""
-    series: dict[str, list[Row]] = {}
+    series: dict[str, list[StudyRow]] = {}
     for row in rows:
         series.setdefault(row.method.partition(' tolerance=')[0], []).append(row)
     return series
 
 
-def panels_of(rows: Iterable[Row]) -> tuple[Panel, Panel]:
+def panels_of(rows: Iterable[StudyRow]) -> tuple[Panel, Panel]:
     """Return the two panels; energies stand in both where no path can be followed."""
     left, right = PANELS
     if any(row.finished and not math.isnan(row.path_error) for row in rows):
@@ -86,7 +86,7 @@ def is_peer(name: str) -> bool:
     return ' ' in name
 
 
-def draw(path: Path, title: str, rows: Sequence[Row], reference: Reference,
+def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
          model: ModelError | None) -> Path:
     """
     Draw the rows of one horizon into a PNG file.
@@ -97,7 +97,7 @@ def draw(path: Path, title: str, rows: Sequence[Row], reference: Reference,
         Where to write.
     title : str
         Above both panels.
-    rows : sequence of Row
+    rows : sequence of StudyRow
         All of one horizon.
     reference : Reference
         Below whose accuracy no path error is known.
@@ -134,7 +134,7 @@ def draw(path: Path, title: str, rows: Sequence[Row], reference: Reference,
     return path
 
 
-def _draw_panel(ax: Axes, panel: Panel, rows: Sequence[Row], floor: float
+def _draw_panel(ax: Axes, panel: Panel, rows: Sequence[StudyRow], floor: float
                 ) -> dict[str, tuple[str, np.ndarray]]:
     """Draw a panel; return the colour and the points of each line that has some."""
     ax.set(xscale='log', yscale='log', xlabel=panel.x_label, ylabel=panel.y_label)
@@ -166,7 +166,7 @@ def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
             10.0 ** math.ceil(math.log10(usual.max()) + 0.1))
 
 
-def _draw_line(ax: Axes, panel: Panel, name: str, rows: Sequence[Row],
+def _draw_line(ax: Axes, panel: Panel, name: str, rows: Sequence[StudyRow],
                limits: tuple[float, float]) -> tuple[str, np.ndarray]:
     """Draw a method's line and its crosses; return its colour and points, shape (n, 2)."""
     low, high = limits

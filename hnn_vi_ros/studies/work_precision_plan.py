@@ -21,7 +21,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.arguments import HALVINGS, LONGEST
-from hnn_vi_ros.studies.measuring import OwnRun, Peer, PeerRun, Run, whole_steps
+from hnn_vi_ros.studies.measuring import MethodRun, OwnRun, Peer, PeerRun, whole_steps
 from hnn_vi_ros.studies.results import machine, Results
 from hnn_vi_ros.studies.variants import applicable, create, Method, parse_method
 from hnn_vi_ros.version import __version__
@@ -51,7 +51,7 @@ class Setting:
     label: str
     step_size: float
     stages: int
-    create: Callable[[], Run]
+    create: Callable[[], MethodRun]
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def _own_settings(scene: Scene, hamiltonian: Hamiltonian, methods: Sequence[Meth
                   steps: list[float] | None) -> Iterator[Setting]:
     start = scene.initial_state.q, scene.initial_state.p
 
-    def run(method: Method, step_size: float) -> Run:
+    def run(method: Method, step_size: float) -> MethodRun:
         integrated, integrator = create(method, hamiltonian)
         return OwnRun(method.label, Simulation(integrated, integrator, step_size, *start),
                       hamiltonian)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.models.energy_error import interval_text
-from hnn_vi_ros.studies.measuring import Row, TOO_LONG
+from hnn_vi_ros.studies.measuring import StudyRow, TOO_LONG
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw, INK, is_peer, PANELS, series_of, STYLES
 from hnn_vi_ros.viewer.rerun_diagram import Curve, Diagram, record_diagrams
@@ -61,7 +61,7 @@ def horizons_of(results: Results) -> list[float]:
     return sorted({row.horizon for row in results.rows})
 
 
-def of_horizon(results: Results, horizon: float) -> list[Row]:
+def of_horizon(results: Results, horizon: float) -> list[StudyRow]:
     """Return the rows of one horizon."""
     return [row for row in results.rows if row.horizon == horizon]
 
@@ -150,7 +150,7 @@ def circumstances(results: Results, horizon: float) -> list[str]:
     return lines
 
 
-def _longest_steps(rows: Iterable[Row], error: float) -> dict[str, float]:
+def _longest_steps(rows: Iterable[StudyRow], error: float) -> dict[str, float]:
     """Return for each of our methods the longest step with at most this path error [s]."""
     longest: dict[str, float] = {}
     for row in rows:
@@ -159,28 +159,29 @@ def _longest_steps(rows: Iterable[Row], error: float) -> dict[str, float]:
     return longest
 
 
-def cheapest(rows: Iterable[Row], error: float, column: str = 'path_error') -> Row | None:
+def cheapest(rows: Iterable[StudyRow], error: float, column: str = 'path_error'
+             ) -> StudyRow | None:
     """Return the row that takes the least time among those with at most this error."""
     good = [row for row in rows if row.finished and getattr(row, column) <= error]
     return min(good, key=lambda row: row.seconds_per_simulated_second, default=None)
 
 
-def ratio(row: Row, other: Row) -> float:
+def ratio(row: StudyRow, other: StudyRow) -> float:
     """Return the time of a row over that of another."""
     return row.seconds_per_simulated_second / other.seconds_per_simulated_second
 
 
-def ours(rows: Iterable[Row]) -> list[Row]:
+def ours(rows: Iterable[StudyRow]) -> list[StudyRow]:
     """Return the rows of our methods, solved to round-off, in double precision."""
     return [row for row in rows if not is_peer(row.method) and '@' not in row.method]
 
 
-def peers(rows: Iterable[Row]) -> list[Row]:
+def peers(rows: Iterable[StudyRow]) -> list[StudyRow]:
     """Return the rows of the peers."""
     return [row for row in rows if is_peer(row.method)]
 
 
-def best_table(rows: Sequence[Row]) -> str:
+def best_table(rows: Sequence[StudyRow]) -> str:
     """Return for each error the cheapest of our methods and the cheapest peer."""
     column, unit = ('path_error', '') if any(
         not math.isnan(row.path_error) for row in rows) else ('energy_band', ' J')
@@ -199,22 +200,22 @@ def best_table(rows: Sequence[Row]) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def _cells(row: Row | None, among: Sequence[Row]) -> list[str]:
+def _cells(row: StudyRow | None, among: Sequence[StudyRow]) -> list[str]:
     return [_none(among), '', ''] if row is None else [row.method, f'{row.step_size:g}',
                                                        _microseconds(row)]
 
 
-def _none(among: Sequence[Row]) -> str:
+def _none(among: Sequence[StudyRow]) -> str:
     """Say that no row is good enough, and how many were not run."""
     left_out = sum(row.status.startswith(TOO_LONG) for row in among)
     return f'none ({left_out} not run)' if left_out else 'none'
 
 
-def _microseconds(row: Row | None) -> str:
+def _microseconds(row: StudyRow | None) -> str:
     return '' if row is None else f'{1e6 * row.seconds_per_simulated_second:.3g}'
 
 
-def row_table(rows: Iterable[Row]) -> str:
+def row_table(rows: Iterable[StudyRow]) -> str:
     """Return every row, with those that failed and those that were not run."""
     lines = ['| method | step [s] | path error | energy band [J] | us a simulated second | '
              '95th percentile | gradients a simulated second | status |', '|---' * 8 + '|']
@@ -243,7 +244,7 @@ def _diagrams(results: Results) -> Iterable[Diagram]:
                           best_table(rows))
 
 
-def _curve(name: str, rows: Sequence[Row], x: str, y: str) -> Curve:
+def _curve(name: str, rows: Sequence[StudyRow], x: str, y: str) -> Curve:
     color = STYLES.get(name.partition('@')[0], (INK, ''))[0]
     return Curve(name, tuple(int(color[i:i + 2], 16) for i in (1, 3, 5)), [
         (getattr(row, x), getattr(row, y)) for row in rows

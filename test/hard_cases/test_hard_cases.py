@@ -18,8 +18,8 @@ from hnn_vi_ros.studies.hard_cases_checks import run_job
 from hnn_vi_ros.studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from hnn_vi_ros.studies.hard_cases_plan import Job, load_plan, make_jobs
 from hnn_vi_ros.studies.hard_cases_results import (
-    differences, Expectation, expectations_file, Folder, format_values, FULL, judge,
-    load_expectations, make_row, parse_values, QUICK, Row, write_expectations)
+    CaseRow, differences, Expectation, expectations_file, Folder, format_values, FULL, judge,
+    load_expectations, make_row, parse_values, QUICK, write_expectations)
 from hnn_vi_ros.studies.variants import Undersolved
 import numpy as np
 from PIL import Image
@@ -37,7 +37,7 @@ def job(number: int, method: str, kind: str = 'exact', steps: int = 2000, **chan
     return Job(case, set_up.model_copy(update=changes), method, steps, PLAN.guards)
 
 
-def row_of(measured: Measured) -> Row:
+def row_of(measured: Measured) -> CaseRow:
     """Return the row that a measurement makes."""
     return make_row(job(1, 'variational_euler'), measured, 0.0)
 

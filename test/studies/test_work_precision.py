@@ -19,7 +19,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.studies import work_precision
 from hnn_vi_ros.studies.accuracy_page import write_page
 from hnn_vi_ros.studies.arguments import SCENES
-from hnn_vi_ros.studies.measuring import measure_row, PeerRun, Row, whole_steps
+from hnn_vi_ros.studies.measuring import measure_row, PeerRun, StudyRow, whole_steps
 from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
 from hnn_vi_ros.studies.references import make_reference, ModelError, Reference, true_hamiltonian
 from hnn_vi_ros.studies.results import read_rows, Results
@@ -412,8 +412,8 @@ def invent(folder: Path, scene: str) -> None:
                 error = size ** order * horizon / 10.0
                 band = size ** order * (horizon / 10.0) ** drift
                 seconds = 1e-6 * cost / size
-                results.add(Row(method, h, horizon, error, band, seconds, seconds, cost / size,
-                                'ok'))
+                results.add(StudyRow(method, h, horizon, error, band, seconds, seconds,
+                                     cost / size, 'ok'))
 
 
 def test_page_says_of_each_method_what_its_rows_say(tmp_path):
