@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.calibration import Choice, remembered
-from hnn_vi_ros.accuracy.trials import Problem, Tolerance
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Tolerance
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 import numpy as np
@@ -54,8 +54,8 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     """
     if not isinstance(scene.integrator, AutoChoice):
         return scene, None
-    problem = Problem(scene.create_hamiltonian(), tuple(scene.create_effects()),
-                      np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+    problem = InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                                  np.array(scene.initial_state.q), np.array(scene.initial_state.p))
     tolerance = tolerance_of(scene.integrator)
     with scene.placed('integrator'):
         choice = remembered(problem, tolerance, scene.step_size or largest_step,

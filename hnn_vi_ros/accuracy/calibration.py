@@ -17,7 +17,8 @@ from typing import Any
 from hnn_vi_ros.accuracy.path_reference import find_reference, PathJudge
 from hnn_vi_ros.accuracy.step_search import Search, search
 from hnn_vi_ros.accuracy.survey import Survey, survey
-from hnn_vi_ros.accuracy.trials import EnergyJudge, Judge, Method, Problem, Tolerance, Trial
+from hnn_vi_ros.accuracy.trials import (
+    EnergyJudge, InitialValueProblem, Judge, Method, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, UnsupportedSystem
 from hnn_vi_ros.version import __version__
 import numba
@@ -94,7 +95,8 @@ class Choice:
                 f'{1e6 * self.seconds_per_simulated_second:.3g} us per simulated second{limit}')
 
 
-def calibrate(problem: Problem, tolerance: Tolerance, largest_step: float | None = None) -> Choice:
+def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None = None
+              ) -> Choice:
     """
     Try methods and step sizes, and return the cheapest that holds a tolerance.
 
@@ -103,7 +105,7 @@ def calibrate(problem: Problem, tolerance: Tolerance, largest_step: float | None
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What is simulated.
     tolerance : Tolerance
         What must be held.
@@ -170,7 +172,7 @@ def _first_step(method: Method, known: Survey) -> float:
     return step
 
 
-def _choice(problem: Problem, found: Search, parts: int, known: Survey,
+def _choice(problem: InitialValueProblem, found: Search, parts: int, known: Survey,
             largest_step: float | None) -> Choice:
     trial, h = found.tried[parts], found.base / parts
     return Choice(found.method.kind, h, trial.error, trial.checked,
@@ -179,7 +181,7 @@ def _choice(problem: Problem, found: Search, parts: int, known: Survey,
                   largest_step if parts == 1 else None)
 
 
-def _seconds(problem: Problem, method: Method, h: float, trial: Trial) -> float:
+def _seconds(problem: InitialValueProblem, method: Method, h: float, trial: Trial) -> float:
     """Return the wall time of a simulated second [s/s]: the median, others use the machine."""
     simulation = problem.simulation(method, h)
     simulation.advance(1)
@@ -210,8 +212,8 @@ def _refusal(tolerance: Tolerance, base: float, searches: list[Search]) -> str:
             f'errs by {error:.2g}: {reason}; allow a larger error or a shorter horizon')
 
 
-def remembered(problem: Problem, tolerance: Tolerance, largest_step: float | None, name: str
-               ) -> Choice:
+def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None,
+               name: str) -> Choice:
     """
     Return what ``calibrate`` chooses, from the last time that it did so on this machine.
 

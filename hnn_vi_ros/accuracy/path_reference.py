@@ -7,7 +7,8 @@ import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.accuracy.survey import Survey
-from hnn_vi_ros.accuracy.trials import carried, ENOUGH, FAILED, Problem, Tolerance, Trial
+from hnn_vi_ros.accuracy.trials import (
+    carried, ENOUGH, FAILED, InitialValueProblem, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
@@ -94,14 +95,14 @@ class PathReference:
     accuracy: float
 
 
-def find_reference(problem: Problem, tolerance: Tolerance, base: float, known: Survey
+def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float, known: Survey
                    ) -> PathReference:
     """
     Return the path, refined until two of them agree.
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What is simulated.
     tolerance : Tolerance
         How well it must be known, and until when.
@@ -139,7 +140,7 @@ def find_reference(problem: Problem, tolerance: Tolerance, base: float, known: S
     return best
 
 
-def _path(problem: Problem, method: str, instants: Instants, steps: int, limit: int
+def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: int, limit: int
           ) -> np.ndarray | None:
     """Return the states at the instants, as many as gradients allow; None if a step fails."""
     simulation = problem.simulation(method, instants.gap / steps)
@@ -154,8 +155,8 @@ def _path(problem: Problem, method: str, instants: Instants, steps: int, limit: 
     return np.concatenate(rows)
 
 
-def _refusal(problem: Problem, tolerance: Tolerance, known: Survey, best: PathReference | None
-             ) -> str:
+def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: Survey,
+             best: PathReference | None) -> str:
     """Say why the path cannot be known so well."""
     wanted = f'path_error {tolerance.error:g} up to {tolerance.horizon:g} s: '
     if best is None:
@@ -186,7 +187,7 @@ class PathJudge:
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What is simulated.
     tolerance : Tolerance
         What must be held.
@@ -195,7 +196,8 @@ class PathJudge:
 
     """
 
-    def __init__(self, problem: Problem, tolerance: Tolerance, reference: PathReference):
+    def __init__(self, problem: InitialValueProblem, tolerance: Tolerance,
+                 reference: PathReference):
         self._limit, self._reference, self.tolerance = problem.gradients, reference, tolerance
         self.known = reference.accuracy
 

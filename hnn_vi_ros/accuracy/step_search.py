@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.accuracy.trials import (
-    FAILED, Judge, Method, parts_between, parts_for, Problem, Trial)
+    FAILED, InitialValueProblem, Judge, Method, parts_between, parts_for, Trial)
 from hnn_vi_ros.errors import StepFailure
 
 # What is measured must stay this far below the tolerance: where all up to the horizon was seen,
@@ -97,7 +97,7 @@ class Search:
                    default=math.inf)
 
 
-def search(problem: Problem, method: Method, base: float, judge: Judge, guess: float,
+def search(problem: InitialValueProblem, method: Method, base: float, judge: Judge, guess: float,
            bound: float) -> Search:
     """
     Try steps until the largest that holds a tolerance is found, or it is shown that none does.
@@ -107,7 +107,7 @@ def search(problem: Problem, method: Method, base: float, judge: Judge, guess: f
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What is simulated.
     method : Method
         What is tried.
@@ -158,7 +158,8 @@ def _wish(found: Search, parts: int, now: Trial, judge: Judge, bound: float) -> 
     return max(parts_for(wish), parts_for(low + 0.5))
 
 
-def _try(problem: Problem, method: Method, h: float, judge: Judge, bound: float) -> Trial:
+def _try(problem: InitialValueProblem, method: Method, h: float, judge: Judge, bound: float
+         ) -> Trial:
     try:
         return judge(problem.simulation(method, h), bound)
     except StepFailure:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.accuracy.energy_scale import energy_scale
-from hnn_vi_ros.accuracy.trials import parts_for, Problem, time_scale
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, parts_for, time_scale
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -50,13 +50,13 @@ class Survey:
     strongest: float
 
 
-def survey(problem: Problem, horizon: float, base: float) -> Survey:
+def survey(problem: InitialValueProblem, horizon: float, base: float) -> Survey:
     """
     Follow a path with ever shorter steps until its figures are known.
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What is simulated.
     horizon : float
         How far, if gradients allow [s].
@@ -87,7 +87,7 @@ def survey(problem: Problem, horizon: float, base: float) -> Survey:
                            f'path: {reason}')
 
 
-def _surveyor(problem: Problem, base: float) -> str:
+def _surveyor(problem: InitialValueProblem, base: float) -> str:
     refusal = None
     for method in _SURVEYORS:
         try:
@@ -101,7 +101,8 @@ def _surveyor(problem: Problem, base: float) -> str:
     raise refusal or UnsupportedSystem('no method can follow the path')
 
 
-def _follow(problem: Problem, method: str, h: float, horizon: float) -> tuple[Survey, float]:
+def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
+            ) -> tuple[Survey, float]:
     """Return the figures by steps of one size, and the energy's error over its scale."""
     simulation = problem.simulation(method, h)
     states = np.concatenate(list(_states(problem, simulation, horizon)))
@@ -119,7 +120,8 @@ def _follow(problem: Problem, method: str, h: float, horizon: float) -> tuple[Su
                   float(forces.max())), error
 
 
-def _states(problem: Problem, simulation: Simulation, horizon: float) -> Iterator[np.ndarray]:
+def _states(problem: InitialValueProblem, simulation: Simulation, horizon: float
+            ) -> Iterator[np.ndarray]:
     """Yield the initial state and those after each step, rows of (q, p)."""
     yield np.concatenate([problem.q, problem.p])[None]
     while simulation.time < horizon * (1.0 - 1e-9) and simulation.gradients < problem.gradients:

@@ -82,7 +82,7 @@ class Method:
 
 
 @dataclass(frozen=True)
-class Problem:
+class InitialValueProblem:
     """
     What is simulated: H, effects, and the initial state of shape (d,).
 
@@ -189,7 +189,7 @@ def parts_between(low: int, high: float) -> list[int]:
     return [k for k in _PARTS if low < k < high]
 
 
-def time_scale(problem: Problem) -> float:
+def time_scale(problem: InitialValueProblem) -> float:
     """Return a time in which the initial state changes by about its size [s]."""
     q, p = problem.q, problem.p
     dH_dq, dH_dp = problem.hamiltonian.gradient(q, p)
@@ -204,7 +204,7 @@ class EnergyJudge:
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What is simulated.
     tolerance : Tolerance
         What must be held.
@@ -215,7 +215,8 @@ class EnergyJudge:
 
     """
 
-    def __init__(self, problem: Problem, tolerance: Tolerance, scale: float, extent: float):
+    def __init__(self, problem: InitialValueProblem, tolerance: Tolerance, scale: float,
+                 extent: float):
         self._limit, self._scale, self._extent = problem.gradients, scale, extent
         self.tolerance, self.known = tolerance, 0.0
         self._conservative = all(effect.conservative for effect in problem.effects)

@@ -10,7 +10,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.config import TrainingConfig
-from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.problem import TrainingProblem
 import torch
 from tqdm import tqdm
 
@@ -45,7 +45,7 @@ class Loop:
 
     Parameters
     ----------
-    problem : Problem
+    problem : TrainingProblem
         Its model is changed.
     config : TrainingConfig
         Numbers of steps, the learning rate and the patience.
@@ -59,7 +59,7 @@ class Loop:
 
     """
 
-    def __init__(self, problem: Problem, config: TrainingConfig):
+    def __init__(self, problem: TrainingProblem, config: TrainingConfig):
         self._problem, self._config = problem, config
         self.history, self.step = History(adam_steps=config.adam_steps), 0
         self._before, self._least, self._best, self._waited = math.inf, math.inf, None, 0

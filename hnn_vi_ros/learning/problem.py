@@ -45,7 +45,7 @@ class Comparison(NamedTuple):
     exact: bool
 
 
-class Problem:
+class TrainingProblem:
     """
     The data as tensors, a fresh model, and the loss that it is trained on.
 

@@ -26,7 +26,7 @@ from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import EnergyFamily, Family
 from hnn_vi_ros.learning.interruption import Keeper
 from hnn_vi_ros.learning.loop import History, Loop
-from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.report import Outputs, write_report
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
@@ -44,7 +44,7 @@ _STATES = 2000
 
 def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
           device: str = 'cpu', keeper: Keeper | None = None, resume: bool = False
-          ) -> tuple[Checkpoint, History, Problem]:
+          ) -> tuple[Checkpoint, History, TrainingProblem]:
     """
     Train a network and describe it.
 
@@ -65,7 +65,7 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
 
     Returns
     -------
-    tuple of Checkpoint, History and Problem
+    tuple of Checkpoint, History and TrainingProblem
         The trained model, not yet saved, how the losses fell, and the problem that it solves.
 
     Raises
@@ -78,7 +78,7 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
         There is nothing to go on from.
 
     """
-    problem = Problem(config, dataset)
+    problem = TrainingProblem(config, dataset)
     problem.to(device)
     loop = Loop(problem, config)
     if resume and keeper is not None:
@@ -94,8 +94,8 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
     return describe(problem, config, dataset, name, command), history, problem
 
 
-def describe(problem: Problem, config: TrainingConfig, dataset: Dataset, name: str, command: str
-             ) -> Checkpoint:
+def describe(problem: TrainingProblem, config: TrainingConfig, dataset: Dataset, name: str,
+             command: str) -> Checkpoint:
     """Return a trained model with its card; see train."""
     family, reference = problem.family, config.reference
     box = replace(dataset, p=family.momenta(dataset)).box

@@ -5,7 +5,7 @@
 import math
 
 from hnn_vi_ros.accuracy.diagnostics import secular_change
-from hnn_vi_ros.accuracy.trials import Problem, time_scale, Tolerance
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, time_scale, Tolerance
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
@@ -55,7 +55,7 @@ class EnergyRecord:
         self._size, self._steepest = abs(simulation.energy) or 1.0, 0.0
         self._tick, self._samples = tick, 0
         self._least = _TIMES * time_scale(
-            Problem(simulation.hamiltonian, (), simulation.q, simulation.p))
+            InitialValueProblem(simulation.hamiltonian, (), simulation.q, simulation.p))
         # Lowest and highest error of each block of so many samples, and of the one that is open.
         self._low: list[float] = []
         self._high: list[float] = []

@@ -9,7 +9,7 @@ import math
 from benchmarks import campaign
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES, Choice, remembered
-from hnn_vi_ros.accuracy.trials import Method, Problem, Tolerance
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.kepler import Kepler
@@ -42,11 +42,11 @@ PAIRS = [
 
 
 @cache
-def problem(name: str) -> Problem:
+def problem(name: str) -> InitialValueProblem:
     """Return what a shipped scene simulates."""
     scene = load_scene(name)
-    return Problem(scene.create_hamiltonian(), tuple(scene.create_effects()),
-                   np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+    return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                               np.array(scene.initial_state.q), np.array(scene.initial_state.p))
 
 
 def error_of(name: str, tolerance: Tolerance, choice: Choice) -> float:
@@ -87,11 +87,11 @@ ORBITS = {
     'apocentre': (lambda e: 1.0 + e), 'pericentre': (lambda e: 1.0 - e)}
 
 
-def orbit(eccentricity: float, end: str) -> Problem:
+def orbit(eccentricity: float, end: str) -> InitialValueProblem:
     """Return an orbit of semi-major axis 1 m from one of its ends."""
     r = ORBITS[end](eccentricity)
-    return Problem(HAMILTONIANS['kepler'](), (), np.array([r, 0.0]),
-                   np.array([0.0, math.sqrt(2.0 / r - 1.0)]))
+    return InitialValueProblem(HAMILTONIANS['kepler'](), (), np.array([r, 0.0]),
+                               np.array([0.0, math.sqrt(2.0 / r - 1.0)]))
 
 
 @pytest.mark.parametrize('tolerance', [Tolerance(ENERGY, 1e-3, 200.0),
@@ -149,7 +149,7 @@ def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
         return np.array([q[0], 0.0]) if q[1] < 1.0 else np.full(2, np.nan), p
 
     end = Plain(lambda q, p: 0.5 * float(p @ p + q[0] ** 2), gradient, 2)
-    slow = Problem(end, (), np.array([1.0, 0.0]), np.array([0.0, 5e-3]))
+    slow = InitialValueProblem(end, (), np.array([1.0, 0.0]), np.array([0.0, 5e-3]))
     with pytest.raises(CalibrationError, match='no path can be computed'):
         calibrate(slow, Tolerance(PATH, 1e-5, 6400.0))
 

@@ -7,7 +7,7 @@ import math
 
 from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES
-from hnn_vi_ros.accuracy.trials import Method, Problem, Tolerance
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.scene import load_scene
 import numpy as np
@@ -32,8 +32,8 @@ def rows(settings: Settings) -> Iterator[Row]:
 
 def _row(name: str, tolerance: Tolerance, settings: Settings) -> Row:
     scene = load_scene(name)
-    problem = Problem(scene.create_hamiltonian(), (), np.array(scene.initial_state.q),
-                      np.array(scene.initial_state.p))
+    problem = InitialValueProblem(scene.create_hamiltonian(), (), np.array(scene.initial_state.q),
+                                  np.array(scene.initial_state.p))
     choice = calibrate(problem, tolerance)
     label, h = _best(problem, tolerance, choice.energy_scale)
     chosen = Method(choice.method, choice.arguments)
@@ -50,13 +50,13 @@ def _row(name: str, tolerance: Tolerance, settings: Settings) -> Row:
              'gradient takes some nanoseconds.')
 
 
-def _contestant(problem: Problem, method: str | Method, h: float) -> Callable:
+def _contestant(problem: InitialValueProblem, method: str | Method, h: float) -> Callable:
     simulation = problem.simulation(method, h)
     simulation.compile()
     return lambda: lambda: simulation.advance(round(_TIMED / h))
 
 
-def _best(problem: Problem, tolerance: Tolerance, size: float) -> tuple[str, float]:
+def _best(problem: InitialValueProblem, tolerance: Tolerance, size: float) -> tuple[str, float]:
     """Return the fastest method and step that hold the tolerance, over an energy [J]."""
     found = []
     for method in CANDIDATES:

@@ -19,7 +19,7 @@ import time
 from benchmarks.systems import System, systems
 from hnn_vi_ros.accuracy.calibration import calibrate
 from hnn_vi_ros.accuracy.energy_scale import energy_scale
-from hnn_vi_ros.accuracy.trials import Method, Problem, Tolerance
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.studies.references import EXACT
 from hnn_vi_ros.studies.results import commit, machine
@@ -88,14 +88,14 @@ class Truth:
 
     Parameters
     ----------
-    problem : Problem
+    problem : InitialValueProblem
         What moves.
     horizon : float
         Until when [s].
 
     """
 
-    def __init__(self, problem: Problem, horizon: float):
+    def __init__(self, problem: InitialValueProblem, horizon: float):
         self._problem, d = problem, problem.hamiltonian.dimension
 
         def field(t: float, z: np.ndarray) -> np.ndarray:
@@ -115,8 +115,8 @@ class Truth:
         return exact(self._problem.hamiltonian, self._problem.q, self._problem.p, times)[0]
 
 
-def measure(problem: Problem, truth: Truth, tolerance: Tolerance, method: Method, steps: int,
-            most: float) -> tuple[float, float]:
+def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, method: Method,
+            steps: int, most: float) -> tuple[float, float]:
     """Return the error at every step, or some thousand, and gradients a simulated second."""
     simulation = problem.simulation(method, tolerance.horizon / steps)
     every, start, worst = math.ceil(steps / _SAMPLES), simulation.energy, 0.0
@@ -137,7 +137,7 @@ def measure(problem: Problem, truth: Truth, tolerance: Tolerance, method: Method
     return worst, simulation.gradients / simulation.time
 
 
-def sweep(problem: Problem, truth: Truth, tolerance: Tolerance, least: float = 1.0
+def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, least: float = 1.0
           ) -> tuple[str, float, float]:
     """
     Return the cheapest of all methods and of at least so many steps, its gradients and its time.
@@ -170,7 +170,7 @@ def sweep(problem: Problem, truth: Truth, tolerance: Tolerance, least: float = 1
     return f'{method}, h = {h:.3g}', cost, seconds(problem, method, h, tolerance.horizon)
 
 
-def seconds(problem: Problem, method: Method, h: float, horizon: float) -> float:
+def seconds(problem: InitialValueProblem, method: Method, h: float, horizon: float) -> float:
     """Return the wall time of a simulated second [s/s], the least of five runs."""
     times = []
     steps = max(1, round(min(horizon, 0.2 * horizon + 20.0 * h) / h))

@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from helpers import random_checkpoint
-from hnn_vi_ros.accuracy.trials import Problem
+from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -143,20 +143,20 @@ def network(widths: list[int], seed: int, gain: float) -> NeuralHamiltonian:
 class System(NamedTuple):
     """What is simulated, and a time like a period of it [s]."""
 
-    problem: Problem
+    problem: InitialValueProblem
     period: float
 
 
 def orbit(eccentricity: float, apocentre: bool) -> System:
     """Return an orbit of semi-major axis 1 m from one of its ends."""
     r = 1.0 + eccentricity if apocentre else 1.0 - eccentricity
-    return System(Problem(Kepler(), (), np.array([r, 0.0]),
-                          np.array([0.0, math.sqrt(2.0 / r - 1.0)])), 2.0 * math.pi)
+    return System(InitialValueProblem(Kepler(), (), np.array([r, 0.0]),
+                                      np.array([0.0, math.sqrt(2.0 / r - 1.0)])), 2.0 * math.pi)
 
 
 def system(terms: list[tuple], q: list[float], p: list[float], period: float) -> System:
     """Return a sum of terms with its initial state."""
-    return System(Problem(Terms(len(q), terms), (), np.array(q), np.array(p)), period)
+    return System(InitialValueProblem(Terms(len(q), terms), (), np.array(q), np.array(p)), period)
 
 
 def plane(bodies: int, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +199,9 @@ def systems() -> dict[str, System]:
             + [(POWER, 0.1, 2.0, eye[i] - eye[i + 1], None) for i in range(2)],
             [1.0, 0.2, -0.5], [0.0, 0.3, 0.0], 6.5),
         'random network 2-32-32-1': System(
-            Problem(network([2, 32, 32, 1], 8, 2.0), (), np.array([0.3]), np.array([0.3])), 1.9),
+            InitialValueProblem(network([2, 32, 32, 1], 8, 2.0), (), np.array([0.3]),
+                                np.array([0.3])), 1.9),
         'another random network': System(
-            Problem(network([2, 32, 32, 1], 5, 2.0), (), np.array([0.3]), np.array([0.3])), 6.9),
+            InitialValueProblem(network([2, 32, 32, 1], 5, 2.0), (), np.array([0.3]),
+                                np.array([0.3])), 6.9),
     }

@@ -14,7 +14,7 @@ from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN
-from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.steps import SCHEMES, step
 from hnn_vi_ros.learning.train import describe, main
 from hnn_vi_ros.models.confined import load_learned
@@ -136,7 +136,7 @@ def test_training_refuses_a_lagrangian_that_became_singular(tmp_path):
     path.write_text(DATA.format(data='', model=RUNS['lagrangian'][1]))
     config = load_config(path)
     dataset = sample_exact(config.data, 0)
-    problem = Problem(config, dataset)
+    problem = TrainingProblem(config, dataset)
     with torch.no_grad():
         problem.family.network.linears[-1].weight.mul_(1e3)
     with pytest.raises(HnnViRosError, match='singular in its box: .* train it longer'):

@@ -11,7 +11,7 @@ from hnn_vi_ros.learning.config import load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.interruption import Interrupted, Keeper
 from hnn_vi_ros.learning.loop import INTERVAL, Loop
-from hnn_vi_ros.learning.problem import Problem
+from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -50,7 +50,7 @@ def silent() -> tqdm:
     return tqdm(disable=True, file=io.StringIO())
 
 
-def weights_of(problem: Problem) -> bytes:
+def weights_of(problem: TrainingProblem) -> bytes:
     return b''.join(part.detach().numpy().tobytes() for part in problem.family.parameters())
 
 
@@ -59,7 +59,7 @@ def weights_of(problem: Problem) -> bytes:
 @pytest.mark.parametrize('patience', ['', 'patience: 3\n'])
 def test_training_resumed_from_its_file_is_bit_identical(tmp_path, stop, patience):
     config, dataset = prepared(tiny(tmp_path, TINY + patience))
-    whole = Problem(config, dataset)
+    whole = TrainingProblem(config, dataset)
     history = Loop(whole, config).run(silent())
     keeper = Keeper(tmp_path / 'm.training', config, dataset, 'cpu')
 
@@ -69,8 +69,8 @@ def test_training_resumed_from_its_file_is_bit_identical(tmp_path, stop, patienc
         keeper(loop)
 
     with pytest.raises(Interrupted, match=f'stopped at step {stop}, .*--resume'):
-        Loop(Problem(config, dataset), config).run(silent(), pause)
-    resumed = Problem(config, dataset)
+        Loop(TrainingProblem(config, dataset), config).run(silent(), pause)
+    resumed = TrainingProblem(config, dataset)
     loop = Loop(resumed, config)
     Keeper(tmp_path / 'm.training', config, dataset, 'cpu').load(loop)
     assert loop.step == stop
@@ -82,9 +82,9 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
         tmp_path, monkeypatch, capsys):
     arguments = ['--config', str(tiny(tmp_path)), '--out']
     main([*arguments, str(tmp_path / 'whole.safetensors')])
-    look, looks = Problem.validation_loss, []
+    look, looks = TrainingProblem.validation_loss, []
 
-    def interrupted(problem: Problem) -> float:
+    def interrupted(problem: TrainingProblem) -> float:
         looks.append(problem)
         if len(looks) == 5:
             signal.raise_signal(signal.SIGINT)
@@ -92,7 +92,7 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
 
     out = str(tmp_path / 'm.safetensors')
     with monkeypatch.context() as context:
-        context.setattr(Problem, 'validation_loss', interrupted)
+        context.setattr(TrainingProblem, 'validation_loss', interrupted)
         with pytest.raises(Interrupted, match='stopped at step .*m.training.*--resume'):
             main([*arguments, out])
     assert not (tmp_path / 'm.safetensors').exists()
@@ -118,7 +118,7 @@ def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
     keeper = Keeper(tmp_path / 'm.training', config, dataset, 'cpu')
     keeper._stopping = True
     with pytest.raises(Interrupted):
-        keeper(Loop(Problem(config, dataset), config))
+        keeper(Loop(TrainingProblem(config, dataset), config))
     with pytest.raises(ParameterError, match='of another configuration, other data'):
         main([*arguments, '--seed', '7'])
 
@@ -128,14 +128,14 @@ def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_p
     text = TINY.replace('noise: 0.0', 'noise: 0.3').replace('[8, 5]', '[40]').replace(
         'lbfgs_steps: 80', 'lbfgs_steps: 800')
     config, dataset = prepared(tiny(tmp_path, text + 'patience: 3\n'))
-    problem = Problem(config, dataset)
+    problem = TrainingProblem(config, dataset)
     history = Loop(problem, config).run(silent())
     assert history.train_step[-1] < 860
     assert problem.validation_loss() == min(history.validation)
     assert history.validation[history.validation_step.index(history.best_step)] \
         == min(history.validation)
     config, _ = prepared(tiny(tmp_path, text))
-    through = Problem(config, dataset)
+    through = TrainingProblem(config, dataset)
     Loop(through, config).run(silent())
     assert problem.validation_loss() < through.validation_loss()
 
