@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of the scene that is simulated."""
+"""What is reported of the scene that is simulated."""
 
 from dataclasses import asdict
 import math
@@ -49,7 +49,7 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
                  microseconds_per_step: float | None = None, explain: bool = False,
                  chosen: Chosen | None = None) -> dict[str, Any]:
     """
-    Return the resolved scene, with what is live in it: what ~/scene and the log tell.
+    Return the resolved scene, and whether it conserves H: what ~/scene and the log tell.
 
     Parameters
     ----------
@@ -69,9 +69,7 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
 
     """
     report = resolved_scene(scene, simulation, origin, simulation.steps, chosen) | {
-        'live_effects': [effect.model_dump() for effect in scene.effects],
-        'conservative': simulation.conservative,
-    }
+        'conservative': simulation.conservative}
     if explain:
         # Imported here: only those who ask for it wait for it.
         from hnn_vi_ros.run.effect_cost import measure_effects

@@ -195,7 +195,7 @@ def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber
     assert status == 0
     assert '~/commands: message ignored' in error
     scene = yaml.safe_load(scenes[0].data)
-    assert [effect['kind'] for effect in scene['live_effects']] == ['external_force']
+    assert [effect['kind'] for effect in scene['effects']] == ['external_force']
     assert scene['conservative'] is False
     # Imported here: what a subscriber of this process keeps up with depends on its heap.
     from hnn_vi_ros.ros.replay_check import check_replay

@@ -246,11 +246,11 @@ def test_scene_reaches_a_subscriber_that_comes_later(tmp_path, nodes):
     assert received[0].data == 'description: any'
 
 
-def test_scene_report_names_live_effects_and_what_they_cost(tmp_path):
+def test_scene_report_names_effects_and_what_they_cost(tmp_path):
     scene = load(tmp_path, COMMANDED)
     simulation = build(scene)
     report = scene_report(scene, simulation, origin=5)
-    assert report['live_effects'] == [
+    assert report['effects'] == [
         {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None}]
     assert report['conservative'] is False
     assert (report['origin'], report['first_step']) == (5, 0)
