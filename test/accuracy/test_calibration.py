@@ -74,7 +74,7 @@ def error_of(name: str, tolerance: Tolerance, choice: Choice) -> float:
 
 @pytest.mark.parametrize('name, tolerance', PAIRS, ids=lambda value: str(value) if isinstance(
     value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
-def test_choice_holds_its_budget_up_to_the_horizon(name: str, tolerance: Tolerance, measured):
+def test_choice_holds_its_tolerance_up_to_the_horizon(name: str, tolerance: Tolerance, measured):
     choice = calibrate(problem(name), tolerance)
     error = error_of(name, tolerance, choice)
     measured('error of what auto chose', f'{name}, {tolerance.kind} up to '
@@ -173,7 +173,7 @@ def test_step_divides_the_time_between_two_samples():
     assert choice.step_size <= 0.01 and parts == pytest.approx(round(parts), rel=1e-12)
 
 
-def test_budget_below_round_off_is_refused_with_the_nearest():
+def test_tolerance_below_round_off_is_refused_with_the_nearest():
     with pytest.raises(CalibrationError, match=r'no method holds .* the nearest is gauss\d+'):
         calibrate(problem('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0))
 
@@ -234,7 +234,7 @@ def test_choice_that_cannot_be_read_is_made_anew(tmp_path, scene):
     ('energy_error: 1e-3', 'mine.yaml:2: integrator.horizon: .*required'),
     ('energy_error: -1.0, horizon: 1.0', 'mine.yaml:2: integrator.energy_error'),
 ])
-def test_mistake_in_a_budget_is_answered_with_its_place(scene, integrator, expected):
+def test_mistake_in_a_tolerance_is_answered_with_its_place(scene, integrator, expected):
     with pytest.raises(SceneError, match=expected):
         scene(integrator)
 

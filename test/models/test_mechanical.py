@@ -93,7 +93,7 @@ def test_card_refuses_features_that_make_no_sense(changes: dict, message: str):
 
 @pytest.mark.parametrize('method, bound', [
     ('generalized_leapfrog', 1e-4), ('implicit_midpoint', 1e-4), ('gauss4', 1e-8)])
-def test_energy_budget_closes_with_learned_friction_and_commands(tmp_path, method, bound):
+def test_energy_balance_closes_with_learned_friction_and_commands(tmp_path, method, bound):
     model = saved(tmp_path, 'arm')
     hamiltonian = FAMILIES['mechanical'].hamiltonian(load_checkpoint(model))
     effects = [EFFECTS['learned_friction'](model),

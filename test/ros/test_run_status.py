@@ -193,7 +193,7 @@ def test_integrator_and_health_keep_saying_that_a_step_failed(tmp_path):
     assert run.health.find(STEP_FAILED).value == 1.0
 
 
-def test_energy_warns_of_a_budget_that_is_exceeded_and_the_run_once(tmp_path):
+def test_energy_warns_of_a_tolerance_that_is_exceeded_and_the_run_once(tmp_path):
     run = Run(tmp_path, Tolerance('energy_error', 1e-3, 10.0))
     run.advance(5)
     assert run.told('energy') == (OK, 'energy_error within its tolerance')

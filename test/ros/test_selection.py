@@ -65,7 +65,7 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
     assert any('gauss4, h = 0.005 s' in text for _, text in events)
 
 
-def test_scene_report_carries_budget_and_choice(tmp_path, choose):
+def test_scene_report_carries_tolerance_and_choice(tmp_path, choose):
     choose(CHOICE)
     scene, chosen = resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
     report = scene_report(scene, build(scene), chosen=chosen)
@@ -75,7 +75,7 @@ def test_scene_report_carries_budget_and_choice(tmp_path, choose):
     assert (report['integrator']['kind'], report['step_size']) == ('gauss4', 0.005)
 
 
-def test_budget_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose):
+def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose):
     # The paper's scheme errs by h / 2 = 5e-3.
     choose(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3, 300.0, {}, 0.5))
     status, _, error = finish(start(

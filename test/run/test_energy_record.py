@@ -91,7 +91,7 @@ def run(simulation: Simulation, record: EnergyRecord, count: int) -> list[bool]:
     return beyond
 
 
-def test_budget_of_energy_is_exceeded_where_the_error_is_and_only_up_to_the_horizon():
+def test_tolerance_of_energy_is_exceeded_where_the_error_is_and_only_up_to_the_horizon():
     simulation = oscillator()
     # H oscillates by h / 2 relative to H0: 5e-3, passed after an eighth of a turn.
     record = EnergyRecord(simulation, TICK, Tolerance('energy_error', 2.5e-3, 2.0))
@@ -103,13 +103,13 @@ def test_budget_of_energy_is_exceeded_where_the_error_is_and_only_up_to_the_hori
     assert record.largest == pytest.approx(5e-3, rel=0.02)
 
 
-def test_budget_of_energy_that_is_held_is_not_exceeded():
+def test_tolerance_of_energy_that_is_held_is_not_exceeded():
     simulation = oscillator()
     assert not any(run(
         simulation, EnergyRecord(simulation, TICK, Tolerance('energy_error', 6e-3, 100.0)), 1000))
 
 
-def test_budget_of_the_path_counts_no_more_than_the_path_errs():
+def test_tolerance_of_the_path_counts_no_more_than_the_path_errs():
     simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['variational_euler'](), 0.02,
                             [2.0], [0.0])
     exact = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['gauss12'](), 0.02, [2.0], [0.0])
@@ -125,7 +125,7 @@ def test_budget_of_the_path_counts_no_more_than_the_path_errs():
     assert record.largest > 0.01 * worst
 
 
-def test_budget_of_the_path_is_left_alone_where_work_is_done():
+def test_tolerance_of_the_path_is_left_alone_where_work_is_done():
     simulation = oscillator(effects=[EFFECTS['damping'](0.1)])
     record = EnergyRecord(simulation, TICK, Tolerance('path_error', 1e-12, 100.0))
     assert not any(run(simulation, record, 100))

@@ -397,7 +397,7 @@ def test_many_trajectories_with_effects_are_those_of_each_alone(
         assert many.energy[-1, i] == pytest.approx(alone.energy, abs=100 * tolerance)
 
 
-def test_budget_of_trajectories_that_step_together_is_the_sum_of_theirs():
+def test_energy_balance_of_trajectories_that_step_together_is_the_sum_of_theirs():
     def make(q, p) -> Simulation:
         return Simulation(Uncompiled(HAMILTONIANS['henon_heiles']()), INTEGRATORS['gauss6'](),
                           0.1, q, p, [effect('magnetic_field', ['x', 'y']),
@@ -434,7 +434,7 @@ def test_more_rods_than_coordinates_are_refused():
                    [0.0], rods)
 
 
-def test_snapshot_carries_the_energy_that_the_budget_starts_from():
+def test_snapshot_carries_the_energy_that_the_balance_starts_from():
     def start(q: float) -> Simulation:
         return Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss8'](), 0.1,
                           [q], [0.0])

@@ -86,7 +86,7 @@ def shortfall(row: EffectRow, method: Method, effects: list[Effect]) -> float:
 
 
 @pytest.mark.parametrize('row', SMOOTH, ids=lambda row: row.name)
-def test_energy_budget_closes_with_the_order_of_every_method_that_takes_the_effect(
+def test_energy_balance_closes_with_the_order_of_every_method_that_takes_the_effect(
         row: EffectRow, tmp_path: Path, measured):
     shortfalls = {}
     for method in METHODS:
@@ -104,7 +104,7 @@ def test_energy_budget_closes_with_the_order_of_every_method_that_takes_the_effe
 
 
 @pytest.mark.parametrize('name', ['generalized_leapfrog', 'stormer_verlet'])
-def test_energy_budget_of_the_thermostat_closes_with_order_2(name: str, measured):
+def test_energy_balance_of_the_thermostat_closes_with_order_2(name: str, measured):
     """In the mean square over 32 runs: each step size meets noise of its own."""
     row = next(row for row in EFFECT_ROWS if row.name == 'thermostat')
     steps, errors = np.array([16, 32, 64]), []
