@@ -36,7 +36,7 @@ _FIRST = 0.25
 # Where one method has reached round-off without holding the tolerance, others are tried up to so
 # many times its cost.
 _BEYOND_FLOOR = 10.0
-# Wall time in which the cost that is told is measured [s], and in how many pieces.
+# Wall time in which the cost that is reported is measured [s], and in how many pieces.
 _TIMED, _PIECES = 0.05, 9
 # Of what is remembered; another number makes it be chosen anew.
 _FORMAT = 2
@@ -58,7 +58,7 @@ class Choice:
     checked : float
         The simulated time over which it was seen [s]; less than the horizon where that is long.
     seconds_per_simulated_second : float
-        What a simulated second costs on this machine [s/s]; told, and nothing is chosen by it.
+        What a simulated second costs on this machine [s/s]; reported, and nothing is chosen by it.
     gradients_per_simulated_second : float
         By which the choice was made [1/s].
     arguments : mapping

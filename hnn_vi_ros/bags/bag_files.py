@@ -66,9 +66,9 @@ def _numbered(bag: Path, files: list[Path]) -> list[Path]:
     numbers = {path: int(match[2]) for path, match in found.items()}
     if not files or len(found) < len(files) or len(set(numbers.values())) < len(files) \
             or len({match[1] for match in found.values()}) > 1:
-        told = f'{len(files)} files; give one of them' if files else f'none{_nearest(bag)}'
+        what = f'{len(files)} files; give one of them' if files else f'none{_nearest(bag)}'
         raise RecordingError(f'{bag}: expected a folder with one bag (.mcap or .db3), found '
-                             f'{told}')
+                             f'{what}')
     files.sort(key=numbers.__getitem__)
     # The first ones may have been deleted, as recorders do that keep the newest.
     for before, after in pairwise(files):

@@ -33,8 +33,8 @@ def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
         How many messages can be read.
 
     """
-    told = file.survey.statistics
-    return told is not None and told.message_count == messages \
+    statistics = file.survey.statistics
+    return statistics is not None and statistics.message_count == messages \
         and not file.unread and not file.incomplete \
         and _framed(stream) and _counts(file.survey) and _summary_crc(stream, file.survey) \
         and all(_agrees(stream, indexed) for indexed in file.survey.chunks)
@@ -43,8 +43,8 @@ def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
 def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
     """Tell whether the data are as they were written, header and metadata too, where known."""
     stream.seek(survey.end)
-    told = decode(Opcode.DATA_END, stream.read(_CRC.size))
-    return isinstance(told, DataEnd) and told.data_section_crc in (
+    data_end = decode(Opcode.DATA_END, stream.read(_CRC.size))
+    return isinstance(data_end, DataEnd) and data_end.data_section_crc in (
         0, _crc(stream, 0, survey.end - PREFIX.size))
 
 
@@ -66,8 +66,8 @@ def _framed(stream: BinaryIO) -> bool:
 
 def _counts(survey: Survey) -> bool:
     """Tell whether the statistics count what there is."""
-    told = survey.statistics
-    return (told.chunk_count, told.attachment_count, told.metadata_count) == (
+    statistics = survey.statistics
+    return (statistics.chunk_count, statistics.attachment_count, statistics.metadata_count) == (
         len(survey.chunks), len(survey.attachments), len(survey.metadata))
 
 
@@ -96,8 +96,8 @@ def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:
     if times and (head.first, head.last) != (min(times), max(times)):
         return False
     indexes = [decode(frame.opcode, read_content(stream, frame)) for frame in indexed.indexes]
-    told = [(index.channel_id, sorted(index.records)) for index in indexes if index.records]
-    return not indexes or sorted(told) == sorted(messages.items())
+    listed = [(index.channel_id, sorted(index.records)) for index in indexes if index.records]
+    return not indexes or sorted(listed) == sorted(messages.items())
 
 
 def _messages(data: bytes) -> dict[int, list[tuple[int, int]]]:

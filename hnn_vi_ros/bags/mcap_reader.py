@@ -105,7 +105,7 @@ class BagReader:
 
     @property
     def damage(self) -> str:
-        """Return what is to be told of parts that could not be read; empty if there are none."""
+        """Return what is to be reported of parts that could not be read; empty if none."""
         places = [(source, start) for source in self._sources for start in sorted(source.unread)]
         if not places:
             return ''

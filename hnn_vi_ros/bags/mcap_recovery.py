@@ -173,8 +173,8 @@ def _recorded(file: McapFile) -> int | None:
         files = [described]
     else:
         # Of each file of several.
-        told = described.get('files')
-        files = [entry for entry in (told if isinstance(told, list) else ())
+        listed = described.get('files')
+        files = [entry for entry in (listed if isinstance(listed, list) else ())
                  if isinstance(entry, dict) and entry.get('path') == file.path.name]
     count = files[0].get('message_count') if files else None
     return count if isinstance(count, int) else None

@@ -84,11 +84,11 @@ class Survey:
     @property
     def complete(self) -> bool:
         """Tell whether all is there that the statistics count, messages in chunks aside."""
-        told = self.statistics
-        if told is None or (told.chunk_count, told.attachment_count, told.metadata_count) != (
+        count = self.statistics
+        if count is None or (count.chunk_count, count.attachment_count, count.metadata_count) != (
                 len(self.chunks), len(self.attachments), len(self.metadata)):
             return False
-        return bool(self.chunks) or told.message_count == self.messages
+        return bool(self.chunks) or count.message_count == self.messages
 
     def forgive(self) -> None:
         """Forget what is damaged where nothing is lost: after the data, or if all is there."""

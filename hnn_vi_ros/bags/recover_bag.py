@@ -24,7 +24,7 @@ def _recover(bag: Path, replace: bool) -> int:
         files = bag_files(bag)
         for path in [bag] if len(files) == 1 else files:
             recovery = recover(path, replace)
-            print(_told(recovery), flush=True)
+            print(_summary(recovery), flush=True)
             status, changed = max(status, int(recovery.lost)), changed or recovery.changed
         if len(files) > 1 and (changed or not (bag / 'metadata.yaml').exists()):
             messages = describe(bag, files)
@@ -43,18 +43,18 @@ def _fail(problem: str) -> int:
     return 2
 
 
-def _told(recovery: Recovery) -> str:
+def _summary(recovery: Recovery) -> str:
     done = 'recovered' if recovery.changed else 'whole already'
     if recovery.described and not recovery.changed:
         done = 'whole already, metadata.yaml written'
-    told = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
+    parts = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
     if recovery.incomplete:
-        told.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
+        parts.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
     if recovery.lost:
-        told.append(f'LOST: {", ".join(_losses(recovery))}')
+        parts.append(f'LOST: {", ".join(_losses(recovery))}')
     if recovery.original:
-        told.append(f'as it was: {recovery.original.name}')
-    return '; '.join(told)
+        parts.append(f'as it was: {recovery.original.name}')
+    return '; '.join(parts)
 
 
 def _losses(recovery: Recovery) -> list[str]:

@@ -119,8 +119,8 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
             parts.append(part)
         if reader.damage:
             _LOGGER.warning('train: warning: %s', reader.damage)
-        told = f'{count} rows, sha256 {reader.digest[:16]}'
-        described.append(f'{path.name} ({told}{", damaged" if reader.damage else ""})')
+        rows = f'{count} rows, sha256 {reader.digest[:16]}'
+        described.append(f'{path.name} ({rows}{", damaged" if reader.damage else ""})')
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if len(arrays['t']) > MAX_ROWS:
         raise DataError(f'{len(arrays["t"])} rows are more than {MAX_ROWS}; give a larger '

@@ -30,7 +30,7 @@ class Signal(NamedTuple):
     t : np.ndarray, shape (N,)
         Increasing instants, since the first of the signal that was read first [s].
     values : np.ndarray, shape (N, d)
-        What was told then.
+        What was said then.
 
     """
 
@@ -74,7 +74,7 @@ class SignalReader:
 
     @property
     def damage(self) -> str:
-        """Return what is to be told of parts that could not be read."""
+        """Return what is to be reported of parts that could not be read."""
         return self._reader.damage
 
     @property
@@ -119,8 +119,8 @@ class SignalReader:
         for message in self._reader.messages([channel.id for channel in channels]):
             times.setdefault(message.data, message.time)
         if len(times) > 1:
-            told = ', '.join(map(str, list(times.values())[1:4]))
-            raise DataError(f'{self.path}: the run was reset at log time {told} ns; cut the bag '
+            resets = ', '.join(map(str, list(times.values())[1:4]))
+            raise DataError(f'{self.path}: the run was reset at log time {resets} ns; cut the bag '
                             'there, by `mcap filter`, and give the parts in data.paths; the '
                             'simulator begins a bag at each reset')
 

@@ -115,8 +115,8 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
     error = card.energy_error
     energy = '' if error is None else (
         f'On what was held out H is off by {error.rms:.3g} J RMS '
-        f'({interval_text(error.rms_interval)}) against the {error.told}, which makes it vary by '
-        f'{error.spread:.3g} J.\n\n')
+        f'({interval_text(error.rms_interval)}) against the '
+        f'{error.compared_with}, which makes it vary by {error.spread:.3g} J.\n\n')
     return (f'# {card.name}\n\n{config.description}\n\nData: {card.dataset}. Held out: {held}. '
             f'Trained on the others by {", ".join(card.losses)} in {seconds:.0f} s, seed '
             f'{card.seed}: `{card.training_command}`\n\nFree simulation of what was held out, '

@@ -3,7 +3,7 @@
 """
 Measured motions of a mechanism, (t, q, v, tau), at even times.
 
-Runs come from arrays, bags or logs; what is bad in them is left out, counted and told.
+Runs come from arrays, bags or logs; what is bad in them is left out, counted and reported.
 """
 
 from collections.abc import Iterator, Sequence
@@ -91,10 +91,10 @@ class Bad:
         parts = [f'{count} {what}' for count, what in (
             (self.lacking, 'that lack a number'), (self.late, 'that are late or come twice'),
             (self.short, f'in pieces of less than {MIN_SAMPLES}')) if count]
-        told = [f'left out {" and ".join(parts)} of the samples'] if parts else []
-        told += [f'cut at {self.cuts} places'] if self.cuts else []
-        told += [f'{what} estimated' for what in sorted(self.estimated)]
-        return '; '.join(told)
+        found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
+        found += [f'cut at {self.cuts} places'] if self.cuts else []
+        found += [f'{what} estimated' for what in sorted(self.estimated)]
+        return '; '.join(found)
 
 
 @dataclass(frozen=True)
@@ -146,9 +146,9 @@ def as_motions(runs: Sequence[MeasuredRun], data: MotionData, name: str, digest:
     """Return runs as motions at even times, and what they are and lack, for the model card."""
     bad = Bad()
     motions = [motion for run in runs for motion in motions_of(run, data, bad)]
-    told = f'; {bad}' if str(bad) else ''
+    counts = f'; {bad}' if str(bad) else ''
     samples = sum(len(motion.t) for motion in motions)
-    return motions, f'{name} ({samples} samples, sha256 {digest}{told})'
+    return motions, f'{name} ({samples} samples, sha256 {digest}{counts})'
 
 
 def motions_of(run: MeasuredRun, data: MotionData, bad: Bad) -> Iterator[Motion]:
@@ -185,9 +185,9 @@ def motions_of(run: MeasuredRun, data: MotionData, bad: Bad) -> Iterator[Motion]
         raise DataError(f'{run.where}: sample {wrong[0] + 1} {what}; leave it out, or take '
                         'data.on_bad: drop or split')
     if wrong.size > _MOST_BAD * len(run.t):
-        told = ', '.join(f'{part.sum()} lack a number of {name}'
-                         for name, part in lacks.items() if part.any())
-        raise DataError(f'{run.where}: of {len(run.t)} samples {told or "none lacks a number"}, '
+        counts = ', '.join(f'{part.sum()} lack a number of {name}'
+                           for name, part in lacks.items() if part.any())
+        raise DataError(f'{run.where}: of {len(run.t)} samples {counts or "none lacks a number"}, '
                         f'and {late.sum()} are not after the one before: these are no states of '
                         'one motion; look at what is taken for them')
     bad.lacking, bad.late = bad.lacking + int(lacking.sum()), bad.late + int(late.sum())

@@ -152,7 +152,7 @@ def _page(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: Hi
         error = card.energy_error
         facts |= {
             f'energy error, {name} [J]': f'{value:.3g} ({interval_text(interval)}), against the '
-            f'{error.told} at {error.states} states, which vary by {error.spread:.3g}'
+            f'{error.compared_with} at {error.states} states, which vary by {error.spread:.3g}'
             for name, value, interval in (('RMS', error.rms, error.rms_interval),
                                           ('largest', error.sup, error.sup_interval))}
     rows = '\n'.join(f'| {key} | {value} |' for key, value in facts.items())

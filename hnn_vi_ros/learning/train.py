@@ -195,8 +195,8 @@ def main(argv: Sequence[str]) -> None:
     torch.set_num_threads(1)
     source = find_config(arguments.config)
     model = arguments.out or Path('models') / f'{source.stem}.safetensors'
-    told = [part for part in argv if part != '--resume']
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *told])
+    given = [part for part in argv if part != '--resume']
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *given])
     if machine_train.is_machine(source):
         files = machine_train.Outputs.beside(model)
         _check_outputs(files, resume=False)
@@ -224,7 +224,7 @@ def main(argv: Sequence[str]) -> None:
     losses = ', '.join(f'{key} {value:.3g}' for key, value in card.losses.items())
     error = card.energy_error
     known = '' if error is None else (f'\nenergy error: RMS {error.rms:.3g} J, largest '
-                                      f'{error.sup:.3g} J, against the {error.told}')
+                                      f'{error.sup:.3g} J, against the {error.compared_with}')
     print(f'model: {outputs.model}\nloss curve: {outputs.losses}\nreport: {outputs.report}\n'
           f'{losses}{known}\ntrained in {seconds:.1f} s')
 

@@ -38,7 +38,7 @@ class EnergyError(StrictModel):
         'what the fitted friction takes in the mean [W]'))
 
     @property
-    def told(self) -> str:
+    def compared_with(self) -> str:
         """Return what H is compared with, in words."""
         if self.friction_power is None:
             return self.against

@@ -77,8 +77,8 @@ class BridgePicture:
         # Only ~/accuracy tells of the work.
         error = work = math.nan
         if 'accuracy' in messages:
-            told = dict(zip(ENTRIES, messages['accuracy'].data, strict=False))
-            error, work = told['energy_error'], told['work']
+            accuracy = dict(zip(ENTRIES, messages['accuracy'].data, strict=False))
+            error, work = accuracy['energy_error'], accuracy['work']
         elif self._conservative:
             error, work = self._error(energy, 0.0), 0.0
         self._write(

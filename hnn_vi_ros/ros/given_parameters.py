@@ -29,7 +29,7 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
     Refuse parameters that a node was given and does not have, before they run the default.
 
     A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
-    What the node does not have there belongs to another one: it is told if it looks like a
+    What the node does not have there belongs to another one: it is reported if it looks like a
     misspelling, and left. So is a section whose name is nearly the node's, where none is its own.
 
     Parameters

@@ -98,7 +98,7 @@ class Health:
             level, message = self._level(worst), worst.message
         figures = {f'{alarm.kind}: {key}': value for alarm in self._alarms.values()
                    for key, value in self._figures(alarm).items()}
-        # Results are as good after an overrun as before: it is told once.
+        # Results are as good after an overrun as before: it is reported once.
         self._alarms.pop(OverrunGuard.kind, None)
         return Status('health', level, message, {
             'watched': ', '.join([STEP_FAILED, *(guard.kind for guard in self._guards)]),

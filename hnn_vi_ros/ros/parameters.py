@@ -97,7 +97,7 @@ def specifications(settings: type) -> tuple[Specification, ...]:
 
 @dataclass(frozen=True)
 class Settings:
-    """The parameters of the simulator node: what each is worth, and all that is told of it."""
+    """The parameters of the simulator node: what each is worth, and all that is said of it."""
 
     autostart: bool = parameter(
         True, 'configure and activate without being asked to; false leaves that to a lifecycle '
@@ -142,7 +142,7 @@ class Settings:
     publish_accuracy: bool = parameter(False, 'publish and record `~/accuracy`')
     stop_outside_box: bool = parameter(
         False, 'end the run, with status 1, at the first sample outside of the box that the '
-        'model was trained in; else it is only told', changes=ALWAYS)
+        'model was trained in; else it is only reported', changes=ALWAYS)
     energy_band_limit: float = parameter(
         0.05, 'band of the modified energy, over the energies in play, from which on a '
         'conservative run counts as under-resolved', '1', 1e-15, 1e6, changes=ALWAYS)

@@ -52,7 +52,7 @@ class Prepared(NamedTuple):
     recording : Recording
         The open files.
     events : list of Event
-        What is to be told.
+        What is to be reported.
     origin : int
         Stamp of step 0 [ns].
 

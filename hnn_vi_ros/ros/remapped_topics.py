@@ -49,11 +49,11 @@ def own_topics(reader: BagReader) -> dict[str, int]:
     found: dict[str, int] = {}
     for text in _scenes(reader, topics):
         try:
-            told = parse_mapping(text, reader.path, RecordingError)[0].get(KEY)
+            remapped = parse_mapping(text, reader.path, RecordingError)[0].get(KEY)
         except RecordingError:
             # Whoever needs the scene says what is wrong with it.
             continue
-        for own, called in (told if isinstance(told, dict) else {}).items():
+        for own, called in (remapped if isinstance(remapped, dict) else {}).items():
             if isinstance(called, str) and called in topics:
                 found[own] = topics[called]
     return topics | found
@@ -70,7 +70,7 @@ def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
         schema = reader.schemas.get(reader.channels[number].schema_id)
         if topic.endswith('/scene') and schema is not None and schema.name == _STRING:
             for message in reader.messages([number]):
-                # One that is none of this type is told where it is needed.
+                # One that is none of this type is reported where it is needed.
                 with suppress(RuntimeError):
                     yield deserialize_message(message.data, String).data
                 break

@@ -60,7 +60,7 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     Of a sample that is all that ~/state tells, or q and p of a bag of before ~/state.
 
     Parts of the bag that cannot be read, and samples that are missing from the even grid on which
-    they come, are told, and then the log is not confirmed.
+    they come, are reported, and then the log is not confirmed.
 
     Parameters
     ----------
@@ -89,17 +89,17 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     begin = simulation.steps
     samples, difference = _first_difference(run, simulation)
     missing = _missing(run, begin)
-    told = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
+    agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
         f'{samples} samples agree bit by bit, {where}'
     if difference is None:
-        return Verdict(f'{told}{missing}', bool(samples) and not missing)
+        return Verdict(f'{agreed}{missing}', bool(samples) and not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
     commands = '; the scene takes commands, and the log does not tell at which step any acted' \
         if simulation.takes_commands and not any(run.commands()) else ''
     return Verdict(
-        f'{told}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
+        f'{agreed}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
         f'{size:.3g}: {difference.recorded!r} in the log, {difference.simulated!r} now; the '
         f'largest difference, {margin.difference:.3g} of {margin.name} at t = '
         f'{margin.stamp * 1e-9:.9g} s, is '
@@ -109,18 +109,18 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
 
 
 def _missing(run: RecordedRun, begin: int) -> str:
-    """Return what is to be told of samples that are not there to be compared; else empty."""
-    told, stamps = '', [stamp for stamp, _, _ in run.samples()]
+    """Return what is to be reported of samples that are not there to be compared; else empty."""
+    text, stamps = '', [stamp for stamp, _, _ in run.samples()]
     if run.own:
         # Others may begin in the middle of a run; the simulator itself records all from here on.
         stamps.append(run.stamp_of(begin))
     if gaps := missing_stamps(stamps, run.spacing):
         first = gaps[0]
-        told = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
+        text = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
                 f'the first from t = {first.after * 1e-9:.9g} s to {first.before * 1e-9:.9g} s')
     if run.reader.damage:
-        told += f'; BUT {run.reader.damage}'
-    return told
+        text += f'; BUT {run.reader.damage}'
+    return text
 
 
 def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:

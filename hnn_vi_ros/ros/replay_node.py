@@ -116,7 +116,7 @@ class ReplayNode(Node):
 
     @property
     def damage(self) -> str:
-        """Return what is to be told of parts of the bag that could not be read."""
+        """Return what is to be reported of parts of the bag that could not be read."""
         return self._reader.damage
 
     def _open(self, settings: ReplaySettings) -> dict[int, Publisher]:

@@ -51,7 +51,7 @@ class RunStatus:
         self._monitor, self._recording, self._health = monitor, recording, health
         self.asked, self.paused = real_time_factor, False
         self._model = _model(scene, simulation)
-        # When the last statuses were told.
+        # When the last statuses were published.
         self._overruns, self._rescued = 0, 0
 
     def statuses(self, overruns: int) -> list[Status]:

@@ -64,13 +64,13 @@ class SimulateSteps:
 
     def _feedback(self, goal: ServerGoalHandle) -> Callable[[int, int], None]:
         """Return what tells a client how far its goal is: after the first batch, and the last."""
-        told = -math.inf
+        last = -math.inf
 
         def tell(done: int, left: int) -> None:
-            nonlocal told
+            nonlocal last
             now = time.monotonic()
-            if left == 0 or now - told >= _PERIOD:
-                told = now
+            if left == 0 or now - last >= _PERIOD:
+                last = now
                 goal.publish_feedback(
                     self._kind.Feedback(completed_steps=done, remaining_steps=left))
         return tell

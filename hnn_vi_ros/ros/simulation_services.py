@@ -18,7 +18,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 _PACKAGE = 'simulation_interfaces'
-# What each interface that is served here adds to the features that are told of.
+# What each interface that is served here adds to the features that are reported.
 INTERFACES = {
     'GetSimulatorFeatures': (),
     'GetSimulationState': ('SIMULATION_STATE_GETTING',),
@@ -44,7 +44,7 @@ def offer_simulation_interfaces(node: Node, simulator: Simulator, group: Callbac
     """
     Create the services if simulation_interfaces can be imported; tell whether it can.
 
-    Its versions differ: what the installed one does not have is neither served nor told of.
+    Its versions differ: what the installed one does not have is neither served nor reported.
 
     Parameters
     ----------

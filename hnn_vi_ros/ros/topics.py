@@ -131,7 +131,7 @@ class Topics:
     def hear(self, topic: str, message_type: type, take: Callable[[Any], None]
              ) -> Subscription:
         """
-        Hear a topic: the newest message counts, and what cannot be used is told and ignored.
+        Hear a topic: the newest message counts, and what cannot be used is reported and ignored.
 
         Parameters
         ----------

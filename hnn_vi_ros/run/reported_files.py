@@ -14,13 +14,13 @@ def bag_lines(bag: Path) -> list[str]:
     """Return lines that say where a bag is, and the commands that open it."""
     bag = _from_here(bag)
     file = bag / f'{bag.name}_0.mcap'
-    told = f'bag        {bag}'
+    line = f'bag        {bag}'
     if not file.exists():
-        return [told, '  was removed']
+        return [line, '  was removed']
     if not (bag / 'metadata.yaml').exists():
-        return [told, '  is not complete']
+        return [line, '  is not complete']
     play = [f'  open it  {_command("ros2", "bag", "play", bag)}'] if shutil.which('ros2') else []
-    return [told, *play, f'  open it  {_command(_rerun(), file)}']
+    return [line, *play, f'  open it  {_command(_rerun(), file)}']
 
 
 def picture_lines(picture: Path) -> list[str]:

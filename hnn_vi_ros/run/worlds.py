@@ -117,7 +117,7 @@ def find_worlds(folders: Sequence[str], go_on: bool) -> tuple[list[World], list[
     folders : sequence of str
         Paths or ``file:`` URIs of folders that hold scene files.
     go_on : bool
-        Whether a folder that cannot be read is only told.
+        Whether a folder that cannot be read is only reported.
 
     Returns
     -------

@@ -21,11 +21,11 @@ ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the si
 def described_scene(text: bytes | str, where: str, trust_code: bool = False
                     ) -> tuple[Scene, dict[str, Any]]:
     """
-    Return the scene that a log or ~/scene describes, and all that is told with it.
+    Return the scene that a log or ~/scene describes, and all that stands beside it.
 
     Whoever wrote it chooses none of what is run, or opened, here: code that it names is refused
     unless it is trusted, and then comes from the path of Python's modules alone; model files are
-    those that the digests told with it belong to.
+    those that the digests beside it belong to.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
     return scene, described
 
 
-def only_scene(told: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
+def only_scene(texts: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
     """
-    Return the one scene that was told while a bag was recorded.
+    Return the one scene that was sent while a bag was recorded.
 
     Parameters
     ----------
-    told : iterable of (str, int)
+    texts : iterable of (str, int)
         Texts and log times [ns]; the same one may come more than once.
     topic : str
         On which they came.
@@ -77,7 +77,7 @@ def only_scene(told: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
 
     """
     times: dict[str, int] = {}
-    for text, time in told:
+    for text, time in texts:
         times.setdefault(text, time)
     if not times:
         raise RecordingError(f'{bag}: holds neither a scene.yaml nor a message of {topic}; record '

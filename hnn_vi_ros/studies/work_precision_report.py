@@ -20,7 +20,7 @@ ERRORS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 
 def write_report(results: Results, name: str) -> list[Path]:
     """
-    Write everything that is drawn and told of the rows; return the files.
+    Write everything that is drawn and said of the rows; return the files.
 
     Parameters
     ----------

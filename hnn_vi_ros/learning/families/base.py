@@ -47,7 +47,7 @@ class Scales:
         centres = [0.5 * (part.min(axis=0) + part.max(axis=0)) for part in parts]
         halves = [0.5 * np.ptp(part, axis=0) for part in parts]
         commands = np.empty((1, 0)) if dataset.commands is None else dataset.commands
-        # Data too large for their squares end in a loss that is not finite, which is told.
+        # Data too large for their squares end in a loss that is not finite, which is reported.
         with np.errstate(over='ignore'):
             rates = [np.sqrt(np.mean(part**2, axis=0))
                      for part in (dataset.dq_dt, dataset.dp_dt, commands)]
