@@ -102,8 +102,9 @@ def make_reference(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray, hor
     horizon : float
         T [s].
     step_size : float
-        The longest step that is tried [s]; it is halved up to _HALVINGS times, and the accuracy
-        is the smallest difference between two paths that follow one another.
+        The longest step that is tried [s]; it is halved up to _HALVINGS times, or until paths
+        differ by no more than rounding makes of so many steps. The accuracy is the smallest
+        difference between two paths that follow one another.
 
     """
     solve = EXACT.get(type(hamiltonian))
@@ -125,6 +126,8 @@ def make_reference(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray, hor
                 best = Reference(path, accuracy, f'{_METHOD}, h = {h:.3g} s, checked by halving',
                                  samples)
             elif best.verified:
+                break
+            if accuracy <= _EPS * np.abs(path).max() * math.sqrt(horizon / h):
                 break
         before = samples
     return best
