@@ -207,10 +207,11 @@ class SinglePrecision(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile, with weights of single precision."""
         exact = self.network.kernel
-        sizes, rows, tiles, nodes, node_tiles = exact.parameters
-        rows, nodes = rows.astype(np.float32), nodes.astype(np.float32)
-        single = exact._replace(parameters=(
-            sizes, rows, rows.reshape(tiles.shape), nodes, nodes.reshape(node_tiles.shape)))
+        network = exact.parameters
+        rows, nodes = network.rows.astype(np.float32), network.nodes.astype(np.float32)
+        single = exact._replace(parameters=network._replace(
+            rows=rows, tiles=rows.reshape(network.tiles.shape),
+            nodes=nodes, node_tiles=nodes.reshape(network.node_tiles.shape)))
         return single._replace(gradient_scale=self._gradient_scale(exact, single))
 
     def _gradient_scale(self, exact: Kernel, single: Kernel) -> tuple[float, float]:
