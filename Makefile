@@ -53,7 +53,8 @@ run:
 		-p "scene:='$${SCENE//$$quote/$$quote$$quote}'" -p 'duration:=$(DURATION)'
 
 # Plugins by name: those of a sourced ROS 2 were written for an older pytest. Tests of one process
-# share the cores; those of processes that keep time come after, one at a time.
+# share the cores; those of processes that keep time come after: they mostly wait, so that a few
+# run at once, each worker in a ROS domain of its own.
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/pytest -p timeout
 test:
 	$(VENV) run train test
@@ -62,7 +63,7 @@ ifdef ARGS
 	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
 else
 	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --durations 15 --ignore test/ros
-	@$(ENVIRONMENT); $(PYTEST) --durations 15 test/ros
+	@$(ENVIRONMENT); $(PYTEST) -p xdist -n 3 --dist loadfile --durations 15 test/ros
 endif
 
 # -P: the package that is measured is the one that was built.

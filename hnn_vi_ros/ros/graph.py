@@ -19,6 +19,8 @@ _SETTLED = 0.5
 # What the delivery of the last messages may take [s], and how often signals are looked for.
 _DELIVERY, _DELIVERY_AFTER_SIGNAL = 10.0, 1.0
 _DELIVERY_TURN = 0.1
+# What is logged where that was too short.
+UNDELIVERED = 'a subscriber was too slow to receive all that was published of {}'
 
 
 def freeze_memory() -> None:
@@ -59,7 +61,7 @@ class Discovery:
         return now >= self._until or (found > 0 and now - self._since > _SETTLED)
 
 
-def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) -> None:
+def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) -> str:
     """
     Let matched subscribers receive what is still on its way, as long as they may need.
 
@@ -72,9 +74,16 @@ def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) 
     received : sequence of int
         The signals that came, to which a handler adds.
 
+    Returns
+    -------
+    str
+        The topics of which a subscriber still lacks messages; empty for none.
+
     """
-    begin = time.monotonic()
+    begin, late = time.monotonic(), []
     for publisher in publishers:
         while not publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TURN)):
             if time.monotonic() - begin > (_DELIVERY_AFTER_SIGNAL if received else _DELIVERY):
-                return
+                late.append(publisher.topic_name)
+                break
+    return ', '.join(late)

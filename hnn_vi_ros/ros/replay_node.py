@@ -15,7 +15,7 @@ from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.graph import (
-    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, wait_for_delivery)
+    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
 from hnn_vi_ros.ros.messages import type_hash
 from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.parameters import Value
@@ -104,7 +104,8 @@ class ReplayNode(Node):
 
     def wait_for_delivery(self, received: Sequence[int]) -> None:
         """Let matched subscribers receive what is still on its way; signals shorten it."""
-        wait_for_delivery(set(self._publishers_of.values()), received)
+        if late := wait_for_delivery(set(self._publishers_of.values()), received):
+            self.get_logger().warning(UNDELIVERED.format(late))
 
     def report(self) -> str:
         """Return how many messages were published, and how late."""

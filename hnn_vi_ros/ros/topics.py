@@ -11,7 +11,7 @@ from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
-from hnn_vi_ros.ros.graph import wait_for_delivery
+from hnn_vi_ros.ros.graph import UNDELIVERED, wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
@@ -201,7 +201,8 @@ class Topics:
 
     def wait_for_delivery(self, received: Sequence[int]) -> None:
         """Let matched subscribers receive what is still on its way; signals shorten it."""
-        wait_for_delivery((*self._publishers, self.diagnostics), received)
+        if late := wait_for_delivery((*self._publishers, self.diagnostics), received):
+            self._node.get_logger().warning(UNDELIVERED.format(late))
 
     def _publisher(self, topic: str, message_type: type, qos: QoSProfile) -> Publisher:
         publisher = create_publisher(self._node, message_type, topic, qos)

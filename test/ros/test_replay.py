@@ -295,10 +295,10 @@ def test_readme_table_of_the_replay_is_that_of_the_node():
 
 
 def test_replay_ends_in_time_when_it_is_terminated_before_it_begins(bag):
-    replay = start_replay(bag, '--discovery-time', 600)
+    replay = start_replay(bag, '--discovery-time', 60)
     time.sleep(2.0)
     replay.send_signal(signal.SIGTERM)
-    wait_until(lambda: replay.poll() is not None)
+    wait_until(lambda: replay.poll() is not None, 45.0)
     assert finish(replay)[0] in (0, -signal.SIGTERM)
 
 

@@ -129,18 +129,27 @@ def test_hundred_thousand_messages_are_recorded_and_received_none_lost_none_out_
     received, executor = subscriber
     # 25,000 of each topic, with queues that hold them all: a busy machine may stall anybody.
     queues = {f'qos_overrides.{topic}.publisher.depth': 30_000 for topic in received}
-    process = start(folder, duration=25, publish_rate=1000, step_size=0.001, real_time_factor=2,
-                    record_path='bag', rerun_sink='none', discovery_time=10, **queues)
-    while process.poll() is None:
-        executor.spin_once(timeout_sec=0.05)
-    count = -1
-    while count < (count := sum(map(len, received.values()))):
-        # What is still in the queues.
-        until = time.monotonic() + 1.0
-        while time.monotonic() < until:
-            executor.spin_once(timeout_sec=0.0)
-    assert finish(process)[0] == 0
-    recorded = read_bag(folder / 'bag')
+    for factor in (2.0, 0.5):
+        for messages in received.values():
+            messages.clear()
+        bag = folder / f'bag_{factor}'
+        process = start(
+            folder, duration=25, publish_rate=1000, step_size=0.001, real_time_factor=factor,
+            record_path=bag, rerun_sink='none', discovery_time=10, **queues)
+        while process.poll() is None:
+            executor.spin_once(timeout_sec=0.05)
+        count = -1
+        while count < (count := sum(map(len, received.values()))):
+            # What is still in the queues.
+            until = time.monotonic() + 1.0
+            while time.monotonic() < until:
+                executor.spin_once(timeout_sec=0.0)
+        status, _, log = finish(process)
+        assert status == 0
+        # Said, where the machine is too busy for the pace.
+        if 'too slow to receive' not in log:
+            break
+    recorded = read_bag(bag)
     # A busy machine may have added alarms of overruns.
     recorded.pop('/diagnostics', None)
     assert len(recorded.pop('/hnn_simulator/scene')) == 1
