@@ -20,9 +20,10 @@ SEED = 2
 _TRAJECTORIES = 10_000
 # Trajectories that run one by one, each as long as the many.
 _ALONE = 50
-_MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. A block '
-         'of states goes one by one through each tile of weights, which saves reading them from '
-         'a farther cache and nothing else; there is a gradient and an energy more at each end.')
+_MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. A '
+         'block of states goes one by one through each tile of weights, which saves reading them '
+         'from a farther cache and nothing else; there is a gradient and an energy more at each '
+         'end.')
 _RANDOM_SCENE = """\
 hamiltonian: {kind: hnn, model: ./network.safetensors}
 integrator: {kind: variational_euler}
