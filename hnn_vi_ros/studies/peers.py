@@ -16,6 +16,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import entry_point
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.studies.measuring import Peer, Solve
@@ -69,9 +70,13 @@ def scipy_solve(hamiltonian: Hamiltonian, method: str) -> Solve:
             result[d + i] = -dH_dq[i]
         return result
 
+    # Without numba's look-up of types, which takes longer for named tuples: scipy passes nothing
+    # but contiguous arrays of float64.
+    call = entry_point(field, np.zeros(2 * d), parameters)
+
     def solve(z0: np.ndarray, duration: float, tolerance: float) -> tuple[np.ndarray, int]:
         solution = solve_ivp(
-            lambda t, z: field(z, parameters), (0.0, duration), z0, method=method,
+            lambda t, z: call(z, parameters), (0.0, duration), z0, method=method,
             t_eval=[duration], rtol=max(tolerance, _SMALLEST_RTOL), atol=max(tolerance, 1e-15))
         if not solution.success:
             raise RuntimeError(solution.message)
