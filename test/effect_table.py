@@ -111,6 +111,7 @@ EFFECT_ROWS = [
         'coordinates': ['angle'], 'timeout': 100.0}),)),
     EffectRow('learned_dissipation', (('learned_dissipation', {'model': 1}),)),
     EffectRow('learned_friction', (('learned_friction', {'model': 'joint'}),)),
+    EffectRow('learned_friction of a network', (('learned_friction', {'model': 'eccentric'}),)),
     EffectRow('thermostat', (('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),),
               order=2),
     EffectRow('holonomic_constraint', (_ROD, _WEIGHT), **_ON_A_ROD),
@@ -151,7 +152,7 @@ COMPILED = {
         ('periodic_drive', {'coordinate': 'y', 'amplitude': 0.5, 'frequency': 0.7}),
         ('external_force', {'coordinates': ['y'], 'timeout': 0.25}),
         ('learned_dissipation', {'model': 2}),
-        ('learned_friction', {'model': 'arm'})]),
+        ('learned_friction', {'model': 'worn'})]),
     'bath and wall': ('stormer_verlet', 'pendulum', (), (1.0,), (0.0,), [
         ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),
         ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7})]),

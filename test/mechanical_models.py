@@ -17,7 +17,8 @@ PRIOR = PriorCard(kind='double_pendulum', parameters={
         'inertia1': 1.5, 'inertia2': 0.7, 'coupling12': 0.6, 'gravity1': 1.3, 'gravity2': -0.4,
         'motor_inertia2': 0.2}.items()})
 # An arm of two joints that turn over, seen by absolute angles; a cart with a pole; a joint that
-# does not turn over, with a constant mass; an arm beside a prior; three coordinates, combined.
+# does not turn over, with a constant mass; an arm beside a prior; three coordinates, combined; a
+# joint that rubs more in one place than in another; and an arm whose joints rub on each other.
 SHAPES = {
     'arm': {'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
             'mass_features': [[0.0, 1.0]]},
@@ -30,6 +31,10 @@ SHAPES = {
     'three': {'kinds': ['revolute', 'continuous', 'prismatic'], 'features': [
         [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.5, 0.0, -1.0]], 'mass_features': [
             [1.0, 0.0, -0.5], [0.0, 1.0, 0.0]]},
+    'eccentric': {'kinds': ['continuous'], 'features': [[1.0]], 'mass_features': [],
+                  'friction_features': [[1.0]]},
+    'worn': {'kinds': ['continuous', 'revolute'], 'features': [[1.0, 0.0], [0.0, 1.0]],
+             'mass_features': [[0.0, 1.0]], 'friction_features': [[1.0, 0.0], [0.0, 1.0]]},
 }
 
 
@@ -50,9 +55,7 @@ def random_mechanical(shape: str, **changes) -> Checkpoint:
         **settings, mass_scale=rng.uniform(0.5, 1.5, d).tolist(),
         friction=random_friction(d))
     networks = {}
-    for name, features, outputs in (
-            ('mass', mechanical.mass_features, len(mechanical.entries)),
-            ('potential', mechanical.features, 1)):
+    for name, (features, outputs) in mechanical.networks.items():
         widths = [mechanical.inputs(features), 9, 6, outputs]
         networks[name] = Layers(
             tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairwise(widths)),

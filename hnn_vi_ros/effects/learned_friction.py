@@ -4,25 +4,28 @@
 
 from collections.abc import Sequence
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.effects.friction_network import FrictionParameters
 
 
 class LearnedFriction(Force):
     """
     The friction of a model of the family mechanical, with v = H_p at each coordinate.
 
-        f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2)
+        f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2) - D(q) v
 
-    All b, c >= 0 and w > 0, so that it can only take energy: viscous, Coulomb made smooth where
-    the motion turns, and Stribeck. Energy account: the power f . H_p <= 0.
+    All b, c >= 0 and w > 0, and D = B B^T, so that it can only take energy: viscous, Coulomb made
+    smooth where the motion turns, Stribeck, and a network B(q), if the model has it. Energy
+    account: the power f . H_p <= 0.
 
     Parameters
     ----------
@@ -50,10 +53,13 @@ class LearnedFriction(Force):
             raise ModelError(f'{model}: a model of the family {checkpoint.card.family} has no '
                              'friction of its own; take one of the family mechanical, or the '
                              'effects damping and dry_friction')
-        self.friction = checkpoint.card.mechanical.friction
+        self.friction, self._model = checkpoint.card.mechanical.friction, checkpoint
 
-    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
-        """Return b, shape (d,), Coulomb terms (c, 1/w) and Stribeck terms (c, 1/w, 1/s)."""
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
+                ) -> 'FrictionParameters':
+        """Return the coefficients, and what adds the friction of the network."""
+        # Imported here: it is compiled, which who only reads a scene has no use for.
+        from hnn_vi_ros.effects.friction_network import FrictionParameters, network_of
         viscous = np.array(self.friction.viscous)
         d = len(coordinates)
         if viscous.size != d:
@@ -63,14 +69,16 @@ class LearnedFriction(Force):
         stribeck: list[Any] = [
             (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
             for term in self.friction.stribeck]
-        return viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d))
+        return FrictionParameters(
+            viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d)),
+            *network_of(self._model))
 
     @staticmethod
     @inlined
-    def add_force(parameters: Parameters, t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: 'FrictionParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add the friction at each coordinate."""
-        viscous, coulomb, stribeck = parameters
+        """Add the friction at each coordinate, and that of the network."""
+        viscous, coulomb, stribeck, add, own = parameters
         for i in range(q.size):
             v = velocity[i]
             friction = viscous[i] * v
@@ -81,3 +89,4 @@ class LearnedFriction(Force):
                 friction += (stribeck[k, 0, i] * math.tanh(v * stribeck[k, 1, i])
                              * math.exp(-ratio * ratio))
             f_p[i] -= friction
+        add(own, q, velocity, f_p)

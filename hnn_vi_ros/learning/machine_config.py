@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
-from hnn_vi_ros.learning.families.mechanical import Structure
+from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_logs import LogMotions
@@ -56,12 +56,17 @@ MachineData = Annotated[MachineArrays | MachineBags | MachineLog, Field(discrimi
 
 
 class FrictionChoice(StrictModel):
-    """What friction there is at each joint."""
+    """What friction there is; all that is named adds up."""
 
     viscous: bool = Field(True, description='-b v')
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
     stribeck: int = Field(0, ge=0, le=8, description=(
         'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+    network: bool = Field(False, description=(
+        '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
+        'are'))
+    network_depends_on: list[str] | None = Field(None, description=(
+        'what D sees: linear combinations of coordinates; what M sees'))
 
 
 class MechanicalChoice(StrictModel):
@@ -182,6 +187,10 @@ class MachineConfig(StrictModel):
                                  'out')
             seen = []
         friction = family.friction
+        rubbing = seen if friction.network_depends_on is None else friction.network_depends_on
+        if not friction.network and friction.network_depends_on is not None:
+            raise ValueError('friction.network_depends_on: there is no network; take network: '
+                             'true, or leave it out')
         features = [combination(text, names, 'features') for text in family.features or names]
         if family.prior is not None:
             if any(coordinate.kind == 'prismatic' for coordinate in self.coordinates):
@@ -190,6 +199,9 @@ class MachineConfig(StrictModel):
             check_chain(family.prior, features, len(names))
             if not isinstance(self.loss, Trajectory | None):
                 raise ValueError(f'loss: {self.loss.kind} fits no prior; take trajectory')
+            if friction.network and not family.residual:
+                raise ValueError('friction.network: residual: false leaves out all networks; '
+                                 'leave out one of the two')
         elif not family.residual:
             raise ValueError('residual: without a prior there is nothing but the networks')
         return Structure(
@@ -197,7 +209,9 @@ class MachineConfig(StrictModel):
             features,
             [combination(text, names, 'mass_depends_on') for text in seen],
             family.mass == 'diagonal',
-            friction.viscous, friction.coulomb, friction.stribeck, family.prior, family.residual)
+            friction.viscous, friction.coulomb, friction.stribeck, family.prior, family.residual,
+            [combination(text, names, 'friction.network_depends_on') for text in rubbing]
+            if friction.network else None)
 
 
 def combination(text: str, names: list[str], key: str) -> list[float]:

@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.families.mechanical import MotionScales
+from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.motions import Motion
 import numpy as np
 import torch

@@ -159,8 +159,8 @@ def learn(config: MachineConfig, motions: list[Motion]
     network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
     if structure.prior is None:
         return network, fit(network, config, motions)
-    rigid = MechanicalNetwork(replace(structure, residual=False), config.hidden, scales,
-                              config.seed)
+    rigid = MechanicalNetwork(replace(structure, residual=False, friction_features=None),
+                              config.hidden, scales, config.seed)
     losses = fit_rigid_body(rigid, config.windows, motions)
     if not np.isfinite([*losses.values()]).all():
         raise DataError(f'prior: no {structure.prior} follows these motions; look at the '

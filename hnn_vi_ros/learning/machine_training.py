@@ -15,7 +15,7 @@ from functools import partial
 import math
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.families.mechanical import MotionScales
+from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
 from hnn_vi_ros.learning.machine_config import (
     Discrete, Forward, Inverse, MachineConfig, Trajectory)

@@ -11,7 +11,8 @@ form of the Levenberg-Marquardt method.
 from collections.abc import Callable, Sequence
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, Structure
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.machine_config import Trajectory
 from hnn_vi_ros.learning.machine_losses import (
     acceleration_errors, Samples, samples_of, window_errors)
@@ -118,21 +119,21 @@ class _Physical:
         free = np.array([name.startswith(('coupling', 'gravity')) for name in prior.names])
         unit = float(prior.unit)
         self.scale = np.concatenate([
-            np.full(len(free), unit), network.viscous_unit.numpy()[:self.sizes[1]],
-            np.tile(network.force_unit.numpy(), n)])
+            np.full(len(free), unit), network.friction.viscous_unit.numpy()[:self.sizes[1]],
+            np.tile(network.friction.force_unit.numpy(), n)])
         # Inertia and friction are positive.
         self.least = np.where(np.append(free, np.zeros(sum(self.sizes[1:]), bool)), -np.inf, 0.0)
 
     def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network."""
-        network = self.network
+        friction = self.network.friction
         values, viscous, forces = x.split(self.sizes)
-        forces = forces.reshape(-1, network.d)
+        forces = forces.reshape(-1, self.network.d)
         found = {'prior.raw': self.prior.raw_of(values)}
         if len(viscous):
-            found['raw_viscous'] = _inverse_softplus(viscous / network.viscous_unit)
+            found['friction.raw_viscous'] = _inverse_softplus(viscous / friction.viscous_unit)
         if len(forces):
-            found['raw_force'] = _inverse_softplus(forces / network.force_unit)
+            found['friction.raw_force'] = _inverse_softplus(forces / friction.force_unit)
         return found
 
     def give(self, x: np.ndarray) -> None:
@@ -146,7 +147,7 @@ class _Physical:
         network, prior = self.network, self.prior
         columns = [(prior.mass(q, unit) @ a[:, :, None])[:, :, 0] + prior.forces(q, v, unit)
                    for unit in torch.eye(len(prior.names), dtype=torch.float64)]
-        _, _, widths, speeds = (part.detach() for part in network.friction_coefficients())
+        _, _, widths, speeds = (part.detach() for part in network.friction.coefficients())
         frictions = [v] * network.structure.viscous
         for k, width in enumerate(widths):
             slower = k - network.structure.coulomb

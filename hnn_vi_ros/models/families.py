@@ -105,7 +105,8 @@ FAMILIES = {
          'input_map': Network(1, lambda d, found: -(-found // d) * d)},
         'models.control_affine:ControlAffineHamiltonian',
         'learning.families.control_affine:ControlAffine', conservative=False),
-    # The inputs of its networks are features of q, by the card's ``mechanical``.
+    # The inputs of its networks are features of q, by the card's ``mechanical``, which tells
+    # whether there is a third, of friction.
     'mechanical': Family(
         {'mass': Network(1), 'potential': Network(1)}, 'models.mechanical:MechanicalHamiltonian',
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),

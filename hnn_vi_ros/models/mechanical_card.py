@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a model of the family mechanical is, beside its networks."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -61,8 +62,13 @@ class PriorCard(StrictModel):
     parameters: dict[str, Quantity] = Field(description='as they were fitted')
 
 
+def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
+    """Tell whether a network sees the sine and cosine of a combination of coordinates."""
+    return any(x and kind == 'continuous' for x, kind in zip(row, kinds, strict=True))
+
+
 class MechanicalCard(StrictModel):
-    """How the networks of the mass matrix M and of the potential V see the coordinates."""
+    """How the networks of M, of V and of friction see the coordinates."""
 
     kinds: list[Kind] = Field(description='of each coordinate')
     features: list[list[float]] = Field(min_length=1, description=(
@@ -75,19 +81,23 @@ class MechanicalCard(StrictModel):
     floor: float = Field(ge=0.0, description=(
         'least eigenvalue of S^-1 M S^-1; 0 beside a prior, whose M is positive by itself'))
     friction: FrictionCard
+    friction_features: list[list[float]] | None = Field(None, description=(
+        'what the network D of friction -D(q) v sees, in the same way; none for a constant D, '
+        'null for no such network'))
     prior: PriorCard | None = None
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':
         d = len(self.kinds)
         lengths = {'mass_scale': len(self.mass_scale), 'friction': len(self.friction.viscous)}
-        for name in ('features', 'mass_features'):
-            lengths |= {f'{name}[{k}]': len(row) for k, row in enumerate(getattr(self, name))}
+        for name in ('features', 'mass_features', 'friction_features'):
+            lengths |= {f'{name}[{k}]': len(row)
+                        for k, row in enumerate(getattr(self, name) or ())}
         for name, length in lengths.items():
             if length != d:
                 raise ValueError(f'{name} has {length} entries, expected {d}, one for each '
                                  'coordinate')
-        for row in (*self.features, *self.mass_features):
+        for row in (*self.features, *self.mass_features, *(self.friction_features or ())):
             if not any(row):
                 raise ValueError('features: a row of zeros sees nothing; leave it out')
             turning = [x for x, kind in zip(row, self.kinds, strict=True)
@@ -128,9 +138,18 @@ class MechanicalCard(StrictModel):
         return chain_terms(self.features, {
             name: quantity.value for name, quantity in self.prior.parameters.items()})
 
+    @property
+    def networks(self) -> dict[str, tuple[list[list[float]], int]]:
+        """Return what each of the networks sees, and how many outputs it has."""
+        found = {'mass': (self.mass_features, len(self.entries)), 'potential': (self.features, 1)}
+        if self.friction_features is not None:
+            d = len(self.kinds)
+            found['friction'] = self.friction_features, d * (d + 1) // 2
+        return found
+
     def is_periodic(self, row: list[float]) -> bool:
         """Tell whether a network sees the sine and cosine of a combination of coordinates."""
-        return any(x and kind == 'continuous' for x, kind in zip(row, self.kinds, strict=True))
+        return is_periodic(self.kinds, row)
 
     def inputs(self, features: list[list[float]]) -> int:
         """Return the inputs of a network that sees these; one that sees nothing has one, 0."""

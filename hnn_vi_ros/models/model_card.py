@@ -112,12 +112,13 @@ class ModelCard(StrictModel):
 
     def _check_networks(self, d: int) -> None:
         expected = FAMILIES[self.family].networks
-        if len(expected) == 1:
+        names = expected.keys() if self.mechanical is None else self.mechanical.networks.keys()
+        if len(names) == 1:
             if self.widths is None or self.networks is not None:
                 raise ValueError(f'widths, and no networks, must describe a model of the family '
                                  f'{self.family}')
-        elif self.widths is not None or (self.networks or {}).keys() != expected.keys():
-            raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
+        elif self.widths is not None or (self.networks or {}).keys() != names:
+            raise ValueError(f'networks, and no widths, must describe {", ".join(names)} for '
                              f'the family {self.family}')
         if self.mechanical is not None:
             self._check_mechanical(self.mechanical, d)
@@ -132,12 +133,12 @@ class ModelCard(StrictModel):
     def _check_mechanical(self, card: MechanicalCard, d: int) -> None:
         if len(card.kinds) != d:
             raise ValueError(f'mechanical: {len(card.kinds)} kinds, expected {d}')
-        ends = {'mass': (card.inputs(card.mass_features), len(card.entries)),
-                'potential': (card.inputs(card.features), 1)}
         for name, widths in self.layout.items():
-            if (widths[0], widths[-1]) != ends[name]:
-                raise ValueError(f'widths {widths} of {name} must begin with {ends[name][0]} and '
-                                 f'end with {ends[name][1]}, by what the networks see')
+            features, outputs = card.networks[name]
+            ends = card.inputs(features), outputs
+            if (widths[0], widths[-1]) != ends:
+                raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} and end '
+                                 f'with {ends[1]}, by what the networks see')
 
     def _check_constants(self, d: int) -> None:
         for name in ('friction', 'mass', 'velocities', 'mechanical'):

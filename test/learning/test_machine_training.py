@@ -10,7 +10,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.evaluation import constant_velocity, score
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, Structure
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.machine_config import combination, MachineConfig
 from hnn_vi_ros.learning.machine_losses import (
     balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
@@ -24,6 +25,7 @@ from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 import torch
 
 CONFIG = {
@@ -52,6 +54,11 @@ def random_motions(d: int, seed: int = 0) -> list[Motion]:
               prior='double_pendulum'),
     Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
               prior='double_pendulum', residual=False),
+    Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
+              prior='double_pendulum', friction_features=[[1.0, 0.0], [0.0, 1.0]]),
+    Structure(['prismatic', 'revolute', 'continuous'], [[1.0, 0.0, 0.0]], [], viscous=False,
+              coulomb=0, friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
+    Structure(['revolute', 'revolute'], [[1.0, 0.0]], [], friction_features=[]),
 ])
 def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structure, tmp_path):
     motions = random_motions(len(structure.kinds))
@@ -162,8 +169,48 @@ def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
     # The pendulum of 1 kg and 1 m, and its friction of 0.3 N m, in their own units.
     assert float(network.masses(torch.zeros(1, 1, dtype=torch.float64)).detach()[0, 0, 0]
                  ) == pytest.approx(1.0, abs=0.05)
-    friction = network.friction(torch.tensor([[1.0]], dtype=torch.float64))
+    v = torch.tensor([[1.0]], dtype=torch.float64)
+    friction = network.friction(torch.zeros_like(v), v)
     assert float(friction.detach()) == pytest.approx(0.3, abs=0.05)
+
+
+# How much a bearing rubs that does not sit in the middle.
+def eccentric(q: np.ndarray) -> np.ndarray:
+    return 0.3 + 0.2 * np.cos(q)
+
+
+def motion_of_an_eccentric_pendulum(seed: int) -> Motion:
+    rng = np.random.default_rng(seed)
+    h, n = 0.01, 800
+    amplitude, phase = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
+
+    def torque(t: float) -> float:
+        return float((amplitude * np.sin(np.array([1.0, 2.3, 4.1]) * t + phase)).sum())
+
+    def rate(t: float, z: np.ndarray) -> np.ndarray:
+        q, v = z
+        return np.array([v, torque(t) - 9.81 * np.sin(q) - eccentric(q) * v])
+    t = h * np.arange(n)
+    found = solve_ivp(rate, (0.0, t[-1]), [0.5, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    tau = np.array([[torque(time)] for time in t])
+    a = np.array([rate(time, z)[1:] for time, z in zip(t, found, strict=True)])
+    return smoothed(f'run{seed}', t, found[:, :1], found[:, 1:], tau, 40.0, a)
+
+
+def test_friction_that_depends_on_the_angle_is_learned():
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
+        'family': {'kind': 'mechanical', 'mass': 'constant', 'friction': {
+            'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['angle']}},
+        'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 200}})
+    train = [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)]
+    network = MechanicalNetwork(config.structure(), config.hidden, scales_of(train), config.seed)
+    fit(network, config, train)
+    q = torch.linspace(-2.0, 2.0, 9, dtype=torch.float64)[:, None]
+    with torch.no_grad():
+        friction = network.friction(q, torch.ones_like(q)).numpy()
+    # Each is off by less than a tenth of what it varies by.
+    assert np.abs(friction - eccentric(q.numpy())).max() < 0.02
 
 
 def test_discrete_loss_is_zero_on_a_motion_of_the_midpoint_rule(tmp_path):
@@ -228,6 +275,10 @@ def test_what_is_no_linear_combination_is_refused(text):
     ({'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, 'angles of its 2 links'),
     ({'prior': 'pendulum'}, 'has 1 coordinates, not 2'),
     ({'residual': False}, 'nothing but the networks'),
+    ({'friction': {'network_depends_on': ['a']}}, 'there is no network'),
+    ({'friction': {'network': True, 'network_depends_on': ['c']}}, 'no linear combination'),
+    ({'friction': {'network': True}, 'prior': 'double_pendulum', 'residual': False},
+     'leaves out all networks'),
 ])
 def test_configuration_refuses_what_makes_no_sense(changes, message):
     with pytest.raises(ValueError, match=message):

@@ -11,8 +11,11 @@ from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.mechanical_card import (
     FrictionCard, MechanicalCard, PriorCard, Quantity)
+from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
-from mechanical_models import PRIOR, random_mechanical, saved, SHAPES, torch_energy
+from hnn_vi_ros.simulation.build import build
+from mechanical_models import network, PRIOR, random_mechanical, saved, seen, SHAPES, torch_energy
 import numpy as np
 import pytest
 import torch
@@ -77,6 +80,8 @@ def changed(**values: float) -> PriorCard:
     ({'features': [[0.0, 0.0]]}, 'a row of zeros'),
     ({'features': [[1.0]]}, r'features\[0\] has 1 entries'),
     ({'mass_features': [[1.0]]}, r'mass_features\[0\] has 1 entries'),
+    ({'friction_features': [[0.5, 0.0]]}, 'no period'),
+    ({'friction_features': [[1.0]]}, r'friction_features\[0\] has 1 entries'),
     ({'floor': 0.0}, 'floor must be positive'),
     ({'prior': PRIOR, 'kinds': ['continuous', 'prismatic'], 'features': [[1.0, 0.0], [0.0, 1.0]],
       'mass_features': []}, 'a prismatic coordinate does not'),
@@ -91,10 +96,11 @@ def test_card_refuses_features_that_make_no_sense(changes: dict, message: str):
         MechanicalCard(**settings)
 
 
-@pytest.mark.parametrize('method, bound', [
-    ('generalized_leapfrog', 1e-4), ('implicit_midpoint', 1e-4), ('gauss4', 1e-8)])
-def test_energy_balance_closes_with_learned_friction_and_commands(tmp_path, method, bound):
-    model = saved(tmp_path, 'arm')
+@pytest.mark.parametrize('shape, method, bound', [
+    ('arm', 'generalized_leapfrog', 1e-4), ('arm', 'implicit_midpoint', 1e-4),
+    ('arm', 'gauss4', 1e-8), ('worn', 'gauss4', 1e-8)])
+def test_energy_balance_closes_with_learned_friction_and_commands(tmp_path, shape, method, bound):
+    model = saved(tmp_path, shape)
     hamiltonian = FAMILIES['mechanical'].hamiltonian(load_checkpoint(model))
     effects = [EFFECTS['learned_friction'](model),
                EFFECTS['external_force'](['x0', 'x1'], timeout=100.0)]
@@ -118,6 +124,59 @@ def test_learned_friction_takes_energy_in_every_state(tmp_path):
         force = np.zeros(3)
         effect.add_force(parameters, 0.0, v, v, v, np.zeros(3), force)
         assert (force * v < 0.0).all()
+
+
+@pytest.mark.parametrize('shape', ['eccentric', 'worn'])
+def test_friction_network_takes_energy_in_every_state(tmp_path, shape):
+    model = random_mechanical(shape)
+    card = model.card.mechanical
+    d = len(card.kinds)
+    hamiltonian = FAMILIES['mechanical'].hamiltonian(model)
+    effect = EFFECTS['learned_friction'](saved(tmp_path, shape))
+    parameters = effect.resolve(hamiltonian.coordinates, None)
+    rest = parameters._replace(add=lambda own, q, velocity, f_p: None)
+    rng = np.random.default_rng(0)
+    for q, v in zip(rng.normal(size=(100, d)), 3.0 * rng.normal(size=(100, d)), strict=True):
+        force, others, zero = np.zeros((3, d))
+        effect.add_force(parameters, 0.0, q, q, v, zero, force)
+        effect.add_force(rest, 0.0, q, q, v, zero, others)
+        B = np.zeros((d, d))
+        B[np.tril_indices(d)] = network(model.networks['friction'], seen(
+            card, card.friction_features, torch.tensor(q))).numpy()
+        assert np.abs(force - others + B @ B.T @ v).max() < ROUND_OFF * np.abs(v).max()
+        # Of the network alone, -|B^T v|^2; what is rounded off is far below it here.
+        assert (force - others) @ v <= 0.0
+        assert force @ v < 0.0
+
+
+def test_model_with_a_friction_network_needs_it_in_the_file(tmp_path):
+    model = random_mechanical('worn')
+    card = model.card.model_dump()
+    for changed, message in (
+            (card | {'networks': {name: widths for name, widths in card['networks'].items()
+                                  if name != 'friction'}}, 'must describe mass, potential, fric'),
+            (card | {'networks': card['networks'] | {'friction': [3, 9, 6, 2]}},
+             'must begin with 3 and end with 3')):
+        with pytest.raises(ValueError, match=message):
+            ModelCard.model_validate(changed)
+
+
+def test_scene_of_a_model_with_a_friction_network_comes_to_rest(tmp_path):
+    model = saved(tmp_path, 'eccentric')
+    (tmp_path / 'scene.yaml').write_text(f"""
+hamiltonian: {{kind: learned, model: {model}}}
+integrator: {{kind: implicit_midpoint}}
+step_size: 0.01
+initial_state: {{q: [0.3], p: [0.4]}}
+effects: [{{kind: learned_friction, model: {model}}}]
+""")
+    simulation = build(load_scene(tmp_path / 'scene.yaml'))
+    energies = []
+    for _ in range(50):
+        energies.append(simulation.energy)
+        simulation.advance(20)
+    # The rule keeps the balance of work up to h^2, far below what friction takes in 0.2 s.
+    assert max(np.diff(energies)) < 1e-4 and energies[-1] < energies[0] - 0.01
 
 
 def test_energy_keeps_its_band_without_friction():

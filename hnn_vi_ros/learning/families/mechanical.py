@@ -3,95 +3,31 @@
 """The mechanical network: mass matrix, potential and friction, learned from (q, v, tau)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
 
+from hnn_vi_ros.learning.families.joint_friction import JointFriction
 from hnn_vi_ros.learning.families.planar_chain import PlanarChain
+from hnn_vi_ros.learning.families.seen import Seen
+from hnn_vi_ros.learning.families.structure import MotionScales, Structure
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.mechanical_card import (
-    CoulombTerm, FrictionCard, Kind, MechanicalCard, PriorCard, StribeckTerm)
-from hnn_vi_ros.models.planar_chain import ChainName
+from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
 import numpy as np
 import torch
 
-# Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
-_NARROWEST, _WIDEST = 0.003, 1.0
 # Least eigenvalue of S^-1 M S^-1.
 _FLOOR = 1e-3
-# Least friction beside networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
-_LEAST_FRICTION = -5.0
 # What is added to M of a prior begins at a small share of this one of its inertias, and networks
 # beside a prior count as large at this share of its inertias, and of the forces they make.
 _ADDED, _LARGE = 0.1, 0.05
-
-
-@dataclass(frozen=True)
-class Structure:
-    """
-    What the networks see, and what friction there is.
-
-    Parameters
-    ----------
-    kinds : list of str
-        Of each coordinate.
-    features : list of list of float
-        Rows of the linear combinations that V sees.
-    mass_features : list of list of float
-        The same that M sees; none for a constant M.
-    diagonal_mass : bool
-        Whether M is diagonal.
-    viscous : bool
-        Whether there is friction -b v.
-    coulomb, stribeck : int
-        How many terms -c tanh(v / w), and how many that end with speed.
-    prior : str, optional
-        The parametric system whose M and V those of the networks are added to.
-    residual : bool
-        Whether there are networks beside it.
-
-    """
-
-    kinds: list[Kind]
-    features: list[list[float]]
-    mass_features: list[list[float]]
-    diagonal_mass: bool = False
-    viscous: bool = True
-    coulomb: int = 2
-    stribeck: int = 0
-    prior: ChainName | None = None
-    residual: bool = True
-
-
-@dataclass(frozen=True)
-class MotionScales:
-    """
-    How large what the data hold is, each array of shape (d,).
-
-    Parameters
-    ----------
-    q_centre, q_half : np.ndarray
-        Middle and half of the range of the coordinates.
-    v, a : np.ndarray
-        Root mean square of velocities and accelerations.
-    inertia : np.ndarray
-        Force per acceleration.
-
-    """
-
-    q_centre: np.ndarray
-    q_half: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    inertia: np.ndarray
 
 
 class MechanicalNetwork(torch.nn.Module):
     """
     M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = tau, in float64.
 
-    M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and friction are
-    those of MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
+    M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and ``friction``
+    are those of MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
 
     Parameters
     ----------
@@ -111,6 +47,7 @@ class MechanicalNetwork(torch.nn.Module):
         super().__init__()
         d = len(structure.kinds)
         self.structure, self.scales, self.d = structure, scales, d
+        self.friction = JointFriction(structure, hidden, scales, seed + 2)
         # M of a prior is positive definite by itself.
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = PlanarChain(structure.features, float(scales.inertia.mean())) \
@@ -125,19 +62,19 @@ class MechanicalNetwork(torch.nn.Module):
                 ('place', place), ('on_diagonal', rows == columns),
                 ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
-        self._sees('mass', card, card.mass_features)
-        self._sees('potential', card, card.features)
+        self.mass_seen = Seen(structure.kinds, structure.mass_features)
+        self.potential_seen = Seen(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
-        self.mass = Perceptron(mass_hidden, *self._units('mass'), np.ones(len(rows)), seed)
+        self.mass = Perceptron(
+            mass_hidden, *self.mass_seen.units(scales), np.ones(len(rows)), seed)
         with torch.no_grad():
             # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
             self.mass.linears[-1].weight.mul_(0.1)
             self.mass.linears[-1].bias.copy_(0.54 * self.on_diagonal)
         energy = float(np.mean(scales.inertia * scales.a))
-        self.potential = Perceptron(hidden, *self._units('potential'), np.array([energy]),
-                                    seed + 1)
-        self._make_friction(d)
+        self.potential = Perceptron(hidden, *self.potential_seen.units(scales),
+                                    np.array([energy]), seed + 1)
         if not structure.residual:
             self._leave_out_networks()
 
@@ -156,11 +93,9 @@ class MechanicalNetwork(torch.nn.Module):
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
-                if name.startswith(('prior.', 'raw_')):
+                if name.startswith(('prior.', 'friction.raw_')):
                     parameter.copy_(known[name])
-            for raw in (self.raw_viscous, self.raw_force):
-                # What is zero has no slope: it would stay there.
-                raw.clamp_(min=_LEAST_FRICTION)
+            self.friction.raise_to_least()
             states = self.random_states(256, torch.Generator().manual_seed(0))
             inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
             self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
@@ -175,65 +110,22 @@ class MechanicalNetwork(torch.nn.Module):
         return torch.where(turns, math.pi * share, centre + half * share)
 
     def residual_size(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the mean square of what the networks add to M and V_q, at q of shape (N, d)."""
+        """Return the mean square of what networks add to M, V_q and D, at q of shape (N, d)."""
         L = self._matrix(self.roots(q)[0])
         inertia = self.root_inertia.square() / _ADDED
-        x, x_q = self.inputs('potential', q)
+        x, x_q = self.potential_seen(q)
         force = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
         unit = _LARGE * inertia * torch.tensor(self.scales.a)
-        return ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean()
+        size = ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean()
                 + (force / unit).square().mean())
-
-    def _make_friction(self, d: int) -> None:
-        structure, scales = self.structure, self.scales
-        terms = structure.coulomb + structure.stribeck
-        force = scales.inertia * scales.a
-        for name, values in (
-                ('viscous_unit', force / scales.v), ('force_unit', force),
-                ('speed_unit', scales.v)):
-            self.register_buffer(name, torch.tensor(values), persistent=False)
-        # log(1 + exp(-3)) is 0.05: little friction at first.
-        self.raw_viscous = torch.nn.Parameter(torch.full((d,), -3.0, dtype=torch.float64))
-        self.raw_force = torch.nn.Parameter(torch.full((terms, d), -3.0, dtype=torch.float64))
-        # Widths at first spread over their bounds.
-        spread = torch.linspace(-1.0, 1.0, terms + 2, dtype=torch.float64)[1:-1, None]
-        self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
-        self.raw_speed = torch.nn.Parameter(
-            torch.zeros((structure.stribeck, d), dtype=torch.float64))
-
-    def _sees(self, name: str, card: MechanicalCard, features: list[list[float]]) -> None:
-        """Keep rows G and phases of the inputs sin(G q + phase), or G q + phase."""
-        rows, phases, periodic = [], [], []
-        for row in features:
-            turns = card.is_periodic(row)
-            rows += [row, row] if turns else [row]
-            phases += [0.0, 0.5 * math.pi] if turns else [0.0]
-            periodic += [turns, turns] if turns else [turns]
-        if not features:
-            rows, phases, periodic = [[0.0] * self.d], [0.0], [False]
-        for key, values in (('rows', rows), ('phase', phases), ('periodic', periodic)):
-            self.register_buffer(f'{name}_{key}', torch.tensor(
-                values, dtype=torch.bool if key == 'periodic' else torch.float64),
-                persistent=False)
-
-    def _units(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return centre and scale of what a network sees."""
-        rows = getattr(self, f'{name}_rows').numpy()
-        periodic = getattr(self, f'{name}_periodic').numpy()
-        centre = np.where(periodic, 0.0, rows @ self.scales.q_centre)
-        half = np.where(periodic, 1.0, np.abs(rows) @ self.scales.q_half)
-        return centre, np.where(half > 0.0, half, 1.0)
-
-    def inputs(self, name: str, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what a network sees, shape (N, n), and its derivatives, shape (N, n, d)."""
-        rows, periodic = getattr(self, f'{name}_rows'), getattr(self, f'{name}_periodic')
-        y = q @ rows.T + getattr(self, f'{name}_phase')
-        slope = torch.where(periodic, torch.cos(y), 1.0)
-        return torch.where(periodic, torch.sin(y), y), slope[:, :, None] * rows
+        if self.structure.friction_features is None:
+            return size
+        B = self.friction.roots(q) / self.friction.viscous_unit.sqrt()[:, None]
+        return size + (B @ B.transpose(1, 2) / _LARGE).square().mean()
 
     def roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, shape (N, k), and their derivatives, shape (N, k, d)."""
-        x, x_q = self.inputs('mass', q)
+        x, x_q = self.mass_seen(q)
         y, y_q = _with_tangents(self.mass, x, x_q)
         slope = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
         y = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
@@ -247,31 +139,11 @@ class MechanicalNetwork(torch.nn.Module):
     def _matrix(self, entries: torch.Tensor) -> torch.Tensor:
         return (entries @ self.place).reshape(-1, self.d, self.d)
 
-    def friction_coefficients(self) -> tuple[torch.Tensor, ...]:
-        """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
-        positive = torch.nn.functional.softplus
-        span = math.log(_WIDEST / _NARROWEST)
-        width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
-        return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
-                self.force_unit * positive(self.raw_force), width,
-                self.speed_unit * torch.sigmoid(self.raw_speed))
-
-    def friction(self, v: torch.Tensor) -> torch.Tensor:
-        """Return the friction that is taken from tau, shape (N, d)."""
-        b, c, w, s = self.friction_coefficients()
-        total = b * v
-        for k in range(len(c)):
-            term = c[k] * torch.tanh(v / w[k])
-            if k >= self.structure.coulomb:
-                term = term * torch.exp(-(v / s[k - self.structure.coulomb]).square())
-            total = total + term
-        return total
-
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
         """Return dv/dt, all of shape (N, d)."""
         if self.prior is not None and not self.structure.residual:
             values = self.prior.values()
-            force = tau - self.prior.forces(q, v, values) - self.friction(v)
+            force = tau - self.prior.forces(q, v, values) - self.friction(q, v)
             return _solve(self.prior.mass(q, values), force)
         gram, needed = self._equations(q, v)
         return _solve(gram, tau / self.root_inertia - needed) / self.root_inertia
@@ -319,22 +191,25 @@ class MechanicalNetwork(torch.nn.Module):
         L, u = self._matrix(entries), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
         c = (u[:, self._rows, 0] * w[:, self._columns, 0])[:, None, :]
-        x, x_q = self.inputs('potential', q)
+        x, x_q = self.potential_seen(q)
         potential = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
-        return L, entries_q, u, w, (c @ entries_q)[:, 0] - potential - self.friction(v)
+        return L, entries_q, u, w, (c @ entries_q)[:, 0] - potential - self.friction(q, v)
 
     def scale_energy(self, factor: float) -> None:
         """Multiply M, V and the friction by a factor, which changes no motion without tau."""
         self.root_inertia *= math.sqrt(factor)
-        units = [self.potential.output_scale, self.viscous_unit, self.force_unit]
-        for unit in units if self.prior is None else [*units, self.prior.unit]:
-            unit *= factor
+        self.friction.scale(factor)
+        self.potential.output_scale *= factor
+        if self.prior is not None:
+            self.prior.unit *= factor
 
     def networks(self) -> dict[str, Layers]:
         """Return the networks for the model file; V is zero in the middle of the data."""
         centre = torch.tensor(self.scales.q_centre)[None]
-        x0 = self.inputs('potential', centre)[0][0].numpy()
-        return {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
+        x0 = self.potential_seen(centre)[0][0].numpy()
+        found = {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
+        return found if self.structure.friction_features is None else \
+            found | {'friction': self.friction.network.layers()}
 
     def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
               ) -> MechanicalCard:
@@ -342,18 +217,13 @@ class MechanicalNetwork(torch.nn.Module):
         return MechanicalCard(
             kinds=structure.kinds, features=structure.features, friction=friction,
             floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),
-            diagonal_mass=structure.diagonal_mass, prior=prior)
+            diagonal_mass=structure.diagonal_mass, prior=prior,
+            friction_features=structure.friction_features)
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
         """Return what else of the model card is known, for momenta in this unit."""
-        b, c, w, s = (part.detach().tolist() for part in self.friction_coefficients())
-        n = self.structure.coulomb
-        friction = FrictionCard(
-            viscous=b, coulomb=[CoulombTerm(force=force, width=width)
-                                for force, width in zip(c[:n], w[:n], strict=True)],
-            stribeck=[StribeckTerm(force=force, width=width, speed=speed)
-                      for force, width, speed in zip(c[n:], w[n:], s, strict=True)])
-        return self._card(friction, self.root_inertia.numpy(), self._prior_card(p_unit))
+        return self._card(self.friction.card(), self.root_inertia.numpy(),
+                          self._prior_card(p_unit))
 
     def _prior_card(self, p_unit: str) -> PriorCard | None:
         if self.prior is None or self.structure.prior is None:

@@ -1,0 +1,92 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Friction -D(q) v of a network, D = B(q) B(q)^T, which takes energy whatever the network is."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hnn_vi_ros.kernels.compilation import identify, kept
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
+from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
+import numpy as np
+
+
+class FrictionNetwork(NamedTuple):
+    """The network of B, what it sees, and space for the entries of B and for B^T v."""
+
+    outputs: PackedOutputs
+    seen: Features
+    entries: np.ndarray
+    product: np.ndarray
+
+
+class FrictionParameters(NamedTuple):
+    """
+    What the compiled function of learned friction takes.
+
+    Parameters
+    ----------
+    viscous : np.ndarray, shape (d,)
+        b.
+    coulomb : np.ndarray, shape (k, 2, d)
+        c and 1/w of each term.
+    stribeck : np.ndarray, shape (l, 3, d)
+        c, 1/w and 1/s of each term.
+    add : callable
+        Adds the friction of the network; see add_by_network.
+    own : FrictionNetwork or tuple of int
+        What it takes first; where there is no network, a number that it has no use for.
+
+    """
+
+    viscous: np.ndarray
+    coulomb: np.ndarray
+    stribeck: np.ndarray
+    add: Callable[..., None]
+    own: FrictionNetwork | tuple[int]
+
+
+def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:
+    """Return the last two of FrictionParameters."""
+    card = model.card.mechanical
+    assert card is not None, 'checked by the effect: the family has one'
+    if card.friction_features is None:
+        return add_none, (0,)
+    d = len(card.kinds)
+    own = FrictionNetwork(
+        pack_layers(even_layers(model.networks['friction']), model.card.activation),
+        pack_features(card, card.friction_features), np.zeros(d * (d + 1) // 2), np.zeros(d))
+    return add_by_network, own
+
+
+@kept(error_model='numpy')
+def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray
+                   ) -> None:
+    """Add -B (B^T v), with the entries of the lower triangular B row by row."""
+    entries, product = own.entries, own.product
+    see(own.seen, q)
+    x = own.seen.inputs
+    half = x.size // 2
+    evaluate_outputs(own.outputs, x[:half], x[half:], entries)
+    product[:] = 0.0
+    k = 0
+    for i in range(q.size):
+        for j in range(i + 1):
+            product[j] += entries[k] * velocity[i]
+            k += 1
+    k = 0
+    for i in range(q.size):
+        for j in range(i + 1):
+            f_p[i] -= entries[k] * product[j]
+            k += 1
+
+
+@kept(error_model='numpy')
+def add_none(own: tuple[int], q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray) -> None:
+    """Add nothing."""
+
+
+for _function in (add_by_network, add_none):
+    # They are among the parameters of compiled functions; see identify.
+    identify(_function)

@@ -1,0 +1,72 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a network of a machine is made for: what it sees, and how large its motions are."""
+
+from dataclasses import dataclass
+
+from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.planar_chain import ChainName
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Structure:
+    """
+    What the networks see, and what friction there is.
+
+    Parameters
+    ----------
+    kinds : list of str
+        Of each coordinate.
+    features : list of list of float
+        Rows of the linear combinations that V sees.
+    mass_features : list of list of float
+        The same that M sees; none for a constant M.
+    diagonal_mass : bool
+        Whether M is diagonal.
+    viscous : bool
+        Whether there is friction -b v.
+    coulomb, stribeck : int
+        How many terms -c tanh(v / w), and how many that end with speed.
+    prior : str, optional
+        The parametric system whose M and V those of the networks are added to.
+    residual : bool
+        Whether there are networks beside it.
+    friction_features : list of list of float, optional
+        What the network D of friction -D(q) v sees, in the same way; None for no such network.
+
+    """
+
+    kinds: list[Kind]
+    features: list[list[float]]
+    mass_features: list[list[float]]
+    diagonal_mass: bool = False
+    viscous: bool = True
+    coulomb: int = 2
+    stribeck: int = 0
+    prior: ChainName | None = None
+    residual: bool = True
+    friction_features: list[list[float]] | None = None
+
+
+@dataclass(frozen=True)
+class MotionScales:
+    """
+    How large what the data hold is, each array of shape (d,).
+
+    Parameters
+    ----------
+    q_centre, q_half : np.ndarray
+        Middle and half of the range of the coordinates.
+    v, a : np.ndarray
+        Root mean square of velocities and accelerations.
+    inertia : np.ndarray
+        Force per acceleration.
+
+    """
+
+    q_centre: np.ndarray
+    q_half: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    inertia: np.ndarray
