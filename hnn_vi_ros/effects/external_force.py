@@ -22,8 +22,9 @@ class ExternalForce(Force, Commanded):
 
     The node takes commands from ``~/commands``. A command that is not renewed ends after the
     time-out, in simulated time, so that a controller that died does not push on (watchdog). With
-    the model of a control-affine network the command u drives all coordinates by the learned
-    input map, the force g(q) u. Energy account: the power f . H_p.
+    a model that has learned an input map the command u of its motors drives all coordinates: the
+    force g(q) u of a control-affine network, or A u of a mechanical one. Energy account: the
+    power f . H_p.
 
     Parameters
     ----------
@@ -32,7 +33,8 @@ class ExternalForce(Force, Commanded):
     timeout : float
         How long a command holds, > 0 [s].
     model : str, optional
-        A model with an input map (family control_affine), in place of the coordinates.
+        A model with an input map (family control_affine, or mechanical with ``input_map:
+        learned``), in place of the coordinates.
 
     Raises
     ------

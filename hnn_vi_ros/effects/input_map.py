@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces of a command: on named coordinates, or on all of them by a learned input map g(q)."""
+"""Forces of a command: on named coordinates, or on all of them by a learned input map."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -24,10 +24,18 @@ def load_map(model: str) -> Checkpoint:
 
     """
     checkpoint = load_checkpoint(model)
-    if 'input_map' not in checkpoint.networks:
-        raise ModelError(f'{model}: a model of the family {checkpoint.card.family} has no input '
-                         'map, as the family control_affine has; give coordinates')
+    if not has_map(checkpoint):
+        raise ModelError(f'{model}: this model of the family {checkpoint.card.family} has no '
+                         'input map, as the family control_affine has, and mechanical with '
+                         'input_map: learned; give coordinates')
     return checkpoint
+
+
+def has_map(model: Checkpoint) -> bool:
+    """Tell whether a model has learned what its motors do."""
+    mechanical = model.card.mechanical
+    return 'input_map' in model.networks or (
+        mechanical is not None and mechanical.input_map is not None)
 
 
 class Places(NamedTuple):
@@ -43,6 +51,12 @@ class InputMap(NamedTuple):
     entries: np.ndarray
 
 
+class InputMatrix(NamedTuple):
+    """An input map that is the same everywhere, shape (d, m)."""
+
+    matrix: np.ndarray
+
+
 class InputParameters(NamedTuple):
     """
     What the compiled function of an external force takes.
@@ -55,7 +69,7 @@ class InputParameters(NamedTuple):
         Those of the command's numbers in ``command``.
     add : callable
         Adds the forces of the numbers; see add_by_place.
-    own : Places or InputMap
+    own : Places, InputMap or InputMatrix
         What it takes first.
 
     """
@@ -64,7 +78,7 @@ class InputParameters(NamedTuple):
     clock: np.ndarray
     places: np.ndarray
     add: Callable[..., None]
-    own: Places | InputMap
+    own: Places | InputMap | InputMatrix
 
 
 def by_place(state: EffectState, places: np.ndarray) -> InputParameters:
@@ -73,7 +87,15 @@ def by_place(state: EffectState, places: np.ndarray) -> InputParameters:
 
 
 def by_map(state: EffectState, model: Checkpoint, d: int) -> InputParameters:
-    """Return what adds g(q) u to d coordinates, or raise ValueError."""
+    """Return what adds g(q) u, or A u, to d coordinates, or raise ValueError."""
+    mechanical = model.card.mechanical
+    if mechanical is not None:
+        matrix = np.array(mechanical.input_map, dtype=np.float64)
+        if len(matrix) != d:
+            raise ValueError(f'the model maps {matrix.shape[1]} numbers to {len(matrix)} '
+                             f'coordinates; H has {d} coordinates')
+        return InputParameters(state.command, state.clock, np.arange(matrix.shape[1]),
+                               add_by_matrix, InputMatrix(matrix))
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
@@ -103,6 +125,16 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
             f_p[i] += entries[i * m + k] * command[k]
 
 
-for _function in (add_by_place, add_by_map):
+@kept(error_model='numpy')
+def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.ndarray,
+                  f_p: np.ndarray) -> None:
+    """Add A u, with u the first numbers of the command."""
+    matrix = own.matrix
+    for i in range(f_p.size):
+        for k in range(matrix.shape[1]):
+            f_p[i] += matrix[i, k] * command[k]
+
+
+for _function in (add_by_place, add_by_map, add_by_matrix):
     # They are among the parameters of compiled functions; see identify.
     identify(_function)

@@ -15,6 +15,7 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.input_map import has_map
 from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
@@ -120,7 +121,7 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
         hamiltonian = load_learned(Path(model), confine=False)
         if not hamiltonian.canonical:
             return hamiltonian, VariationalMidpoint(), None, []
-        return hamiltonian, ImplicitMidpoint(), None, _own_effects(model, hamiltonian)
+        return hamiltonian, ImplicitMidpoint(), None, own_effects(model, hamiltonian)
     scene = load_scene(model if not is_path('scene', model) else Path(model))
     scene, _ = resolve(scene)
     hamiltonian, effects = scene.create_hamiltonian(), scene.create_effects()
@@ -137,12 +138,12 @@ def _names(hamiltonian: Hamiltonian) -> list[str]:
     return [coordinate.name for coordinate in hamiltonian.coordinates]
 
 
-def _own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
-    """Return what a model has learned beside H, and where forces act on it."""
+def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
+    """Return what a model file has learned beside H, and where forces act on it, for good."""
     checkpoint = load_checkpoint(model)
     card = checkpoint.card
     effects: list[Effect] = [
-        ExternalForce(model=model, timeout=_FOREVER) if 'input_map' in checkpoint.networks else
+        ExternalForce(model=model, timeout=_FOREVER) if has_map(checkpoint) else
         ExternalForce(_names(hamiltonian), timeout=_FOREVER)]
     if card.mechanical is not None:
         effects.append(LearnedFriction(model))
@@ -165,9 +166,9 @@ def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
         try:
             simulation.set_command(motions[0].tau[0])
         except ValueError as problem:
-            raise DataError(f'{model}: its input map does not take the {motions[0].tau.shape[1]} '
-                            'forces of the motions, one for each coordinate; leave them out with '
-                            '--keys t,q,dq') from problem
+            raise DataError(f'{model}: does not take the {motions[0].tau.shape[1]} forces of the '
+                            'motions, by its input map or one for each coordinate; leave them '
+                            'out with --keys t,q,dq') from problem
     return simulation
 
 

@@ -80,6 +80,9 @@ class MechanicalChoice(StrictModel):
     mass_depends_on: list[str] | None = Field(None, description=(
         'what M sees, in the same way; each coordinate'))
     friction: FrictionChoice = Field(default_factory=FrictionChoice)
+    input_map: Literal['identity', 'learned'] = Field('identity', description=(
+        'each joint has a force of its own in the data; or the forces are of motors, at most as '
+        'many as joints, and a constant matrix of what they do to the joints is learned'))
     prior: ChainName | None = Field(None, description=(
         'a rigid body whose parameters are fitted, to which the networks are added; its links '
         'turn by the angles that are the features'))
@@ -192,6 +195,14 @@ class MachineConfig(StrictModel):
             raise ValueError('friction.network_depends_on: there is no network; take network: '
                              'true, or leave it out')
         features = [combination(text, names, 'features') for text in family.features or names]
+        if family.input_map == 'learned':
+            if family.prior is not None:
+                raise ValueError('input_map: a prior is fitted with the forces on its joints; '
+                                 'take input_map: identity')
+            if isinstance(self.loss, Inverse):
+                raise ValueError('input_map: the loss inverse would make the forces on a joint '
+                                 'small by a small input map; take forward, discrete or '
+                                 'trajectory')
         if family.prior is not None:
             if any(coordinate.kind == 'prismatic' for coordinate in self.coordinates):
                 raise ValueError(f'prior: the links of a {family.prior} turn; a prismatic '

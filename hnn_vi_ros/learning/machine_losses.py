@@ -27,14 +27,17 @@ class Network(Protocol):
         """Return what is changed."""
 
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        """Return dv/dt, all of shape (N, d)."""
+        """Return dv/dt, shape (N, d), at q and v of that shape and commands of shape (N, m)."""
 
 
 class Mechanics(Network, Protocol):
     """What is fitted where it has masses."""
 
+    def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
+        """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""
+
     def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return the tau that gives accelerations a, all of shape (N, d)."""
+        """Return the forces on the joints that give accelerations a, all of shape (N, d)."""
 
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
@@ -51,10 +54,10 @@ class Samples(NamedTuple):
     ----------
     measured : torch.Tensor, shape (N, d)
         Coordinates as measured.
-    q, v, a, tau : torch.Tensor, shape (N, d)
-        Smoothed states and accelerations; forces as measured.
-    mean_tau : torch.Tensor, shape (N, d)
-        The forces averaged over the step that begins at each sample.
+    q, v, a : torch.Tensor, shape (N, d)
+        Smoothed states and accelerations.
+    tau, mean_tau : torch.Tensor, shape (N, m)
+        Commands of the motors as measured, and averaged over the step that begins at each sample.
     left : torch.Tensor of int, shape (N,)
         How many samples follow in the same motion.
     every : int
@@ -93,7 +96,7 @@ def samples_of(motions: Sequence[Motion], step_size: float | None) -> Samples:
 
 
 def mean_forces(motion: Motion, every: int) -> np.ndarray:
-    """Return forces, shape (N, d), averaged over ``every`` intervals from each sample on."""
+    """Return forces, shape (N, m), averaged over ``every`` intervals from each sample on."""
     n, tau = len(motion.t), motion.tau
     total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
     starts = np.arange(n)
@@ -118,7 +121,7 @@ def force_loss(network: Mechanics, samples: Samples, rows: torch.Tensor) -> torc
     """Return the soft size of the errors of the forces, in units of what usual motions take."""
     predicted = network.forces(samples.q[rows], samples.v[rows], samples.a[rows])
     unit = torch.tensor(network.scales.inertia * network.scales.a)
-    return _soft((predicted - samples.tau[rows]) / unit)
+    return _soft((predicted - network.joint_forces(samples.tau[rows])) / unit)
 
 
 def discrete_loss(network: Mechanics, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
@@ -135,7 +138,7 @@ def discrete_loss(network: Mechanics, samples: Samples, rows: torch.Tensor) -> t
     (p01, rate01), (p12, rate12) = (
         network.momenta(0.5 * (start + end), (end - start) / h)
         for start, end in ((q0, q1), (q1, q2)))
-    given = samples.mean_tau[rows] + samples.mean_tau[rows + every]
+    given = network.joint_forces(samples.mean_tau[rows] + samples.mean_tau[rows + every])
     residual = p01 - p12 + 0.5 * h * (rate01 + rate12 + given)
     return _soft(network.velocities(q1, residual) / h / torch.tensor(network.scales.a))
 

@@ -9,13 +9,11 @@ from tempfile import TemporaryDirectory
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.energy_account import balance
-from hnn_vi_ros.learning.evaluate import judge, simulation_of, verdict
+from hnn_vi_ros.learning.evaluate import judge, own_effects, simulation_of, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import Forward, load_machine, MachineConfig, Trajectory
@@ -35,7 +33,6 @@ import torch
 
 # What a model is judged by: errors after these times, from states so far apart [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
-_FOREVER = 1e9
 
 
 def is_machine(source: Path) -> bool:
@@ -79,14 +76,17 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
         fix_scale(network, train)
         description += ('; no forces, which leaves the scale of energy open: the mean inertia of '
                         f'{config.coordinates[0].name} is 1')
+    if config.family.input_map == 'learned':
+        description += ('; an input map was learned, which leaves the scale of energy open: the '
+                        'mean square of its columns is 1')
     checkpoint = with_energy_error(
         describe(network, config, train, description, losses, out.stem, command), test)
     save_checkpoint(out, checkpoint)
     names = [coordinate.name for coordinate in config.coordinates]
-    effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(out))]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian = MechanicalHamiltonian(checkpoint)
+    effects = own_effects(str(out), hamiltonian)
     simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, test)
     asked = test, horizons, _EVERY, _LONGEST
     scores, fans = judge(simulation, effects, *asked)
@@ -132,12 +132,11 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
 def with_energy_error(checkpoint: Checkpoint, motions: list[Motion]) -> Checkpoint:
     """Return a model whose card tells its energy along motions, against the work on them."""
     hamiltonian, card = MechanicalHamiltonian(checkpoint), checkpoint.card
-    names = [coordinate.name for coordinate in hamiltonian.coordinates]
-    # The effect reads its friction from a file, and the model's own is written once, whole.
+    # Effects read their model from a file, and the model's own is written once, whole.
     with TemporaryDirectory() as folder:
         draft = Path(folder) / 'draft.safetensors'
         save_checkpoint(draft, checkpoint)
-        effects = [ExternalForce(names, timeout=_FOREVER), LearnedFriction(str(draft))]
+        effects = own_effects(str(draft), hamiltonian)
     balances = [balance(hamiltonian, effects, motion) for motion in motions]
     error = energy_spread(
         np.concatenate([found.energy for found in balances]),
@@ -155,7 +154,12 @@ def _of_plain_network(config: MachineConfig) -> MachineConfig:
 def learn(config: MachineConfig, motions: list[Motion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return a network that was fitted, and its losses: after its prior, if it has one."""
-    structure, scales = config.structure(), scales_of(motions)
+    d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
+    learns_map = config.family.input_map == 'learned'
+    if motors != d and not learns_map:
+        raise DataError(f'the data have {motors} forces for {d} coordinates: of motors, not of '
+                        'joints; take input_map: learned')
+    structure, scales = config.structure(), scales_of(motions, learns_map)
     network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
     if structure.prior is None:
         return network, fit(network, config, motions)

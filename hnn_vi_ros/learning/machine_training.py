@@ -32,21 +32,54 @@ from tqdm import tqdm
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS, _PAIRS = 50, 10, 5, 20000, 50
 
 
-def scales_of(motions: Sequence[Motion]) -> MotionScales:
-    """Return the scales of motions, or DataError where a coordinate never moves."""
+def scales_of(motions: Sequence[Motion], learns_map: bool = False) -> MotionScales:
+    """
+    Return the scales of motions, with a first input map where one is to be learned.
+
+    Raises
+    ------
+    DataError
+        A coordinate never moves, or the commands do not tell what the motors do.
+
+    """
     q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
                     for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
     size = [np.sqrt(np.mean(part**2, axis=0)) for part in (v, a, tau)]
     if not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
         raise DataError('a coordinate never moves in the data; learn from data in which every '
                         'coordinate moves')
+    centre, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
+    if learns_map:
+        input_map, inertia = _first_map(q, v, a, tau)
+        return MotionScales(centre, half, size[0], size[1], inertia, size[2], input_map)
     # Without forces the scale of energy is open: that of one unit of inertia is taken.
     driven = size[2] > 0.0
     inertia = np.where(driven, size[2] / size[1], 1.0)
     if driven.any():
         inertia[~driven] = np.exp(np.mean(np.log(inertia[driven])))
-    return MotionScales(0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0),
-                        size[0], size[1], inertia)
+    return MotionScales(centre, half, size[0], size[1], inertia, inertia * size[1])
+
+
+def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """Return an input map and inertias of joints, from accelerations that are linear in u."""
+    rank, motors = int(np.linalg.matrix_rank(u)), u.shape[1]
+    if not rank:
+        raise DataError('input_map: the motors are never commanded in the data, which fixes no '
+                        'scale and tells nothing of them; take input_map: identity')
+    if rank < motors:
+        raise DataError(f'input_map: of the commands of {motors} motors only {rank} are '
+                        'independent, which does not tell what each of them does; leave out '
+                        'motors that are not used, or record while each moves by itself')
+    # What else there is: gravity, springs and friction.
+    others = np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
+                        np.ones((len(q), 1))])
+    rates = np.linalg.lstsq(np.hstack([u, others]), a, rcond=None)[0][:motors].T
+    # Of the same force on each joint for what it usually does, in the norm of the network.
+    inertia = np.sqrt(np.mean(u**2)) / np.sqrt(np.mean(a**2, axis=0))
+    input_map = inertia[:, None] * rates
+    factor = math.sqrt(motors) / float(np.linalg.norm(input_map))
+    return factor * input_map, factor * inertia
 
 
 def fit(network: Network, config: MachineConfig, motions: Sequence[Motion],

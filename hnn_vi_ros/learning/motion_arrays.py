@@ -30,7 +30,8 @@ class ArraysData(MotionData):
     a: str | None = Field(None, description=(
         'key of the accelerations, shape (N, d); null: they are estimated'))
     tau: str | None = Field('tau', description=(
-        'key of the generalised forces of the motors, shape (N, d); null: there are none'))
+        'key of the generalised forces, shape (N, d), or of those of m < d motors, shape (N, m); '
+        'null: there are none'))
 
 
 def split_runs(data: str) -> tuple[Path, list[str]]:
@@ -97,15 +98,18 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
 
 def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, d: int
          ) -> MeasuredRun:
-    def array(key: str, shape: tuple[int, ...]) -> np.ndarray:
+    def array(key: str, shape: tuple[int, ...], fewer: bool = False) -> np.ndarray:
         name = f'{run}/{key}' if run else key
         if name not in arrays:
             raise DataError(f'{path}: no key {name}; it has {", ".join([*arrays][:8])}; name the '
                             'keys in data')
         values = arrays[name]
-        if values.shape != shape or values.dtype.kind not in 'fiu':
+        fits = values.shape == shape or (
+            fewer and values.ndim == 2 and len(values) == shape[0]
+            and 1 <= values.shape[1] <= shape[1])
+        if not fits or values.dtype.kind not in 'fiu':
             raise DataError(f'{path}: {name} has shape {values.shape} of {values.dtype}, expected '
-                            f'numbers of shape {shape}')
+                            f'numbers of shape {shape}{", or with fewer columns" * fewer}')
         return values.astype(np.float64)
 
     name = f'{run}/' if run else ''
@@ -113,7 +117,7 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
         t = array(data.time, (arrays[name + data.time].size,))
     else:
         t = data.interval * np.arange(arrays[name + data.q].size // d)
-    q, v, tau, a = (None if key is None else array(key, (len(t), d))
+    q, v, tau, a = (None if key is None else array(key, (len(t), d), key == data.tau)
                     for key in (data.q, data.v, data.tau, data.a))
     assert q is not None
     return MeasuredRun(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a)

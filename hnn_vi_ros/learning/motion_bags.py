@@ -97,11 +97,11 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions) -> Meas
     elif forces:
         # The field of joint states; the whole of an array.
         signal = reader.read(forces, EFFORT if reader.type_of(forces) == JOINT_STATE else '*')
-        if signal.values.shape[1] != q.shape[1]:
+        if not 1 <= signal.values.shape[1] <= q.shape[1]:
             raise DataError(f'{reader.path}: {forces} has {signal.values.shape[1]} numbers for '
                             f'{q.shape[1]} coordinates')
         # Each holds until the next; before the first there is none.
         at = np.searchsorted(signal.t, t, side='right')
-        tau = np.vstack([np.zeros((1, q.shape[1])), signal.values])[at]
+        tau = np.vstack([np.zeros((1, signal.values.shape[1])), signal.values])[at]
     return MeasuredRun(name, f'{reader.path}: {data.topic}', t, q,
                        None if data.estimate_velocity else v, tau, forces not in ('', EFFORT))

@@ -33,7 +33,9 @@ class LogMotions(MotionData):
     def _check(self) -> 'LogMotions':
         for key in ('v', 'a', 'tau'):
             group = getattr(self, key)
-            if group is not None and len(group) != len(self.q):
+            # There may be fewer motors than joints.
+            if group is not None and (len(group) > len(self.q) or (
+                    key != 'tau' and len(group) < len(self.q))):
                 raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
         used = [self.time, *self.q, *(self.v or []), *(self.a or []), *(self.tau or [])]
         used += [] if self.trial is None else [self.trial]

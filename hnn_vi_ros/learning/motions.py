@@ -57,9 +57,10 @@ class MeasuredRun(NamedTuple):
         Times [s].
     q : np.ndarray, shape (N, d)
         Coordinates; here and below, what a sample lacks is not a number.
-    v, tau : np.ndarray, shape (N, d), or None
-        Velocities, None or not a number throughout where they are to be estimated; and forces of
-        the motors, None for none.
+    v : np.ndarray, shape (N, d), or None
+        Velocities, None or not a number throughout where they are to be estimated.
+    tau : np.ndarray, shape (N, m), or None
+        Forces of m <= d motors, None for none.
     held : bool
         Whether each force acts until the next, unless the data say otherwise.
     a : np.ndarray, shape (N, d), or None
@@ -108,8 +109,10 @@ class Motion:
         Of the run.
     t : np.ndarray, shape (N,)
         Times [s].
-    q, v, tau : np.ndarray, shape (N, d)
-        Coordinates, velocities and generalised forces of the motors, as measured.
+    q, v : np.ndarray, shape (N, d)
+        Coordinates and velocities, as measured.
+    tau : np.ndarray, shape (N, m)
+        Forces of the motors, as measured: those on the coordinates, if there are d.
     q_smooth, v_smooth, a_smooth : np.ndarray, shape (N, d)
         Coordinates, velocities and accelerations through a zero-phase low-pass filter.
     held : bool
@@ -132,7 +135,7 @@ class Motion:
 
     @property
     def forces(self) -> np.ndarray:
-        """Return the mean of the forces over each interval, shape (N - 1, d)."""
+        """Return the mean of the forces over each interval, shape (N - 1, m)."""
         return self.tau[:-1] if self.held else 0.5 * (self.tau[1:] + self.tau[:-1])
 
     @property

@@ -46,13 +46,13 @@ class PlainNetwork(torch.nn.Module):
         self._turning, self._others = np.flatnonzero(turns), np.flatnonzero(~turns)
         half = scales.q_half[~turns]
         centre = np.concatenate([np.zeros(2 * turns.sum()), scales.q_centre[~turns],
-                                 np.zeros(2 * len(kinds))])
+                                 np.zeros(len(kinds) + len(scales.command))])
         unit = np.concatenate([np.ones(2 * turns.sum()), np.where(half > 0.0, half, 1.0),
-                               scales.v, scales.inertia * scales.a])
+                               scales.v, scales.command])
         self.perceptron = Perceptron(hidden, centre, unit, scales.a, seed)
 
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        """Return dv/dt, all of shape (N, d)."""
+        """Return dv/dt, shape (N, d), at q and v of that shape and commands of shape (N, m)."""
         angles = q[:, self._turning]
         return self.perceptron(torch.cat([
             torch.sin(angles), torch.cos(angles), q[:, self._others], v, tau], dim=1))

@@ -78,10 +78,13 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[Motion]) -> MechanicalNe
     """
     Return a chain of as many links as there are coordinates, by the angles that fit better.
 
-    None where there is none, or none follows the motions through the first windows.
+    None where there is none, none follows the motions through the first windows, or the forces
+    are not those on the joints.
     """
+    d = motions[0].q.shape[1]
+    if motions[0].tau.shape[1] != d:
+        return None
     scales = scales_of(motions)
-    d = len(scales.v)
     kinds: list[Kind] = ['revolute'] * d
     fitted = []
     for kind, links in CHAINS.items():

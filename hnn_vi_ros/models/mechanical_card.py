@@ -85,6 +85,9 @@ class MechanicalCard(StrictModel):
         'what the network D of friction -D(q) v sees, in the same way; none for a constant D, '
         'null for no such network'))
     prior: PriorCard | None = None
+    input_map: list[list[float]] | None = Field(None, description=(
+        'forces on the coordinates, one row each, that the motors make of commands of 1; null: '
+        'each coordinate has a motor of its own'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':
@@ -108,6 +111,11 @@ class MechanicalCard(StrictModel):
                                  'takes a part of it, which has no period of 2 pi; take whole '
                                  'multiples of continuous coordinates')
         self._check_prior(self.prior)
+        if self.input_map is not None:
+            columns = {len(row) for row in self.input_map}
+            if len(self.input_map) != d or len(columns) > 1 or not 1 <= max(columns) <= d:
+                raise ValueError(f'input_map must have {d} rows, one for each coordinate, of '
+                                 f'1 to {d} motors')
         return self
 
     def _check_prior(self, prior: PriorCard | None) -> None:

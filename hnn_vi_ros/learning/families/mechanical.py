@@ -24,7 +24,7 @@ _ADDED, _LARGE = 0.1, 0.05
 
 class MechanicalNetwork(torch.nn.Module):
     """
-    M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = tau, in float64.
+    M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = A tau, in float64.
 
     M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and ``friction``
     are those of MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
@@ -48,6 +48,8 @@ class MechanicalNetwork(torch.nn.Module):
         d = len(structure.kinds)
         self.structure, self.scales, self.d = structure, scales, d
         self.friction = JointFriction(structure, hidden, scales, seed + 2)
+        if scales.input_map is not None:
+            self.raw_map = torch.nn.Parameter(torch.tensor(scales.input_map))
         # M of a prior is positive definite by itself.
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = PlanarChain(structure.features, float(scales.inertia.mean())) \
@@ -139,8 +141,25 @@ class MechanicalNetwork(torch.nn.Module):
     def _matrix(self, entries: torch.Tensor) -> torch.Tensor:
         return (entries @ self.place).reshape(-1, self.d, self.d)
 
+    def input_map(self) -> torch.Tensor | None:
+        """
+        Return A, shape (d, m), of the forces A u that m motors make of their commands u.
+
+        The mean square of its columns is 1: A, M, V and friction times any factor are the same
+        motions.
+        """
+        if self.scales.input_map is None:
+            return None
+        return self.raw_map * (math.sqrt(self.raw_map.shape[1]) / self.raw_map.norm())
+
+    def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
+        """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""
+        input_map = self.input_map()
+        return tau if input_map is None else tau @ input_map.T
+
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        """Return dv/dt, all of shape (N, d)."""
+        """Return dv/dt, shape (N, d), at q and v of that shape and commands of shape (N, m)."""
+        tau = self.joint_forces(tau)
         if self.prior is not None and not self.structure.residual:
             values = self.prior.values()
             force = tau - self.prior.forces(q, v, values) - self.friction(q, v)
@@ -149,7 +168,7 @@ class MechanicalNetwork(torch.nn.Module):
         return _solve(gram, tau / self.root_inertia - needed) / self.root_inertia
 
     def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return the tau that gives accelerations a, all of shape (N, d)."""
+        """Return the forces on the joints that give accelerations a, all of shape (N, d)."""
         gram, needed = self._equations(q, v)
         S = self.root_inertia
         return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
@@ -213,12 +232,13 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
               ) -> MechanicalCard:
-        structure = self.structure
+        structure, input_map = self.structure, self.input_map()
+        motors = None if input_map is None else input_map.tolist()
         return MechanicalCard(
             kinds=structure.kinds, features=structure.features, friction=friction,
             floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),
             diagonal_mass=structure.diagonal_mass, prior=prior,
-            friction_features=structure.friction_features)
+            friction_features=structure.friction_features, input_map=motors)
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
         """Return what else of the model card is known, for momenta in this unit."""

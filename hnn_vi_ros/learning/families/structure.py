@@ -52,7 +52,7 @@ class Structure:
 @dataclass(frozen=True)
 class MotionScales:
     """
-    How large what the data hold is, each array of shape (d,).
+    How large what the data hold is, each array of shape (d,) unless it says otherwise.
 
     Parameters
     ----------
@@ -62,6 +62,11 @@ class MotionScales:
         Root mean square of velocities and accelerations.
     inertia : np.ndarray
         Force per acceleration.
+    command : np.ndarray, shape (m,)
+        Usual size of what each motor is commanded.
+    input_map : np.ndarray, shape (d, m), or None
+        About what forces on the joints the motors make of it, to learn that from; None where
+        each joint has a motor of its own.
 
     """
 
@@ -70,3 +75,5 @@ class MotionScales:
     v: np.ndarray
     a: np.ndarray
     inertia: np.ndarray
+    command: np.ndarray
+    input_map: np.ndarray | None = None

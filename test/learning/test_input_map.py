@@ -1,0 +1,225 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Input maps of machines that have fewer motors than joints, or motors that move several."""
+
+from dataclasses import replace
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import DataError, ModelError
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning import evaluate, train
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.learning.machine_config import MachineConfig
+from hnn_vi_ros.learning.machine_train import describe, learn
+from hnn_vi_ros.learning.machine_training import scales_of
+from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
+from hnn_vi_ros.learning.motion_logs import LogMotions
+from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
+from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+from mechanical_models import random_mechanical, saved
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+import torch
+
+# Two pendulums on one another, by a belt of one motor; M, the weights of V, friction. The map
+# has the norm that the network gives it.
+MASS, WEIGHTS, RUB = np.array([[1.5, 0.4], [0.4, 0.8]]), np.array([5.0, 3.0]), 0.3
+MAP = np.array([[0.8], [-0.6]])
+FAMILY = {'kind': 'mechanical', 'mass': 'constant', 'friction': {'coulomb': 0},
+          'input_map': 'learned'}
+CONFIG = {'coordinates': [{'name': 'a', 'q_unit': 'rad'}, {'name': 'b', 'q_unit': 'rad'}],
+          'data': {'kind': 'arrays'}, 'hidden': [8], 'family': FAMILY}
+
+
+def motion_by_a_belt(seed: int, seconds: float = 6.0) -> Motion:
+    """Return a motion under one motor, every 10 ms, with exact accelerations."""
+    rng = np.random.default_rng(seed)
+    sizes, phases = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
+
+    def command(t: np.ndarray) -> np.ndarray:
+        return (sizes * np.sin(np.array([1.3, 2.9, 4.7]) * t[:, None] + phases)).sum(
+            axis=1, keepdims=True)
+
+    def acceleration(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(MASS, (u @ MAP.T - WEIGHTS * np.sin(q) - RUB * v).T).T
+
+    def rate(t: float, z: np.ndarray) -> np.ndarray:
+        q, v = z[None, :2], z[None, 2:]
+        return np.concatenate([z[2:], acceleration(q, v, command(np.array([t])))[0]])
+    t = 0.01 * np.arange(round(seconds / 0.01))
+    z = solve_ivp(rate, (0.0, t[-1]), [*rng.uniform(-0.5, 0.5, 2), 0.0, 0.0], t_eval=t,
+                  rtol=1e-9, atol=1e-9).y.T
+    u = command(t)
+    return smoothed(f'run{seed}', t, z[:, :2], z[:, 2:], u, 40.0,
+                    acceleration(z[:, :2], z[:, 2:], u))
+
+
+@pytest.mark.parametrize('motors', [1, 2, 3])
+def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
+    structure = Structure(['continuous', 'revolute', 'prismatic'], [
+        [1.0, 0.0, 0.0], [0.0, 1.0, -0.5]], [[0.0, 1.0, 0.0]], friction_features=[[1.0, 0.0, 0.0]])
+    rng = np.random.default_rng(motors)
+    t = 0.01 * np.arange(60)
+    motion = smoothed('random', t, np.sin(rng.uniform(1.0, 5.0, 3) * t[:, None]), None,
+                      np.sin(rng.uniform(1.0, 9.0, motors) * t[:, None]), 40.0)
+    network = MechanicalNetwork(structure, [6, 5], scales_of([motion], True), 3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
+                                             generator=torch.Generator().manual_seed(1)))
+    config = MachineConfig.model_validate(CONFIG | {'coordinates': [
+        {'name': f'x{i}', 'kind': kind} for i, kind in enumerate(structure.kinds)]})
+    model = str(tmp_path / 'm.safetensors')
+    save_checkpoint(model, describe(network, config, [motion], 'none', {}, 'random', ''))
+    checkpoint = load_checkpoint(model)
+    input_map = np.array(checkpoint.card.mechanical.input_map)
+    # The mean square of its columns is 1.
+    assert input_map.shape == (3, motors)
+    assert (input_map**2).sum() == pytest.approx(motors, rel=1e-14)
+    hamiltonian = MechanicalHamiltonian(checkpoint)
+    effects = [EFFECTS['learned_friction'](model), EFFECTS['external_force'](model=model)]
+    q, v = rng.uniform(-1.0, 1.0, (2, 4, 3))
+    u = rng.uniform(-1.0, 1.0, (4, motors))
+    p = (hamiltonian.masses(q).astype(float) @ v[:, :, None])[:, :, 0]
+    with torch.no_grad():
+        found = network.accelerations(*map(torch.tensor, (q, v, u))).numpy()
+        forces = network.forces(*map(torch.tensor, (q, v, found))).numpy()
+    assert np.abs(forces - u @ input_map.T).max() < 1e-12
+    simulation = build_simulation(hamiltonian, effects)
+    for i in range(len(q)):
+        simulation.restart(q[i], p[i])
+        simulation.set_command(u[i])
+        # dp/dt with all forces, and dq/dt.
+        rates = -simulation.dH_dq, simulation.dH_dp
+        expected = hamiltonian.hessian_vector(q[i], p[i], rates[1], rates[0])[1]
+        assert np.abs(found[i] - expected).max() < 1e-11 * max(1.0, np.abs(expected).max())
+    with pytest.raises(ValueError, match=f'expected {motors} finite numbers'):
+        simulation.set_command([1.0] * 4)
+
+
+def build_simulation(hamiltonian: MechanicalHamiltonian, effects: list) -> Simulation:
+    d = hamiltonian.dimension
+    return Simulation(hamiltonian, INTEGRATORS['implicit_midpoint'](), 0.01, np.zeros(d),
+                      np.zeros(d), effects)
+
+
+def test_map_of_one_motor_on_two_joints_is_learned():
+    config = MachineConfig.model_validate(CONFIG | {
+        'loss': {'kind': 'forward', 'steps': 300, 'lbfgs_steps': 300}})
+    network, _ = learn(config, [motion_by_a_belt(seed) for seed in (1, 2)])
+    with torch.no_grad():
+        found = network.input_map().numpy()
+        masses = network.masses(torch.zeros(1, 2, dtype=torch.float64))[0].numpy()
+    # Accelerations are exact: all is found but what the networks leave of V.
+    assert np.abs(found - MAP).max() < 0.02
+    assert np.abs(masses - MASS).max() < 0.05
+
+
+def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, capsys):
+    arrays = {}
+    for seed in (1, 2, 3):
+        motion = motion_by_a_belt(seed, 3.0)
+        arrays |= {f'{seed}/t': motion.t, f'{seed}/q': motion.q, f'{seed}/dq': motion.v,
+                   f'{seed}/tau': motion.tau}
+    data, out = str(tmp_path / 'belt.npz'), tmp_path / 'belt.safetensors'
+    np.savez(data, **arrays)
+    config = CONFIG | {'data': {'kind': 'arrays', 'test_runs': ['3']}, 'loss': {
+        'kind': 'trajectory', 'forward_steps': 200, 'windows': [{'duration': 0.1, 'steps': 5}]}}
+    (tmp_path / 'belt.yaml').write_text(dump_yaml(config))
+    train.main(['--config', str(tmp_path / 'belt.yaml'), '--data', data, '--out', str(out)])
+    said = capsys.readouterr().out
+    # A rigid body has motors at its joints.
+    assert '| plain network |' in said and '| rigid body |' not in said
+    card = load_checkpoint(out).card
+    assert 'the mean square of its columns is 1' in card.dataset
+    assert np.shape(card.mechanical.input_map) == (2, 1)
+    evaluate.main([str(out), '--data', f'{data}:3', '--horizons', '0.1', '--baselines',
+                   f'{data}:1'])
+    assert 'The model follows the machine for' in capsys.readouterr().out
+    scene = {'hamiltonian': {'kind': 'learned', 'model': str(out)},
+             'integrator': {'kind': 'implicit_midpoint'}, 'step_size': 0.01,
+             'initial_state': {'q': [0.1, 0.0], 'p': [0.0, 0.0]},
+             'effects': [{'kind': 'learned_friction', 'model': str(out)},
+                         {'kind': 'external_force', 'model': str(out), 'timeout': 10.0}]}
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(scene))
+    simulation = build(load_scene(tmp_path / 'scene.yaml'))
+    simulation.set_command([1.0])
+    simulation.advance(100)
+    assert abs(simulation.works['external_force']) > 1e-3
+    evaluate.main([str(tmp_path / 'scene.yaml'), '--data', f'{data}:3', '--horizons', '0.1'])
+    assert 'The model follows the machine for' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'prior': 'double_pendulum'}, 'fitted with the forces on its joints'),
+    ({'input_map': 'network'}, "'identity' or 'learned'"),
+])
+def test_configuration_refuses_maps_that_cannot_be_learned(changes, message):
+    with pytest.raises(ValueError, match=message):
+        MachineConfig.model_validate(CONFIG | {'family': FAMILY | changes})
+    with pytest.raises(ValueError, match='take forward, discrete or trajectory'):
+        MachineConfig.model_validate(CONFIG | {'loss': {'kind': 'inverse'}})
+
+
+@pytest.mark.parametrize('commands, message', [
+    (0.0, 'fixes no scale and tells nothing'), (1.0, 'only 1 are independent')])
+def test_commands_that_tell_nothing_of_a_map_are_refused(commands, message):
+    motion = motion_by_a_belt(1, 1.0)
+    motion = replace(motion, tau=commands * np.hstack([motion.tau, 2.0 * motion.tau]))
+    with pytest.raises(DataError, match=message) as problem:
+        learn(MachineConfig.model_validate(CONFIG), [motion])
+    assert '\n' not in str(problem.value)
+
+
+def test_fewer_motors_than_joints_need_a_learned_map():
+    config = MachineConfig.model_validate(
+        CONFIG | {'family': FAMILY | {'input_map': 'identity'}})
+    with pytest.raises(DataError, match='1 forces for 2 coordinates.*take input_map: learned'):
+        learn(config, [motion_by_a_belt(1, 1.0)])
+
+
+@pytest.mark.parametrize('input_map', [[[1.0]], [[1.0], [1.0, 2.0]], [[], []], [[1.0] * 3] * 2])
+def test_card_refuses_a_map_that_fits_no_coordinates(input_map):
+    with pytest.raises(ValueError, match='input_map must have 2 rows'):
+        MechanicalCard(kinds=['revolute'] * 2, features=[[1.0, 0.0]], mass_features=[], floor=0.1,
+                       mass_scale=[1.0, 1.0], friction=FrictionCard(viscous=[0.0, 0.0]),
+                       input_map=input_map)
+
+
+def test_external_force_names_models_that_have_a_map(tmp_path):
+    with pytest.raises(ModelError, match='mechanical with input_map: learned; give coordinates'):
+        EFFECTS['external_force'](model=saved(tmp_path, 'arm'))
+    card = random_mechanical('arm').card
+    model = replace(random_mechanical('arm'), card=card.model_copy(update={
+        'mechanical': card.mechanical.model_copy(update={'input_map': [[1.0], [2.0]]})}))
+    save_checkpoint(tmp_path / 'belt.safetensors', model)
+    effect = EFFECTS['external_force'](model=str(tmp_path / 'belt.safetensors'))
+    hamiltonian = MechanicalHamiltonian(random_mechanical('three'))
+    with pytest.raises(ValueError, match='maps 1 numbers to 2 coordinates; H has 3'):
+        build_simulation(hamiltonian, [effect])
+
+
+def test_logs_and_arrays_may_hold_fewer_motors_than_joints(tmp_path):
+    columns = ['t', 'a', 'b', 'u']
+    assert LogMotions(columns=columns, time='t', q=['a', 'b'], tau=['u']).tau == ['u']
+    for key, names in (('v', ['u']), ('tau', ['u', 'v', 'w'])):
+        with pytest.raises(ValueError, match=f'{key} has {len(names)} columns, q has 2'):
+            LogMotions(columns=[*columns, 'v', 'w'], time='t', q=['a', 'b'], **{key: names})
+    t = 0.01 * np.arange(40)
+    q = np.stack([np.sin(t), np.cos(t)], axis=1)
+    for shape, fits in (((40, 1), True), ((40, 2), True), ((40, 3), False), ((40, 0), False)):
+        np.savez(tmp_path / 'belt.npz', t=t, q=q, dq=q, tau=np.ones(shape))
+        if fits:
+            (motion,), _ = read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)
+            assert motion.tau.shape == shape
+            continue
+        with pytest.raises(DataError, match='or with fewer columns'):
+            read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)
