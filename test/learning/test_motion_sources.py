@@ -104,6 +104,12 @@ def test_commands_are_the_forces_where_they_are_named(tmp_path):
     assert np.array_equal(motion.forces, motion.tau[:-1])
     (motion,), _ = read(path, forces='forces', inputs='interpolated')
     assert np.array_equal(motion.forces, 0.5 * (motion.tau[:-1] + motion.tau[1:]))
+    # Of one motor that moves both joints.
+    one = array(np.array([1.005]), np.array([[1.0]]), '/motor')
+    path = write(tmp_path / 'one.mcap', sorted([*driver(), *one], key=lambda item: item[2]))
+    (motion,), _ = read(path, forces='motor')
+    assert motion.tau.shape == (len(motion.t), 1)
+    assert (motion.tau[motion.t + T[0] > 1.015] == 1.0).all()
     wide = array(np.array([1.0]), np.array([[1.0, 2.0, 3.0]]), '/forces')
     with pytest.raises(DataError, match='3 numbers for 2 coordinates'):
         read(write(tmp_path / 'b.mcap', [*driver(), *wide]), forces='forces')
