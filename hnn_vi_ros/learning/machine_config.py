@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_logs import LogMotions
-from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.mechanical_card import check_row, Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from hnn_vi_ros.models.planar_chain import ChainName, check_chain
 from pydantic import Field, model_validator
@@ -195,34 +195,44 @@ class MachineConfig(StrictModel):
             raise ValueError('friction.network_depends_on: there is no network; take network: '
                              'true, or leave it out')
         features = [combination(text, names, 'features') for text in family.features or names]
-        if family.input_map == 'learned':
-            if family.prior is not None:
-                raise ValueError('input_map: a prior is fitted with the forces on its joints; '
-                                 'take input_map: identity')
-            if isinstance(self.loss, Inverse):
-                raise ValueError('input_map: the loss inverse would make the forces on a joint '
-                                 'small by a small input map; take forward, discrete or '
-                                 'trajectory')
-        if family.prior is not None:
-            if any(coordinate.kind == 'prismatic' for coordinate in self.coordinates):
-                raise ValueError(f'prior: the links of a {family.prior} turn; a prismatic '
-                                 'coordinate does not')
-            check_chain(family.prior, features, len(names))
-            if not isinstance(self.loss, Trajectory | None):
-                raise ValueError(f'loss: {self.loss.kind} fits no prior; take trajectory')
-            if friction.network and not family.residual:
-                raise ValueError('friction.network: residual: false leaves out all networks; '
-                                 'leave out one of the two')
-        elif not family.residual:
-            raise ValueError('residual: without a prior there is nothing but the networks')
+        self._check_map()
+        self._check_prior(features)
+        kinds = [coordinate.kind for coordinate in self.coordinates]
+        mass_features = [combination(text, names, 'mass_depends_on') for text in seen]
+        friction_features = [
+            combination(text, names, 'friction.network_depends_on') for text in rubbing
+        ] if friction.network else None
+        for row in (*features, *mass_features, *(friction_features or ())):
+            check_row(kinds, row)
         return Structure(
-            [coordinate.kind for coordinate in self.coordinates],
-            features,
-            [combination(text, names, 'mass_depends_on') for text in seen],
-            family.mass == 'diagonal',
-            friction.viscous, friction.coulomb, friction.stribeck, family.prior, family.residual,
-            [combination(text, names, 'friction.network_depends_on') for text in rubbing]
-            if friction.network else None)
+            kinds, features, mass_features, family.mass == 'diagonal', friction.viscous,
+            friction.coulomb, friction.stribeck, family.prior, family.residual, friction_features)
+
+    def _check_map(self) -> None:
+        if self.family.input_map == 'identity':
+            return
+        if self.family.prior is not None:
+            raise ValueError('input_map: a prior is fitted with the forces on its joints; take '
+                             'input_map: identity')
+        if isinstance(self.loss, Inverse):
+            raise ValueError('input_map: the loss inverse would make the forces on a joint small '
+                             'by a small input map; take forward, discrete or trajectory')
+
+    def _check_prior(self, features: list[list[float]]) -> None:
+        family, d = self.family, len(self.coordinates)
+        if family.prior is None:
+            if not family.residual:
+                raise ValueError('residual: without a prior there is nothing but the networks')
+            return
+        if any(coordinate.kind == 'prismatic' for coordinate in self.coordinates):
+            raise ValueError(f'prior: the links of a {family.prior} turn; a prismatic '
+                             'coordinate does not')
+        check_chain(family.prior, features, d)
+        if not isinstance(self.loss, Trajectory | None):
+            raise ValueError(f'loss: {self.loss.kind} fits no prior; take trajectory')
+        if family.friction.network and not family.residual:
+            raise ValueError('friction.network: residual: false leaves out all networks; leave '
+                             'out one of the two')
 
 
 def combination(text: str, names: list[str], key: str) -> list[float]:

@@ -67,6 +67,18 @@ def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
     return any(x and kind == 'continuous' for x, kind in zip(row, kinds, strict=True))
 
 
+def check_row(kinds: Sequence[Kind], row: Sequence[float]) -> None:
+    """Raise ValueError for a combination of coordinates that no network can see."""
+    if not any(row):
+        raise ValueError('features: a row of zeros sees nothing; leave it out')
+    turning = [x for x, kind in zip(row, kinds, strict=True) if kind == 'continuous' and x]
+    if turning and (len(turning) < sum(x != 0.0 for x in row)
+                    or any(x != round(x) for x in turning)):
+        raise ValueError(f'features: {row} mixes a continuous coordinate with others, or takes '
+                         'a part of it, which has no period of 2 pi; take whole multiples of '
+                         'continuous coordinates')
+
+
 class MechanicalCard(StrictModel):
     """How the networks of M, of V and of friction see the coordinates."""
 
@@ -101,15 +113,7 @@ class MechanicalCard(StrictModel):
                 raise ValueError(f'{name} has {length} entries, expected {d}, one for each '
                                  'coordinate')
         for row in (*self.features, *self.mass_features, *(self.friction_features or ())):
-            if not any(row):
-                raise ValueError('features: a row of zeros sees nothing; leave it out')
-            turning = [x for x, kind in zip(row, self.kinds, strict=True)
-                       if kind == 'continuous' and x]
-            if turning and (len(turning) < sum(x != 0.0 for x in row)
-                            or any(x != round(x) for x in turning)):
-                raise ValueError(f'features: {row} mixes a continuous coordinate with others, or '
-                                 'takes a part of it, which has no period of 2 pi; take whole '
-                                 'multiples of continuous coordinates')
+            check_row(self.kinds, row)
         self._check_prior(self.prior)
         if self.input_map is not None:
             columns = {len(row) for row in self.input_map}

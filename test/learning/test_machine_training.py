@@ -269,6 +269,8 @@ def test_what_is_no_linear_combination_is_refused(text):
 
 @pytest.mark.parametrize('changes, message', [
     ({'features': ['c']}, 'no linear combination'),
+    ({'features': ['a', '0.5 * b']}, 'which has no period'),
+    ({'mass_depends_on': ['a - a']}, 'a row of zeros'),
     ({'mass_depends_on': ['c']}, 'mass_depends_on: .* no linear combination'),
     ({'mass': 'constant'}, 'depends on nothing'),
     ({'features': ['a', 'b', 'a + b'], 'prior': 'double_pendulum'}, 'angles of its 2 links'),
