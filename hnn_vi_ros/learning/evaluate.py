@@ -129,6 +129,11 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
         if isinstance(effect, ExternalForce):
             effect.timeout = _FOREVER
             if effect.coordinates is not None:
+                checkpoint = getattr(hamiltonian, 'checkpoint', None)
+                if checkpoint is not None and has_map(checkpoint):
+                    raise DataError(f'{model}: its model has learned what the motors do to the '
+                                    'joints, and external_force acts on the joints themselves; '
+                                    'give it the model in place of coordinates')
                 # Each coordinate has a measured force, in the order of H.
                 effect.coordinates = _names(hamiltonian)
     return hamiltonian, scene.create_integrator(), scene.step_size, effects

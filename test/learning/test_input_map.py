@@ -156,6 +156,11 @@ def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, ca
     assert abs(simulation.works['external_force']) > 1e-3
     evaluate.main([str(tmp_path / 'scene.yaml'), '--data', f'{data}:3', '--horizons', '0.1'])
     assert 'The model follows the machine for' in capsys.readouterr().out
+    # Commands of the motors are no forces on the joints.
+    scene['effects'][1] = {'kind': 'external_force', 'coordinates': ['a', 'b']}
+    (tmp_path / 'joints.yaml').write_text(dump_yaml(scene))
+    with pytest.raises(DataError, match='give it the model in place of coordinates'):
+        evaluate.main([str(tmp_path / 'joints.yaml'), '--data', f'{data}:3'])
 
 
 @pytest.mark.parametrize('changes, message', [
