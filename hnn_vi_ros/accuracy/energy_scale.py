@@ -12,7 +12,7 @@ import numpy as np
 _SPACING = 1e-5
 # Samples from which on their mean stands for that over the path; of fewer any may lie at a
 # turning point.
-_MEAN = 20
+_MEAN = 8
 
 
 class EnergyScale:

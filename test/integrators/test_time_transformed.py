@@ -94,8 +94,9 @@ def test_map_in_transformed_time_is_symplectic():
     z = np.array([0.3, 0.4, 0.9, -1.2])
     # Off the surface H = H0 as well, where the second term of K' counts.
     start = float(kepler.energy(z[:d], z[d:])) - 0.1
+    parameters = time_transformed.TransformedParameters(kepler.kernel, work, start, 1.0, 0.75)
     kernel = Kernel(None, time_transformed._gradient, time_transformed._hessian_vector,
-                    (kepler.kernel, work, (start, 1.0, 0.75)), d + 1, (0.0, 0.0), False, 1)
+                    parameters, d + 1, (0.0, 0.0), False, 1)
 
     def step(z: np.ndarray) -> np.ndarray:
         at, after = Point.empty(d + 1), Point.empty(d + 1)
