@@ -10,7 +10,7 @@ from pathlib import Path
 import socket
 import sys
 import tempfile
-from typing import IO
+from typing import Any, IO
 
 import pytest
 
@@ -75,9 +75,19 @@ _findings: list[Finding] = []
 
 
 @pytest.fixture
-def measured() -> Callable[[str, str, float, str], None]:
+def measured(record_property: Callable[[str, object], None]
+             ) -> Callable[[str, str, float, str], None]:
     """Return a function that notes claim, subject, measured value and bound."""
-    return lambda *row: _findings.append(Finding(*row))
+    # A property of the test's report, which comes from other processes as well.
+    return lambda claim, subject, value, bound: record_property(
+        'finding', [claim, subject, float(value), bound])
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Keep what a test has measured."""
+    if report.when == 'call':
+        rows: list[Any] = [row for name, row in report.user_properties if name == 'finding']
+        _findings.extend(Finding(*row) for row in rows)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -89,12 +99,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the findings between the file's markers, sorted by claim."""
+    """Write the findings between the file's markers, sorted by claim and subject."""
     path = session.config.getoption('--findings')
-    if path is None:
+    # Workers of pytest-xdist have what their own tests measured only.
+    if path is None or hasattr(session.config, 'workerinput'):
         return
     rows = [f'| {row.claim} | {row.subject} | {row.value:.3g} | {row.bound} |'
-            for row in sorted(_findings, key=lambda row: row.claim)]
+            for row in sorted(_findings, key=lambda row: (row.claim, row.subject))]
     table = '\n'.join(['| claim | subject | measured | bound |', '|---|---|---|---|', *rows])
     before, begin, rest = path.read_text(encoding='utf-8').partition('<!-- findings -->\n')
     _, end, after = rest.partition('\n<!-- end of findings -->')
