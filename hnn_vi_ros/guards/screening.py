@@ -46,17 +46,17 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     if not simulation.conservative:
         return found
     known = modified if simulation.modified_energy is not None else energy
-    slopes = hamiltonian.gradient(q, p)
     weights = np.maximum(np.diff(np.round(steps), prepend=steps[0]), 1.0)
-    scale = EnergyScale(hamiltonian).least(weights, q, p, *slopes)
-    plain, band = np.ptp(energy, axis=0), np.ptp(known, axis=0)
     share = PLAIN * BAND_LIMIT if known is modified else BAND_LIMIT
-    # Written so that NaN is suspect. A change for good is less than the band.
-    good = (band <= min(BAND_LIMIT, CHANGE_LIMIT) * scale) & (plain <= share * scale)
-    if hamiltonian.barrier is not None:
-        _, height = hamiltonian.barrier
-        kept = energy if simulation.integrator.order > 1 else known
-        gap = np.where((height - energy[0]) * (height - kept[0]) > 0.0,
-                       np.abs(height - kept[0]), 0.0)
-        good &= np.ptp(kept, axis=0) <= gap
+    # Written so that what is not finite is suspect. A change for good is less than the band.
+    with np.errstate(invalid='ignore', over='ignore'):
+        scale = EnergyScale(hamiltonian).least(weights, q, p, *hamiltonian.gradient(q, p))
+        good = np.ptp(known, axis=0) <= min(BAND_LIMIT, CHANGE_LIMIT) * scale
+        good &= np.ptp(energy, axis=0) <= share * scale
+        if hamiltonian.barrier is not None:
+            _, height = hamiltonian.barrier
+            kept = energy if simulation.integrator.order > 1 else known
+            gap = np.where((height - energy[0]) * (height - kept[0]) > 0.0,
+                           np.abs(height - kept[0]), 0.0)
+            good &= np.ptp(kept, axis=0) <= gap
     return found | ~good

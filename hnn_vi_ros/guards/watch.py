@@ -18,6 +18,8 @@ import numpy as np
 # Samples of a path that the guards are shown at most, beside its extremes. A change for good
 # takes half as many to be told; see EnergyGuard.
 _SHOWN = 10_000
+# Trajectories that are screened at a time, which takes several times the memory of their states.
+_SCREENED = 1024
 
 
 class Watch:
@@ -151,7 +153,14 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
     kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
     hamiltonian = simulation.hamiltonian
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
-        for k in np.flatnonzero(suspects(simulation, steps, q, p, energy, modified)):
+        found = np.ones(len(alarms), bool)
+        # Of longer paths the guards are shown a part, which the screening does not know.
+        if len(steps) < 2 * _SHOWN:
+            for first in range(0, len(found), _SCREENED):
+                block = np.s_[:, first:first + _SCREENED]
+                found[block[1]] = suspects(simulation, steps, q[block], p[block], energy[block],
+                                           modified[block])
+        for k in np.flatnonzero(found):
             watch = Watch(simulation, hamiltonian.barrier, kinds=kinds)
             watch.show(simulation, steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
             alarms[k] += watch.alarms

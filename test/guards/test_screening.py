@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Of many trajectories the guards look at those in which they can find something."""
 
+import warnings
+
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.guards.screening import suspects
 from hnn_vi_ros.guards.watch import energies_of, Watch
@@ -49,6 +51,16 @@ def test_most_trajectories_of_a_resolved_run_are_not_looked_at():
     suspect, alarmed = shown('pendulum', 'variational_euler', 0.01, 100, 10)
     # The wide ones leave the training box.
     assert not suspect[:50].any() and suspect.sum() <= 10 and alarmed.sum() <= suspect.sum()
+
+
+def test_energies_that_overflow_are_suspect_without_a_warning():
+    simulation = build(load_scene('harmonic_oscillator'))
+    q = np.array([[[0.5], [0.5]], [[0.5], [1e200]]])
+    energy = np.array([[0.125, 0.125], [0.125, np.inf]])
+    with warnings.catch_warnings(), np.errstate(over='raise', invalid='raise'):
+        warnings.simplefilter('error')
+        found = suspects(simulation, np.array([0, 1]), q, 0.0 * q, energy, energy)
+    assert found[1]
 
 
 def test_who_raises_an_alarm_is_suspect_among_others_who_do_not():
