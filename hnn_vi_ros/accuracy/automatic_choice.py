@@ -3,13 +3,15 @@
 """From a scene with the integrator auto to one that names its method and its step size."""
 
 from dataclasses import replace
+import json
 from typing import NamedTuple
 
-from hnn_vi_ros.accuracy.calibration import Choice, remembered
+from hnn_vi_ros.accuracy.calibration import calibrate, Choice, remembered
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Tolerance
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 import numpy as np
+from pydantic import ValidationError
 
 
 class Chosen(NamedTuple):
@@ -58,8 +60,23 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
                                   np.array(scene.initial_state.q), np.array(scene.initial_state.p))
     tolerance = tolerance_of(scene.integrator)
     with scene.placed('integrator'):
-        choice = remembered(problem, tolerance, scene.step_size or largest_step,
-                            scene.model_dump_json())
+        base = scene.step_size or largest_step
+        if _names_code(scene):
+            # What it does, and what it imports, may be other at each time.
+            choice = calibrate(problem, tolerance, base)
+        else:
+            name = json.dumps([scene.model_dump_json(), scene.model_digests])
+            choice = remembered(problem, tolerance, base, name)
     resolved = scene.changed({'step_size': choice.step_size,
                               'integrator': {'kind': choice.method, **choice.arguments}})
     return resolved, Chosen(replace(tolerance, energy_scale=choice.energy_scale), choice)
+
+
+def _names_code(scene: Scene) -> bool:
+    """Tell whether the motion depends on Python code of the user's."""
+    try:
+        # As of a bag, for which none is run.
+        Scene.model_validate(scene.model_dump(exclude={'invariants'}))
+    except ValidationError:
+        return True
+    return False

@@ -265,3 +265,22 @@ def test_remembered_tells_largest_steps_apart(tmp_path, monkeypatch):
     steps = [remembered(problem('exact_pendulum'), tolerance, largest, 'name').step_size
              for largest in (None, 0.01)]
     assert steps[1] <= 0.01 < steps[0]
+
+
+def test_choice_for_code_of_the_user_is_made_anew_each_time(tmp_path, monkeypatch):
+    """A file of the same name, edited or in another folder, may hold another H."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / 'own_oscillator.py').write_text(
+        'from hnn_vi_ros.hamiltonians import HAMILTONIANS\n\n\n'
+        "def make():\n    return HAMILTONIANS['harmonic_oscillator'](stiffness=1.0)\n")
+    (tmp_path / 'own.yaml').write_text(
+        "hamiltonian: {kind: python, factory: 'own_oscillator:make'}\n"
+        'integrator: {kind: auto, path_error: 1.0e-4, horizon: 20.0}\n'
+        'initial_state: {q: [1.0], p: [0.0]}\n')
+    own = load_scene(tmp_path / 'own.yaml')
+    stiff = HAMILTONIANS['harmonic_oscillator'](stiffness=1600.0)
+    slow = resolve(own)[0].step_size
+    monkeypatch.setattr('own_oscillator.make', lambda: stiff)
+    # As many steps for each period, 40 times as many periods.
+    assert resolve(own)[0].step_size < 0.1 * slow
