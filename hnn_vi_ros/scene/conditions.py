@@ -104,7 +104,7 @@ class Condition:
                              f'{_GRAMMAR}') from problem
         value = self._build(tree)
         for part in ast.walk(tree):
-            if isinstance(part, ast.BinOp | ast.Call) and not _names_in(part):
+            if isinstance(part, ast.BinOp | ast.Call | ast.Constant) and not _names_in(part):
                 with np.errstate(all='ignore'):
                     number = self._build(part)({})
                 if not np.isfinite(number):

@@ -22,6 +22,8 @@ _EPS = float(np.finfo(np.float64).eps)
 _TRIALS, _NARROW = 40, 1e-9
 # Nearer to an end of an interval than this share of it, a minimum is at that end.
 _END = 1e-5
+# A value this many times those around it is none that comes to zero.
+_POLE = 10.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,11 @@ class WatchedSimulation:
         for start, end in _brackets(np.array(values), seen, value):
             rises = end[1] > 0.0 or start[1] < 0.0
             if function.direction != ('down' if rises else 'up'):
-                yield _root(value, start, end), rises
+                theta = _root(value, start, end)
+                # At a pole, as of 1 / x, the sign changes as well.
+                if theta == end[0] or abs(value(theta)) <= _POLE * max(
+                        abs(start[1]), abs(end[1])):
+                    yield theta, rises
 
 
 def watched(simulation: Simulation, scene: Scene) -> 'Simulation | WatchedSimulation':

@@ -72,7 +72,8 @@ def test_condition_that_is_no_plain_equation_is_refused(text):
 
 
 @pytest.mark.parametrize('text', [
-    'x = 1 / 0', 'x = 0 / 0', 'x + sqrt(-1) = 0', '1 / 0 * x = 1', 'x = 9 ** 9 ** 9 ** 9'])
+    'x = 1 / 0', 'x = 0 / 0', 'x + sqrt(-1) = 0', '1 / 0 * x = 1', 'x = 9 ** 9 ** 9 ** 9',
+    'x = 1e999', '-1e999 = x'])
 def test_condition_with_a_part_that_is_no_number_is_refused_at_once(text):
     """In float64 huge powers are infinite, not numbers of many digits."""
     with pytest.raises(ValueError, match='never comes true'):
@@ -258,3 +259,13 @@ def test_simulation_stands_before_the_step_of_an_event_that_stops_it():
     assert simulation.q[0] > 0.0
     simulation.restart([1.0], [0.0])
     assert simulation.events == []
+
+
+def test_pole_of_a_condition_is_no_event():
+    """It goes as cos t through zero at pi / 2, where 1 / x goes from infinity to minus infinity."""
+    poles, roots = (oscillator('gauss4', 0.1, EventFunction(Condition(text)))
+                    for text in ('1 / x = 0', '1 / x = 2'))
+    poles.advance(20)
+    roots.advance(20)
+    assert not poles.events
+    assert [event.t for event in roots.events] == pytest.approx([np.pi / 3], abs=1e-5)
