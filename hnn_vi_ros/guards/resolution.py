@@ -72,6 +72,9 @@ class ResolutionGuard(BandGuard):
         plain = self._modified and self.band > super().band
         order = self._order if plain or not self._modified else 2 * self._order
         band, limit = (PLAIN * x if plain else x for x in (self.band, limit))
+        if not (limit > 0.0 and math.isfinite(band / limit)):
+            return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
+                         'under-resolved; use a smaller step_size, or start elsewhere')
         share = self._share * self.band / limit * (PLAIN if plain else 1.0)
         enough = self._step_size * min(limit / band, 1.0) ** (1.0 / order)
         # Rounded down, to two digits.

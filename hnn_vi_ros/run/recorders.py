@@ -13,6 +13,8 @@ import numpy as np
 
 # Coordinates that the samples of a run may have in all; as many momenta come beside them: 4 GiB.
 MOST_NUMBERS = 2**28
+# Compiled code counts no further.
+_MOST_STEPS = 2**63 - 1
 
 # What a command is in time: values at a time [s], or at each sample.
 Commands = Callable[[float], Sequence[float]] | Sequence[Sequence[float]]
@@ -51,9 +53,10 @@ def recorders(simulation: Simulation, duration: float, every: int,
             raise ValueError('times and commands cannot both be given: use every with commands')
         t = _check_times(times, duration)
         return np.append(0.0, t), [lambda: record_samples(simulation, t.size, t, watch)]
+    every = min(every, _MOST_STEPS)
     _check_memory(duration, simulation.step_size * every, simulation.q.size)
     steps, part = whole_steps(duration, simulation.step_size)
-    every = min(every, steps + 1)  # as compiled code counts no further than 2^63
+    every = min(every, steps + 1)
     samples, rest = divmod(steps, every)
     t = np.arange(samples + 1) * every * simulation.step_size
     if commands is None:

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Sequence
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.named_code import NAMES_CODE
@@ -34,18 +34,27 @@ class Invariant:
     ----------
     function : callable
         Of q and p, each of shape (d,).
+    where : str
+        Where the scene names it, for errors.
 
     """
 
-    def __init__(self, function: Callable[[np.ndarray, np.ndarray], float]):
-        self._function = function
+    def __init__(self, function: Callable[[np.ndarray, np.ndarray], float], where: str):
+        self._function, self._where = function, where
 
     def __call__(self, q: np.ndarray, p: np.ndarray) -> float:
-        """Return its value, NaN where its arithmetic fails."""
+        """Return its value, NaN where its arithmetic fails; SceneError where it is no number."""
         try:
-            return float(self._function(q.copy(), p.copy()))
-        except ArithmeticError:
+            value = self._function(q.copy(), p.copy())
+            # A power of a negative number is complex.
+            return math.nan if isinstance(value, complex) else float(value)
+        except (ArithmeticError, ValueError):
+            # Such as that of math.sqrt and math.acos.
             return math.nan
+        except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
+            raise SceneError(f'{self._where}: {type(problem).__name__}: '
+                             f'{" ".join(str(problem).split())}, at q = {q.tolist()}, '
+                             f'p = {p.tolist()}') from problem
 
 
 def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, alone: bool,
@@ -82,22 +91,15 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
         if choice.name in [other.name for other in choices[:index]]:
             raise SceneError(f'{where}: {choice.name} stands twice; give it another name')
         if choice.function is not None:
-            found[choice.name] = Invariant(load_code(choice.function, where, folder))
-            _try(found[choice.name], state, f'{where}: {choice.function}')
+            where = f'{where}: {choice.function}'
+            found[choice.name] = own = Invariant(
+                load_code(choice.function, place('invariants', index), folder), where)
+            if not math.isfinite(value := own(*state)):
+                raise SceneError(f'{where}: is {value} at the initial state; return a finite '
+                                 'number')
         elif choice.name in known:
             found[choice.name] = known[choice.name]
         else:
             raise SceneError(f'{where}: no invariant {choice.name!r} of this system is known; '
                              f'known: {", ".join(known) or "none"}; or give a function')
     return found
-
-
-def _try(function: Callable[..., Any], state: tuple[np.ndarray, np.ndarray], where: str) -> None:
-    """Call a user's function once."""
-    try:
-        value = function(*state)
-    except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
-        raise SceneError(f'{where}: {type(problem).__name__}: {" ".join(str(problem).split())}'
-                         ) from problem
-    if not math.isfinite(value):
-        raise SceneError(f'{where}: is {value} at the initial state; return a finite number')

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of what Python callers hand in, told in a sentence."""
 
-import math
 from numbers import Integral, Real
+import sys
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,8 @@ def check_seconds(name: str, value: float) -> None:
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f'{name} = {value!r} must be a number of seconds')
-    if not (math.isfinite(value) and value >= 0.0):
-        raise ValueError(f'{name} = {value} must be a number of seconds, at least 0')
+    if not 0 <= value <= sys.float_info.max:
+        raise ValueError(f'{name} = {value!s:.40} must be a number of seconds, at least 0')
 
 
 def check_count(name: str, value: int) -> None:
@@ -69,11 +69,16 @@ def check_numbers(name: str, values: Any) -> np.ndarray:
     Raises
     ------
     TypeError
-        Not numbers, or lists of different lengths.
+        Not numbers, some that are masked or too large, or lists of different lengths.
 
     """
     try:
-        return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f'{name} = {values!r:.80} must be numbers, as an array or as lists of '
+        array = np.asarray(values)
+        # numpy would drop imaginary parts, and read texts and dates.
+        if array.dtype.kind not in 'biufO' or np.ma.is_masked(values):
+            raise TypeError
+        return np.array(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        text = ' '.join(repr(values).split())
+        raise TypeError(f'{name} = {text:.80} must be numbers, as an array or as lists of '
                         'equal lengths') from None

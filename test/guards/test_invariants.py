@@ -21,6 +21,9 @@ step_size: 0.01
 initial_state: {q: [0.9, 0.0], p: [0.0, 1.1055415967851332]}
 """
 CODE = """\
+import math
+
+
 def areal_velocity(q, p):
     return 0.5 * (q[0] * p[1] - q[1] * p[0])
 
@@ -40,6 +43,18 @@ def infinite(q, p):
 
 def zero(q, p):
     return 1.0 / float(q[0] - q[0])
+
+
+def angle(q, p):
+    return math.acos(float(q[0]) / 0.9)
+
+
+def root(q, p):
+    return (0.9 - float(q[0]) + 1e-300) ** 0.5
+
+
+def partial(q, p):
+    return 1.0 if q[0] > 0.5 else None
 """
 
 
@@ -135,3 +150,19 @@ def test_invariant_that_is_no_number_is_an_alarm():
     looks = [Look(k, q, q, q, q, 0.0, 0.0) for k, q in enumerate(states)]
     assert guard.update(looks[0]) is None
     assert guard.update(looks[1]) is not None
+
+
+@pytest.mark.parametrize('name', ['angle', 'root'])
+def test_invariant_whose_arithmetic_fails_on_the_way_is_an_alarm(tmp_path, name):
+    """Differences leave their domain beside the start: acos(1 + 1e-4), the root of -1e-4."""
+    own = scene(tmp_path, listed(f'name: A, function: "own_invariants:{name}"'))
+    with pytest.warns(AlarmWarning, match='A has moved by'):
+        simulate(own, 1.0)
+
+
+def test_invariant_that_fails_on_the_way_is_named_with_the_state(tmp_path):
+    own = scene(tmp_path, listed('name: A, function: "own_invariants:partial"'))
+    with pytest.raises(SceneError, match=r'scene.yaml:5: invariants.*own_invariants:partial: '
+                                         r'TypeError: .*, at q = \[') as problem:
+        simulate(own, 3.0)
+    assert '\n' not in str(problem.value)

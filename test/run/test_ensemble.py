@@ -161,6 +161,13 @@ def test_steps_that_were_rescued_are_told_at_the_time_by_which_they_are_counted(
     assert [alarm.step for alarm in run.alarms if alarm.kind == 'rescued steps'] == [20]
 
 
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_state_whose_energy_is_infinite_is_an_alarm(tmp_path):
+    with pytest.warns(AlarmWarning, match='the energy is infinite, or no number'):
+        run = simulate(free_particle(tmp_path), 0.2, initial_state=([0.0], [1e200]))
+    assert 'under-resolved' in {alarm.kind for alarm in run.alarms}
+
+
 PUSHED = [{'kind': 'external_force', 'coordinates': ['x']}]
 
 
@@ -185,6 +192,11 @@ def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
     ('commands', {'a': 1}, "commands = {'a': 1} must be numbers"),
     ('commands', [[1.0], [2.0, 3.0]], 'commands = .* lists of equal lengths'),
     ('initial_state', ([0.0], ['x']), r"p of initial_state = \['x'\] must be numbers"),
+    ('initial_state', (np.array([1j]), [0.0]), 'q of initial_state = .* must be numbers'),
+    ('initial_state', ([0.0], ['1.0']), 'p of initial_state = .* must be numbers'),
+    ('initial_state', ([0.0], [10 ** 400]), 'p of initial_state = .* must be numbers'),
+    ('initial_state', (np.array(['2020-01-01'], 'datetime64[D]'), [0.0]), 'q of .* must be'),
+    ('times', np.ma.array([0.1], mask=[True]), 'times = .* must be numbers'),
     ('initial_state', ([1j], [0.0]), 'q of initial_state = .* must be numbers')])
 def test_arguments_that_are_no_numbers_are_named(tmp_path, argument, value, message):
     with pytest.raises(TypeError, match=message):
@@ -193,7 +205,7 @@ def test_arguments_that_are_no_numbers_are_named(tmp_path, argument, value, mess
         simulate_many(free_particle(tmp_path), 'a', [[0.0]], 0.2)
 
 
-@pytest.mark.parametrize('every', [100, 10 ** 12, 10 ** 30])
+@pytest.mark.parametrize('every', [100, 10 ** 12, 10 ** 30, 10 ** 400])
 def test_sample_at_the_duration_is_taken_however_large_every_is(tmp_path, every):
     assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.2]
 
@@ -208,3 +220,8 @@ step_size: 0.01
 initial_state: {q: [0.0], p: [0.0]}
 """)
     return load_scene(file)
+
+
+def test_duration_that_no_float_holds_is_refused(tmp_path):
+    with pytest.raises(ValueError, match='duration = 1000.* must be a number of seconds'):
+        simulate(free_particle(tmp_path), 10 ** 400)
