@@ -14,7 +14,8 @@ from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.watch import energies_of, show_many, tell, tell_many, Watch
+from hnn_vi_ros.guards.solutions import SolutionGuard
+from hnn_vi_ros.guards.watch import energies_of, look, show_many, tell, tell_many, Watch
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.scene import load_scene, Scene
@@ -164,8 +165,8 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     -------
     Trajectory
         t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
-        (samples + 1, m). Where work is done, the energies of trajectories that step together are
-        watched together.
+        (samples + 1, m). What is told of steps, and of energies where work is done, is told of
+        all trajectories that step together.
 
     Warns
     -----
@@ -240,8 +241,11 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         block = slice(first, first + size)
         # Each trajectory has noise of its own.
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
-        watch = Watch(simulation, None, kinds=(EnergyGuard, CostGuard, RescueGuard))
+        watch = Watch(simulation, None, kinds=(
+            CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))
         q_block, p_block = record_samples(simulation, samples, every, watch)
+        # Of a path where no work is done only its steps are left to be told; see show_many.
+        watch.update(look(simulation))
         for own in alarms[block]:
             own += watch.alarms
         q_all[1:, block], p_all[1:, block] = q_block, p_block

@@ -161,6 +161,17 @@ def test_steps_that_were_rescued_are_told_at_the_time_by_which_they_are_counted(
     assert [alarm.step for alarm in run.alarms if alarm.kind == 'rescued steps'] == [20]
 
 
+@pytest.mark.filterwarnings('ignore')
+def test_steps_that_were_rescued_or_slow_are_told_by_simulate_many_as_well():
+    """The trajectories are of one block, whose steps are taken together."""
+    q, p = [1.9, 0.0], [0.0, (0.1 / 1.9) ** 0.5]
+    scene = load_scene('kepler').with_overrides(0.5, 'gauss8')
+    said = {alarm.kind for alarm in simulate(scene, 10.0, initial_state=(q, p)).alarms}
+    assert {'rescued steps', 'slow step'} <= said
+    many = simulate_many(scene, [q] * 2, [p] * 2, 10.0, samples=20)
+    assert [{alarm.kind for alarm in own} for own in many.alarms] == [said, said]
+
+
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
 def test_state_whose_energy_is_infinite_is_an_alarm(tmp_path):
     with pytest.warns(AlarmWarning, match='the energy is infinite, or no number'):
