@@ -7,7 +7,9 @@ A schema marks what names code by ``NAMES_CODE``. Such a value is refused unless
 the data says that it is trusted, as is done for files that the user names and for nothing else.
 """
 
+from contextvars import ContextVar
 from importlib import import_module
+from pathlib import Path
 import sys
 from typing import Any
 
@@ -32,10 +34,25 @@ def _check(name: str | None, info: ValidationInfo) -> str | None:
 NAMES_CODE = AfterValidator(_check)
 
 
+# The folder of the scene whose code is imported next, and those of all scenes so far.
+_folder: ContextVar[str | None] = ContextVar('folder', default=None)
+_folders: set[str] = set()
+
+
 def find_beside(folder: str | None) -> None:
     """Let Python's modules be found in a folder too, that of a scene file; None for none."""
-    if folder is not None and folder not in sys.path:
-        sys.path.append(folder)
+    _folder.set(folder)
+    if folder is None:
+        return
+    if folder not in sys.path:
+        _folders.add(folder)
+    elif folder in _folders:
+        sys.path.remove(folder)
+    else:
+        return
+    # After what is installed, and before the folders of other scenes.
+    at = next((i for i, path in enumerate(sys.path) if path in _folders), len(sys.path))
+    sys.path.insert(at, folder)
 
 
 def import_named(name: str) -> Any:
@@ -44,9 +61,32 @@ def import_named(name: str) -> Any:
 
     Raises
     ------
+    ImportError
+        A module of that name is there already, and another one stands beside the scene.
     Exception
         What importing the module raises, or AttributeError.
 
     """
     module, _, function = name.partition(':')
-    return getattr(import_module(module), function)
+    found = import_module(module)
+    if (folder := _folder.get()) is not None:
+        _check_origins(module.partition('.')[0], Path(folder))
+    return getattr(found, function)
+
+
+def _check_origins(named: str, folder: Path) -> None:
+    """Refuse a module in place of another one of its name that stands beside the scene."""
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, '__file__', None)
+        if '.' in name or file is None:
+            continue
+        taken = Path(file)
+        home = taken.parent.parent if taken.name == '__init__.py' else taken.parent
+        if name != named and str(home) not in _folders:
+            continue
+        for own in (folder / f'{name}.py', folder / name / '__init__.py'):
+            # A copy does the same.
+            if own.is_file() and not own.samefile(taken) and (
+                    own.read_bytes() != taken.read_bytes()):
+                raise ImportError(f'{name} was imported from {taken}, and {own} is another; '
+                                  'rename one of them, as a process holds one module of a name')
