@@ -4,12 +4,14 @@
 
 from collections.abc import Sequence
 import math
+from pathlib import Path
 
 from hnn_vi_ros.accuracy.diagnostics import state_scales
 from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.checks import check_seconds
 from hnn_vi_ros.simulation.system import System
@@ -24,7 +26,7 @@ _DISTANCE = 1e-7
 _CHAOTIC = 10.0
 
 
-def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
+def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> float:
     """
     Return the time in which neighbouring motions part by the factor e [s].
 
@@ -35,8 +37,9 @@ def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
 
     Parameters
     ----------
-    scene : Scene
-        From ``load_scene``; one with the integrator auto through ``automatic_choice.resolve``.
+    scene : Scene, str or Path
+        From ``load_scene``, or what that takes; one with the integrator auto through
+        ``automatic_choice.resolve``.
     duration : float, optional
         Simulated time up to which chaos is looked for [s]; by default 2^17 steps.
 
@@ -48,7 +51,7 @@ def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
     Raises
     ------
     HnnViRosError
-        The scene cannot be built, or a step fails.
+        The scene cannot be built, a step fails, or the motion runs away.
     ValueError
         A duration that is negative or not finite; or the scene takes one motion at a time only:
         thermostat, impact, holonomic_constraint, time_transformed.
@@ -62,6 +65,7 @@ def lyapunov_time(scene: Scene, duration: float | None = None) -> float:
     """
     if duration is not None:
         check_seconds('duration', duration)
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
     steps = 2 ** 17 if duration is None else max(
         _FIRST, duration / scene.known_step_size)
     state = scene.initial_state
@@ -124,6 +128,11 @@ class _Pair:
         q, p = simulation.q, simulation.p
         offset = np.concatenate([q[1] - q[0], p[1] - p[0]]) / self._scale
         size = float(np.linalg.norm(offset))
+        if not size > 0.0:
+            raise HnnViRosError(
+                f'the motion has run so far away, to {max(np.abs(q).max(), np.abs(p).max()):.2g}, '
+                f'that a neighbour is lost in rounding at t = {simulation.time:.3g} s: no Lyapunov '
+                'time can be measured; use a smaller step_size, or a shorter duration')
         self.growth += math.log(size / _DISTANCE)
         self._offset = _DISTANCE / size * offset
         simulation.restart(*self._states(q[0].copy(), p[0].copy()), step=simulation.steps)

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
+from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 import pytest
@@ -52,6 +53,17 @@ def test_lyapunov_time_of_a_chaotic_motion_is_that_of_the_variational_equations(
     found = lyapunov_time(scene_of(tmp_path, 'henon_heiles', q, p, 0.05))
     # Exponents over some twenty Lyapunov times fluctuate by a quarter of their value.
     assert found == pytest.approx(1.0 / tangent_growth(2000.0, q, p), rel=0.5)
+
+
+def test_lyapunov_time_takes_the_name_of_a_scene():
+    assert lyapunov_time('exact_harmonic_oscillator', 4.0) == np.inf
+
+
+def test_a_motion_that_runs_away_has_no_lyapunov_time_and_that_is_said(tmp_path: Path):
+    """Beyond h = 2 the method of Størmer and Verlet is unstable on the oscillator of 1 rad/s."""
+    scene = scene_of(tmp_path, 'harmonic_oscillator', [1.0], [0.0], 2.1)
+    with pytest.raises(HnnViRosError, match='has run so far away, to .*, that a neighbour is lost'):
+        lyapunov_time(scene.changed({'integrator': {'kind': 'stormer_verlet'}}))
 
 
 @pytest.mark.parametrize('name, duration, error, message', [
