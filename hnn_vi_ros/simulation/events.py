@@ -158,7 +158,7 @@ class WatchedSimulation:
         size = np.abs(values)
         if size.min() > values.max() - values.min():
             return
-        for start, end in _brackets(np.array(values), seen, value):
+        for start, end in _brackets(values, seen, value):
             rises = end[1] > 0.0 or start[1] < 0.0
             if function.direction != ('down' if rises else 'up'):
                 theta = _root(value, start, end)
@@ -195,24 +195,52 @@ Place = tuple[float, float]
 def _brackets(values: np.ndarray, seen: Callable, value: Callable[[float], float]
               ) -> Iterator[tuple[Place, Place]]:
     """Yield pairs of places, each with its value, between which the value changes its sign."""
-    if values[0] == 0.0:
-        # The event was at the end of the step before, or is none at the initial state.
-        values[0] = _after(values)
-    if not (np.isfinite(values).all() and values[0] != 0.0):
-        # Such as a root of a negative number: no event is known of.
-        return
-    places = [(float(_PLACES[0]), float(values[0]))]
-    for k in range(1, len(values)):
-        places += _dips(values, k, seen, value)
-        last = k == len(values) - 1
-        # What the polynomial shows inside the step is only near to what is there.
-        crosses = values[k - 1] * values[k] <= 0.0
-        if last or crosses or values[k] * places[-1][1] <= 0.0:
-            theta = float(_PLACES[k])
-            places.append((theta, float(values[k]) if last else value(theta)))
-    for start, end in pairwise(places):
-        if start[1] * end[1] < 0.0 or (end[1] == 0.0 and start[1] != 0.0):
-            yield start, end
+    for thetas, part in _stretches(values, value):
+        if part[0] == 0.0:
+            # The event was at the end of the step before, or is none at the initial state.
+            part[0] = _after(part)
+        if part[0] == 0.0:
+            continue
+        places = [(float(thetas[0]), float(part[0]))]
+        for k in range(1, len(part)):
+            places += _dips(thetas, part, k, seen, value)
+            last = k == len(part) - 1
+            # What the polynomial shows inside the step is only near to what is there.
+            crosses = part[k - 1] * part[k] <= 0.0
+            if last or crosses or part[k] * places[-1][1] <= 0.0:
+                theta = float(thetas[k])
+                places.append((theta, float(part[k]) if last else value(theta)))
+        for start, end in pairwise(places):
+            if start[1] * end[1] < 0.0 or (end[1] == 0.0 and start[1] != 0.0):
+                yield start, end
+
+
+def _stretches(values: np.ndarray, value: Callable[[float], float]
+               ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """
+    Yield the places, with their values, of each part of a step in which the value is a number.
+
+    It is none where, such as, a root of a negative number is taken.
+    """
+    finite = np.isfinite(values)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]])))
+    for first, behind in ends.reshape(-1, 2):
+        places = [(float(_PLACES[k]), float(values[k])) for k in range(first, behind)]
+        if first > 0:
+            places.insert(0, _edge(value, places[0], float(_PLACES[first - 1])))
+        if behind < len(values):
+            places.append(_edge(value, places[-1], float(_PLACES[behind])))
+        thetas, part = np.transpose(places)
+        yield thetas, part
+
+
+def _edge(value: Callable[[float], float], inside: Place, outside: float) -> Place:
+    """Return the last place, from one where the value is a number to one where it is none."""
+    while abs(inside[0] - outside) > _NARROW:
+        middle = 0.5 * (inside[0] + outside)
+        there = value(middle)
+        inside, outside = ((middle, there), outside) if np.isfinite(there) else (inside, middle)
+    return inside
 
 
 def _after(values: np.ndarray) -> float:
@@ -221,8 +249,8 @@ def _after(values: np.ndarray) -> float:
     return float(np.copysign(_EPS * np.abs(others).max(), others[0])) if others.size else 0.0
 
 
-def _dips(values: np.ndarray, k: int, seen: Callable, value: Callable[[float], float]
-          ) -> list[Place]:
+def _dips(thetas: np.ndarray, values: np.ndarray, k: int, seen: Callable,
+          value: Callable[[float], float]) -> list[Place]:
     """Return the place between k - 1 and k, if any, at which a value turns near zero."""
     low, high = max(0, k - 2), min(len(values) - 1, k + 1)
     near = values[low:high + 1]
@@ -233,7 +261,7 @@ def _dips(values: np.ndarray, k: int, seen: Callable, value: Callable[[float], f
         return []
     # Imported here: only scenes with events wait the half second that this takes.
     from scipy.optimize import minimize_scalar
-    start, end = float(_PLACES[k - 1]), float(_PLACES[k])
+    start, end = float(thetas[k - 1]), float(thetas[k])
 
     def lowest(function: Callable) -> tuple[float, float]:
         found = minimize_scalar(lambda x: sign * float(function(x)), bounds=(start, end),
