@@ -25,7 +25,7 @@ class Search(NamedTuple):
     """
     What is known of a distance g(t) within a step, at the ends of intervals that are not clear.
 
-    tuple[float, ...]
+    Parameters
     ----------
     nodes : np.ndarray, shape (66, 5)
         t, g, g' and g'' there, and how far g may be from the polynomial to the left. First the
@@ -63,7 +63,7 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
     """
     Take in the result of a trial: the first at the end of the step, others where TRY said.
 
-    tuple[float, ...]
+    Parameters
     ----------
     search : Search
         Which is changed.
