@@ -132,6 +132,20 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
             for name, part in zip(('q', 'p'), state, strict=True)}
 
 
+def _initial_states(q: Sequence[Sequence[float]], p: Sequence[Sequence[float]], d: int
+                    ) -> list[np.ndarray]:
+    """Return q and p of initial states, of shape (m, d), or say what is wrong with them."""
+    states = check_numbers('q', q), check_numbers('p', p)
+    for name, part in zip('qp', states, strict=True):
+        if part.ndim == 1 and part.size != d:
+            raise ValueError(f'{name} has shape {part.shape}, expected (m, {d}): a row for each '
+                             'trajectory, a number in it for each coordinate')
+    checked = [part.reshape(-1, d) for part in check_state(*states, d)]
+    if checked[0].size == 0:
+        raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
+    return checked
+
+
 def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
     """Return a sequence of effects as the list that a scene holds, and anything else as it is."""
     return list(effects) if isinstance(effects, tuple) else effects
@@ -197,14 +211,7 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     effects = scene.create_effects()
     system = System(hamiltonian, effects, integrator)
     d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
-    states = check_numbers('q', q), check_numbers('p', p)
-    for name, part in zip('qp', states, strict=True):
-        if part.ndim == 1 and part.size != d:
-            raise ValueError(f'{name} has shape {part.shape}, expected (m, {d}): a row for each '
-                             'trajectory, a number in it for each coordinate')
-    q0, p0 = (part.reshape(-1, d) for part in check_state(*states, d))
-    if q0.size == 0:
-        raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
+    q0, p0 = _initial_states(q, p, d)
     if q0.size * samples > MOST_NUMBERS:
         raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
                          'holds; take fewer at a time')
