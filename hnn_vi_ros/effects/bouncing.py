@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that are cut where a coordinate meets a wall."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState
-from hnn_vi_ros.effects.crossings import add, begin, FREE, LOST, Search, seek, TRY
+from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, Point, Step
@@ -54,7 +55,7 @@ class Wall(NamedTuple):
     cuts: np.ndarray
 
 
-class Motion(NamedTuple):
+class Rates(NamedTuple):
     """Space for a velocity and an acceleration: a gradient and a product; of shape (n,)."""
 
     dH_dq: np.ndarray
@@ -71,18 +72,18 @@ class BouncingWork(NamedTuple):
     ----------
     start : Point
         The state that a part of the step begins with.
-    motion : Motion
+    rates : Rates
         For the velocity at the wall.
 
     """
 
     start: Point
-    motion: Motion
+    rates: Rates
 
     @classmethod
     def empty(cls, n: int) -> 'BouncingWork':
         """Return the workspace for n coordinates."""
-        return cls(Point.empty(n), Motion(*np.zeros((4, n))))
+        return cls(Point.empty(n), Rates(*np.zeros((4, n))))
 
 
 def bounce(step: Step, high: bool) -> Step:
@@ -98,80 +99,100 @@ def bounce(step: Step, high: bool) -> Step:
         polynomial then takes the acceleration into account as well.
 
     """
+    fly = _flight(step, high)
+
     @inlined
     def bouncing(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
                  memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        inner, (c, position, sign, restitution, search, kept, cuts), state, effect = options
-        work, inside = memory[-1], memory[:-1]
-        start, motion = work.start, work.motion
+        _, wall, state, effect = options
+        (start, rates), inside = memory[-1], memory[:-1]
         copy_point(z, start)
-        draws, impacts, total = _keep(state, kept, 2), 0, 0
-        rest, part, rounding = h, h, 0.0
-        # Settled: what comes next is known, and the trial was taken for its state alone.
-        action, wanted, settled = TRY, h, False
-        speed, bend = _motion(kernel, start, c, motion, high)
-        begin(search, sign * (start.q[c] - position), sign * speed, sign * bend)
+        first = draws = _keep(state, wall.kept, 2)
+        rest, rounding, impacts, total = h, 0.0, 0, 0
+        slope, bend = _slopes(kernel, start, wall, rates, high)
+        begin(wall.search, wall.sign * (start.q[wall.place] - wall.position), slope, bend)
+        while True:
+            outcome, met, part, rounding, residual, gradients = fly(
+                kernel, rest, h, options, z1, memory, rounding, draws)
+            total += gradients
+            rest -= part
+            work, rests = 0.0, False
+            if outcome == OK and met:
+                work, rests = _meet(kernel, z1, wall, rates, rest, h, rounding)
+            elif outcome == OK and state.resting[effect] > 0.0:
+                work, rests = _hold(kernel, z1, wall)
+            if np.isnan(work) or (impacts > _MOST_IMPACTS and not rests):
+                outcome = NO_CONVERGENCE
+            if outcome != OK:
+                _put_back(state, wall.kept, 2, first)
+                return outcome, residual, total
+            state.pending[effect] += work
+            state.resting[effect] = 1.0 if rests else 0.0
+            if not met:
+                return OK, residual, total
+            wall.cuts[0] += 1
+            if rest <= 0.0:
+                return OK, residual, total
+            impacts += 1
+            copy_point(z1, start)
+            draws = _keep(state, wall.kept, 0)
+            slope, bend = _slopes(kernel, start, wall, rates, high)
+            begin(wall.search, 0.0, max(0.0, slope), bend)
+            forget(inside)
+    return bouncing
+
+
+def _flight(step: Step, high: bool) -> Callable[..., tuple[int, bool, float, float, float, int]]:
+    """Return what takes the parts of a step with impacts; see bounce."""
+    @inlined
+    def fly(kernel: Kernel, rest: float, h: float, options: Parameters, z1: Point,
+            memory: tuple[Any, ...], rounding: float, draws: int
+            ) -> tuple[int, bool, float, float, float, int]:
+        """
+        Step on to where the wall is met, or for the rest of the step h.
+
+        Return the outcome, whether the wall was met, the length of this part, the rounding of a
+        distance, the residual and the number of gradients. What rests on the wall meets nothing.
+        """
+        inner, wall, state, effect = options
+        (start, rates), inside = memory[-1], memory[:-1]
+        # Once it is known what comes next, a step of that length is taken for its state alone.
+        action, part, total = FREE if state.resting[effect] > 0.0 else TRY, rest, 0
         while True:
             outcome, residual, gradients = step(kernel, part, inner, start, z1, inside)
             total += gradients
-            if outcome != OK:
-                _put_back(state, kept, 2, draws)
-                return outcome, residual, total
-            distance = sign * (z1.q[c] - position)
-            if state.resting[effect] > 0.0:
-                if distance >= 0.0:
-                    state.resting[effect] = 0.0
-                    return OK, residual, total
-                # What pulls it into the wall at the end held it there all the time.
-                work = _turn(kernel, z1, c, position, 0.0)
-                state.pending[effect] += work
-                return NO_CONVERGENCE if np.isnan(work) else OK, residual, total
-            if not settled:
-                total += 1
-                rounding = max(rounding, 4.0 * _EPS * max(abs(position), abs(z1.q[c])))
-                speed, bend = _motion(kernel, z1, c, motion, high)
-                add(search, part, distance, sign * speed, sign * bend, rounding, high)
-                action, wanted = seek(search, h, rounding, high)
-                if action == FREE:
-                    wanted = rest
-            if action == LOST or impacts > _MOST_IMPACTS:
-                _put_back(state, kept, 2, draws)
-                return NO_CONVERGENCE, residual, total
-            if action == TRY or (part != wanted and wanted > 0.0):
-                part, settled = wanted, action != TRY
-                _put_back(state, kept, 0, draws)
-            elif action == FREE:
-                return OK, residual, total
-            else:
-                if wanted == 0.0:
-                    copy_point(start, z1)
-                    _put_back(state, kept, 0, draws)
-                rest -= wanted
-                work, rests = _meet(kernel, z1, c, position, sign, restitution, motion,
-                                    rest, h, rounding)
-                if np.isnan(work):
-                    _put_back(state, kept, 2, draws)
-                    return NO_CONVERGENCE, residual, total
-                state.pending[effect] += work
-                cuts[0] += 1
-                state.resting[effect] = 1.0 if rests else 0.0
-                if rest <= 0.0:
-                    return OK, residual, total
-                impacts += 1
-                copy_point(z1, start)
-                draws = _keep(state, kept, 0)
-                speed, bend = _motion(kernel, start, c, motion, high)
-                begin(search, 0.0, max(0.0, sign * speed), sign * bend)
-                part, settled = rest, False
+            if outcome != OK or action != TRY:
+                break
+            total += 1
+            position, reached = wall.position, z1.q[wall.place]
+            rounding = max(rounding, 4.0 * _EPS * max(abs(position), abs(reached)))
+            slope, bend = _slopes(kernel, z1, wall, rates, high)
+            add(wall.search, part, wall.sign * (reached - position), slope, bend, rounding, high)
+            action, wanted = seek(wall.search, h, rounding, high)
+            if action == LOST:
+                outcome = NO_CONVERGENCE
+                break
+            if action == FREE:
+                wanted = rest
+            enough = action != TRY and (part == wanted or not wanted > 0.0)
+            part = wanted
+            if enough:
+                break
+            _put_back(state, wall.kept, 0, draws)
             # Steps of other lengths are no guide to the next start.
             forget(inside)
-    return bouncing
+        if outcome == OK and action == LAND and part == 0.0:
+            copy_point(start, z1)
+            _put_back(state, wall.kept, 0, draws)
+        return outcome, action == LAND, part, rounding, residual, total
+    return fly
 
 
 @called
 def _keep(state: EffectState, kept: np.ndarray, last: int) -> int:
     """Keep what the effects did so far, in every second row; return the random numbers drawn."""
+    # Element by element: for slices numba compiles the texts of errors as well.
     for row in range(0, last + 1, 2):
         for k in range(state.pending.size):
             kept[row, k], kept[row + 1, k] = state.pending[k], state.resting[k]
@@ -180,31 +201,31 @@ def _keep(state: EffectState, kept: np.ndarray, last: int) -> int:
 
 @called
 def _put_back(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
-    """Forget what the effects did in a trial, or in the step, which is in row 2."""
-    # Element by element: for slices numba compiles the texts of errors as well.
+    """Forget what the effects did in a part of the step, in row 0, or in the step, in row 2."""
     for k in range(state.pending.size):
         state.pending[k], state.resting[k] = kept[row, k], kept[row + 1, k]
     state.draws[1] = draws
 
 
 @called
-def _motion(kernel: Kernel, z: Point, c: int, motion: Motion, high: bool) -> tuple[float, float]:
-    """Return the velocity of a coordinate, and its acceleration or 0 if that is not asked for."""
-    dH_dq, dH_dp, product_q, product_p = motion
+def _slopes(kernel: Kernel, z: Point, wall: Wall, rates: Rates, high: bool
+            ) -> tuple[float, float]:
+    """Return the rates of the distance to the wall: g', and g'' or 0 if that is not asked for."""
+    dH_dq, dH_dp, product_q, product_p = rates
     kernel.gradient(kernel.parameters, z.q, z.p, dH_dq, dH_dp)
+    slope = wall.sign * dH_dp[wall.place]
     if not high:
-        return dH_dp[c], 0.0
-    speed = dH_dp[c]
+        return slope, 0.0
     for i in range(z.q.size):
         dH_dq[i] = -dH_dq[i]
     # H_p changes by H'' (q', p').
     kernel.hessian_vector(kernel.parameters, z.q, z.p, dH_dp, dH_dq, product_q, product_p)
-    return speed, product_p[c]
+    return slope, wall.sign * product_p[wall.place]
 
 
 @called
-def _meet(kernel: Kernel, z: Point, c: int, position: float, sign: float, restitution: float,
-          motion: Motion, rest: float, h: float, rounding: float) -> tuple[float, bool]:
+def _meet(kernel: Kernel, z: Point, wall: Wall, rates: Rates, rest: float, h: float,
+          rounding: float) -> tuple[float, bool]:
     """
     Turn the velocity at the wall; return the work [J], NaN where that fails, and if it rests.
 
@@ -212,29 +233,38 @@ def _meet(kernel: Kernel, z: Point, c: int, position: float, sign: float, restit
     follow: they end after 2 v / (a (1 - e)). Where that is within the rest of the step, and
     the flights are too short to be followed, or lower than rounding, the body comes to rest.
     """
-    work = _turn(kernel, z, c, position, restitution)
+    work = _turn(kernel, z, wall, wall.restitution)
     if np.isnan(work):
         return work, False
-    speed, bend = _motion(kernel, z, c, motion, True)
-    speed, pull = max(0.0, sign * speed), -sign * bend
+    slope, bend = _slopes(kernel, z, wall, rates, True)
+    speed, pull = max(0.0, slope), -bend
     if not pull > 0.0:
         return work, False
     flight = 2.0 * speed / pull
-    ends = flight <= _SHORTEST_FLIGHT * h and flight <= (1.0 - restitution) * rest
+    ends = flight <= _SHORTEST_FLIGHT * h and flight <= (1.0 - wall.restitution) * rest
     if not (ends or 0.25 * speed * flight <= rounding):
         return work, False
-    return work + _turn(kernel, z, c, position, 0.0), True
+    return work + _turn(kernel, z, wall, 0.0), True
 
 
 @called
-def _turn(kernel: Kernel, z: Point, c: int, position: float, restitution: float) -> float:
+def _hold(kernel: Kernel, z: Point, wall: Wall) -> tuple[float, bool]:
+    """Put what rested on the wall back onto it, unless it was pulled away; see _meet."""
+    if wall.sign * (z.q[wall.place] - wall.position) >= 0.0:
+        return 0.0, False
+    # What pulls it into the wall at the end held it there all the time.
+    return _turn(kernel, z, wall, 0.0), True
+
+
+@called
+def _turn(kernel: Kernel, z: Point, wall: Wall, restitution: float) -> float:
     """
     Set q_c on the wall and p_c so that the velocity v_c becomes -e v_c; return the work [J].
 
     NaN if no such momentum is found.
     """
-    before = energy_of(kernel, z)
-    z.q[c], z.q_carry[c] = position, 0.0
+    before, c = energy_of(kernel, z), wall.place
+    z.q[c], z.q_carry[c] = wall.position, 0.0
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
     speed = z.dH_dp[c]
     target = -restitution * speed
