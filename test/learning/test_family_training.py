@@ -74,10 +74,18 @@ def train(folder: Path, data: str, model: str, text: str = DATA) -> Path:
     return out
 
 
+@pytest.fixture(scope='module')
+def driven(tmp_path_factory) -> Path:
+    """Train the model of a system with commands, of which two tests ask."""
+    data, model, _ = RUNS['control_affine']
+    return train(tmp_path_factory.mktemp('driven'), data, model)
+
+
 @pytest.mark.parametrize('name', RUNS)
-def test_each_family_learns_the_oscillator_by_each_of_its_losses(tmp_path, name: str):
+def test_each_family_learns_the_oscillator_by_each_of_its_losses(tmp_path, request, name: str):
     data, model, tolerance = RUNS[name]
-    learned = load_learned(train(tmp_path, data, model))
+    learned = load_learned(request.getfixturevalue('driven') if name == 'control_affine'
+                           else train(tmp_path, data, model))
     q, p = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 200, 1)) * [[[1.2]], [[2.5]]]
     exact = np.hstack(HAMILTONIANS['harmonic_oscillator'](2.0, 3.0).gradient(q, p))
     errors = np.hstack(learned.gradient(q, p)) - exact
@@ -92,9 +100,8 @@ def test_each_family_learns_the_oscillator_by_each_of_its_losses(tmp_path, name:
         assert (card.scheme.integrator, card.scheme.step_size) == ('stormer_verlet', 0.1)
 
 
-def test_input_map_of_a_driven_system_is_learned(tmp_path):
-    data, model, _ = RUNS['control_affine']
-    card_networks = load_learned(train(tmp_path, data, model)).checkpoint.networks
+def test_input_map_of_a_driven_system_is_learned(driven):
+    card_networks = load_learned(driven).checkpoint.networks
     a, (weights, biases) = np.array([0.4]), card_networks['input_map']
     for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
         a = np.tanh(weight @ a + bias)
