@@ -15,8 +15,8 @@ import time
 from typing import Any
 
 from hnn_vi_ros.accuracy.path_reference import find_reference, PathJudge
-from hnn_vi_ros.accuracy.step_search import Search, search
-from hnn_vi_ros.accuracy.survey import Survey, survey
+from hnn_vi_ros.accuracy.step_search import search, StepSearch
+from hnn_vi_ros.accuracy.survey import PathSurvey, survey
 from hnn_vi_ros.accuracy.trials import (
     EnergyJudge, InitialValueProblem, Judge, Method, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, UnsupportedSystem
@@ -154,7 +154,7 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
     return _choice(problem, *best, known, largest_step)
 
 
-def _candidates(known: Survey) -> Iterator[Method]:
+def _candidates(known: PathSurvey) -> Iterator[Method]:
     if known.strongest >= _CLOSE * known.force > 0.0:
         for base in _BASES:
             for share in _FORCES:
@@ -163,7 +163,7 @@ def _candidates(known: Survey) -> Iterator[Method]:
     yield from map(Method, CANDIDATES[:-1])
 
 
-def _first_step(method: Method, known: Survey) -> float:
+def _first_step(method: Method, known: PathSurvey) -> float:
     """Return the step that is tried first [s]: far from right, it only costs trials."""
     step = _FIRST * method.create().order ** 0.5 * known.step_size
     if method.kind == 'time_transformed':
@@ -172,7 +172,7 @@ def _first_step(method: Method, known: Survey) -> float:
     return step
 
 
-def _choice(problem: InitialValueProblem, found: Search, parts: int, known: Survey,
+def _choice(problem: InitialValueProblem, found: StepSearch, parts: int, known: PathSurvey,
             largest_step: float | None) -> Choice:
     trial, h = found.tried[parts], found.base / parts
     return Choice(found.method.kind, h, trial.error, trial.checked,
@@ -197,7 +197,7 @@ def _seconds(problem: InitialValueProblem, method: Method, h: float, trial: Tria
     return float(np.median(costs))
 
 
-def _refusal(tolerance: Tolerance, base: float, searches: list[Search]) -> str:
+def _refusal(tolerance: Tolerance, base: float, searches: list[StepSearch]) -> str:
     """Say that no method holds the tolerance, which comes nearest, and what keeps it from more."""
     wanted = f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s'
     tried = [(trial.error, found, parts) for found in searches

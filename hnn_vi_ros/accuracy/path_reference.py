@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.accuracy.survey import Survey
+from hnn_vi_ros.accuracy.survey import PathSurvey
 from hnn_vi_ros.accuracy.trials import (
     carried, ENOUGH, FAILED, InitialValueProblem, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
@@ -95,8 +95,8 @@ class PathReference:
     accuracy: float
 
 
-def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float, known: Survey
-                   ) -> PathReference:
+def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float,
+                   known: PathSurvey) -> PathReference:
     """
     Return the path, refined until two of them agree.
 
@@ -108,7 +108,7 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
         How well it must be known, and until when.
     base : float
         What the steps of trials divide [s].
-    known : Survey
+    known : PathSurvey
         Of the path.
 
     Raises
@@ -155,7 +155,7 @@ def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: 
     return np.concatenate(rows)
 
 
-def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: Survey,
+def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: PathSurvey,
              best: PathReference | None) -> str:
     """Say why the path cannot be known so well."""
     wanted = f'path_error {tolerance.error:g} up to {tolerance.horizon:g} s: '

@@ -20,7 +20,7 @@ _RESOLVED, _FLAT, _SMALL = 0.5, 0.25, 1e-7
 
 
 @dataclass
-class Search:
+class StepSearch:
     """
     What trials of a method have shown.
 
@@ -98,11 +98,11 @@ class Search:
 
 
 def search(problem: InitialValueProblem, method: Method, base: float, judge: Judge, guess: float,
-           bound: float) -> Search:
+           bound: float) -> StepSearch:
     """
     Try steps until the largest that holds a tolerance is found, or it is shown that none does.
 
-    None does where the round-off floor is shown, see ``Search.at_floor``, or where steps small
+    None does where the round-off floor is shown, see ``StepSearch.at_floor``, or where steps small
     enough would cost more than is affordable, or than is known to do.
 
     Parameters
@@ -121,7 +121,7 @@ def search(problem: InitialValueProblem, method: Method, base: float, judge: Jud
         Cost of the best that is known [1/s]; more is not looked at.
 
     """
-    found = Search(method, method.create().order, base, {})
+    found = StepSearch(method, method.create().order, base, {})
     parts = parts_for(base / min(guess, base))
     while len(found.tried) < _TRIALS and parts not in found.tried:
         found.tried[parts] = now = _try(problem, method, base / parts, judge, bound)
@@ -132,7 +132,7 @@ def search(problem: InitialValueProblem, method: Method, base: float, judge: Jud
     return found
 
 
-def _wish(found: Search, parts: int, now: Trial, judge: Judge, bound: float) -> int | None:
+def _wish(found: StepSearch, parts: int, now: Trial, judge: Judge, bound: float) -> int | None:
     """Return the parts to try next; None if no other can be better."""
     # Smaller steps than these hold the tolerance, or cost too much; larger ones than those do not.
     enough = [k for k, trial in found.tried.items()

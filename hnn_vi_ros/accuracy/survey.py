@@ -23,7 +23,7 @@ _SAMPLES = 4000
 
 
 @dataclass(frozen=True)
-class Survey:
+class PathSurvey:
     """
     The figures of a path.
 
@@ -50,7 +50,7 @@ class Survey:
     strongest: float
 
 
-def survey(problem: InitialValueProblem, horizon: float, base: float) -> Survey:
+def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSurvey:
     """
     Follow a path with ever shorter steps until its figures are known.
 
@@ -102,7 +102,7 @@ def _surveyor(problem: InitialValueProblem, base: float) -> str:
 
 
 def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
-            ) -> tuple[Survey, float]:
+            ) -> tuple[PathSurvey, float]:
     """Return the figures by steps of one size, and the energy's error over its scale."""
     simulation = problem.simulation(method, h)
     states = np.concatenate(list(_states(problem, simulation, horizon)))
@@ -116,8 +116,8 @@ def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
     if simulation.conservative:
         energy = hamiltonian.energy(q, p)
         error = float(np.abs(energy - energy[0]).max()) / scale
-    return Survey(method, h, simulation.time, scale, float(np.median(forces)),
-                  float(forces.max())), error
+    return PathSurvey(method, h, simulation.time, scale, float(np.median(forces)),
+                      float(forces.max())), error
 
 
 def _states(problem: InitialValueProblem, simulation: Simulation, horizon: float
@@ -129,7 +129,7 @@ def _states(problem: InitialValueProblem, simulation: Simulation, horizon: float
         yield np.hstack(simulation.record(min(_CHUNK, max(left, 1)), 1))
 
 
-def _agree(one: Survey, other: Survey) -> bool:
+def _agree(one: PathSurvey, other: PathSurvey) -> bool:
     pairs = [(one.energy_scale, other.energy_scale), (one.force, other.force),
              (one.strongest, other.strongest)]
     return all(abs(a - b) <= _AGREED * max(a, b) for a, b in pairs)

@@ -21,7 +21,7 @@ class FrictionNetwork(NamedTuple):
     product: np.ndarray
 
 
-class FrictionParameters(NamedTuple):
+class LearnedFrictionParameters(NamedTuple):
     """
     What the compiled function of learned friction takes.
 
@@ -48,7 +48,7 @@ class FrictionParameters(NamedTuple):
 
 
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:
-    """Return the last two of FrictionParameters."""
+    """Return the last two of LearnedFrictionParameters."""
     card = model.card.mechanical
     assert card is not None, 'checked by the effect: the family has one'
     if card.friction_features is None:

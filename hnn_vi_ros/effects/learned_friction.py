@@ -14,7 +14,7 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.effects.friction_network import FrictionParameters
+    from hnn_vi_ros.effects.friction_network import LearnedFrictionParameters
 
 
 class LearnedFriction(Force):
@@ -56,10 +56,10 @@ class LearnedFriction(Force):
         self.friction, self._model = checkpoint.card.mechanical.friction, checkpoint
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
-                ) -> 'FrictionParameters':
+                ) -> 'LearnedFrictionParameters':
         """Return the coefficients, and what adds the friction of the network."""
         # Imported here: it is compiled, which who only reads a scene has no use for.
-        from hnn_vi_ros.effects.friction_network import FrictionParameters, network_of
+        from hnn_vi_ros.effects.friction_network import LearnedFrictionParameters, network_of
         viscous = np.array(self.friction.viscous)
         d = len(coordinates)
         if viscous.size != d:
@@ -69,13 +69,13 @@ class LearnedFriction(Force):
         stribeck: list[Any] = [
             (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
             for term in self.friction.stribeck]
-        return FrictionParameters(
+        return LearnedFrictionParameters(
             viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d)),
             *network_of(self._model))
 
     @staticmethod
     @inlined
-    def add_force(parameters: 'FrictionParameters', t: float, q: np.ndarray, p: np.ndarray,
+    def add_force(parameters: 'LearnedFrictionParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the friction at each coordinate, and that of the network."""
         viscous, coulomb, stribeck, add, own = parameters

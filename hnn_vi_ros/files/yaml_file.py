@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.named_code import trusting
-from hnn_vi_ros.files.yaml_text import MAX_BYTES, one_line, parse_mapping, Places
+from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_BYTES, one_line, parse_mapping
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 Model = TypeVar('Model', bound=BaseModel)
@@ -27,7 +27,7 @@ def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Mo
 
 
 def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
-              ) -> tuple[Model, Places]:
+              ) -> tuple[Model, KeyPlaces]:
     """
     Read and validate one YAML file that the user names, and keep where its keys stand.
 
@@ -45,7 +45,7 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
     return validate(data, places, schema, error, trust_code=True), places
 
 
-def validate(data: Mapping[str, Any], places: Places, schema: type[Model],
+def validate(data: Mapping[str, Any], places: KeyPlaces, schema: type[Model],
              error: type[HnnViRosError], *, trust_code: bool = False) -> Model:
     """
     Return the model of data that were read from YAML.
@@ -54,7 +54,7 @@ def validate(data: Mapping[str, Any], places: Places, schema: type[Model],
     ----------
     data : mapping
         What was read.
-    places : Places
+    places : KeyPlaces
         Where its keys stand.
     schema, error
         See ``read_yaml``.
@@ -79,7 +79,7 @@ def _read(path: Path, error: type[HnnViRosError]) -> bytes:
         raise error(f'{path}: {one_line(problem)}') from problem
 
 
-def _describe(places: Places, schema: type[BaseModel], problem: ValidationError) -> str:
+def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationError) -> str:
     problems = problem.errors(include_url=False)
     # A misspelt key is reported as unknown rather than as missing under its right name; of the
     # types that a value may have, the one that it fits best is the one that was meant.

@@ -42,7 +42,7 @@ _DIRECTIVE = re.compile('(?:\\A|[\n\r\x85\u2028\u2029])\ufeff?%')
 
 
 @dataclass(frozen=True)
-class Places:
+class KeyPlaces:
     """
     Where the keys of a YAML text stand in it.
 
@@ -73,7 +73,7 @@ class Places:
 
 
 def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
-               ) -> tuple[Any, Places]:
+               ) -> tuple[Any, KeyPlaces]:
     """
     Return the plain data that one YAML document holds, and where its keys stand.
 
@@ -105,7 +105,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
         root = loader.get_single_node()
         if root is None:
             raise error(f'{where}:1: holds nothing')
-        return loader.construct_document(root), Places(
+        return loader.construct_document(root), KeyPlaces(
             str(where), dict(_lines(root, (), root.start_mark.line + 1)))
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
@@ -116,7 +116,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
 
 
 def parse_mapping(text: bytes | str, where: object, error: type[HnnViRosError]
-                  ) -> tuple[dict[str, Any], Places]:
+                  ) -> tuple[dict[str, Any], KeyPlaces]:
     """Return the keys and values that one YAML document holds; see ``parse_yaml``."""
     data, places = parse_yaml(text, where, error)
     if not isinstance(data, dict):

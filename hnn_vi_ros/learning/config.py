@@ -16,7 +16,7 @@ from hnn_vi_ros.models.model_card import CoordinateCard
 from pydantic import Field, model_validator
 
 
-class Reference(StrictModel):
+class ReferenceState(StrictModel):
     """The state that sets the zero of the energy, which its gradient leaves open."""
 
     q: list[float]
@@ -49,7 +49,7 @@ class TrainingConfig(StrictModel):
         'training stops early, and goes back to the best weights'))
     linearity: float = Field(0.0, ge=0.0, description=(
         'weight of a preference for a linear field where the data leave H open'))
-    reference: Reference | None = Field(None, description='default: H = 0 in the box centre')
+    reference: ReferenceState | None = Field(None, description='default: H = 0 in the box centre')
     confine: bool = Field(False, description=(
         'whether scenes hold states near the box of the data, unless they say otherwise'))
 

@@ -43,14 +43,14 @@ class ExactHamiltonian(StrictModel):
         return HAMILTONIANS[self.kind](**self.__pydantic_extra__)
 
 
-class Motion(StrictModel):
+class EvenTimes(StrictModel):
     """What is kept of a motion: its states at even times, from 0 to the duration."""
 
     duration: float = Field(gt=0.0, description='of each motion [s]')
     spacing: float = Field(gt=0.0, description='from one state to the next [s]')
 
     @model_validator(mode='after')
-    def _check(self) -> 'Motion':
+    def _check(self) -> 'EvenTimes':
         if not 1.0 <= self.duration / self.spacing < MAX_STATES:
             raise ValueError(f'spacing = {self.spacing:g} must be between duration / {MAX_STATES} '
                              f'and the duration, {self.duration:g}')
@@ -96,7 +96,7 @@ class ExactData(StrictModel):
         'bounds of H: the part of the box that motions of these energies visit'))
     velocities: bool = Field(False, description=(
         'whether dq/dt takes the place of p, in the box too, as where masses are unknown'))
-    trajectory: Motion | None = Field(None, description=(
+    trajectory: EvenTimes | None = Field(None, description=(
         'follow the motion that begins at each of the samples, and learn from all its states'))
     damping: float = Field(0.0, ge=0.0, description='gamma [1/s]: dp/dt = -H_q - gamma p')
     commands: Commands | None = Field(None, description=(

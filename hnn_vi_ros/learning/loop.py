@@ -24,7 +24,7 @@ LEAST_GAIN = 1e-6
 
 
 @dataclass
-class History:
+class LossHistory:
     """Losses over the steps of a run: training, and validation every so often."""
 
     train: list[float] = field(default_factory=list)
@@ -52,7 +52,7 @@ class Loop:
 
     Attributes
     ----------
-    history : History
+    history : LossHistory
         How the losses fell.
     step : int
         The next step to take.
@@ -61,7 +61,7 @@ class Loop:
 
     def __init__(self, problem: TrainingProblem, config: TrainingConfig):
         self._problem, self._config = problem, config
-        self.history, self.step = History(adam_steps=config.adam_steps), 0
+        self.history, self.step = LossHistory(adam_steps=config.adam_steps), 0
         self._before, self._least, self._best, self._waited = math.inf, math.inf, None, 0
         parameters = [*problem.family.parameters()]
         self._adam = torch.optim.Adam(parameters, lr=config.learning_rate)
@@ -71,7 +71,8 @@ class Loop:
             history_size=config.lbfgs_history, tolerance_grad=0.0, tolerance_change=0.0,
             line_search_fn='strong_wolfe')
 
-    def run(self, progress: tqdm, pause: Callable[['Loop'], None] = lambda loop: None) -> History:
+    def run(self, progress: tqdm, pause: Callable[['Loop'], None] = lambda loop: None
+            ) -> LossHistory:
         """
         Train to the end.
 
@@ -169,7 +170,7 @@ class Loop:
     def state(self, state: dict[str, Any]) -> None:
         """Go back to a state; the steps that follow are those that followed it, bit by bit."""
         self._problem.family.load_state_dict(state['weights'])
-        self.history, self.step = History(**state['history']), state['step']
+        self.history, self.step = LossHistory(**state['history']), state['step']
         self._before, self._least, self._best, self._waited = (
             state[name] for name in ('before', 'least', 'best', 'waited'))
         self._adam.load_state_dict(state['adam'])

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.families.base import Family
+from hnn_vi_ros.learning.families.base import Trainable
 from hnn_vi_ros.learning.steps import step
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ def mean_square(errors: torch.Tensor, unit: torch.Tensor) -> torch.Tensor:
     return (errors / unit).square().mean()
 
 
-def nonlinearity(family: Family, z1: torch.Tensor, z2: torch.Tensor, unit: torch.Tensor
+def nonlinearity(family: Trainable, z1: torch.Tensor, z2: torch.Tensor, unit: torch.Tensor
                  ) -> torch.Tensor:
     """
     Return how far the field between pairs of states is from linear, mean squared.
@@ -69,7 +69,7 @@ def nonlinearity(family: Family, z1: torch.Tensor, z2: torch.Tensor, unit: torch
 
     Parameters
     ----------
-    family : Family
+    family : Trainable
         With a vector field.
     z1, z2 : torch.Tensor, shape (N, 2 d)
         The states of each pair.
@@ -88,7 +88,7 @@ def _rates(choice: Any, dataset: Dataset) -> Batch:
     return Batch((z, torch.tensor(dataset.commands)), rates)
 
 
-def _field(choice: Any, family: Family, *inputs: torch.Tensor) -> torch.Tensor:
+def _field(choice: Any, family: Trainable, *inputs: torch.Tensor) -> torch.Tensor:
     return family.vector_field(*inputs)
 
 
@@ -100,7 +100,7 @@ def _paths(choice: Any, dataset: Dataset) -> Batch:
         (path[:, k] - path[:, 0]) / (k * choice.step_size) for k in range(1, choice.count + 1)]))
 
 
-def _mean_rates(choice: Any, family: Family, z0: torch.Tensor) -> torch.Tensor:
+def _mean_rates(choice: Any, family: Trainable, z0: torch.Tensor) -> torch.Tensor:
     z, rates = z0, []
     for k in range(1, choice.count + 1):
         z = step(family.vector_field, choice.integrator, z, choice.step_size)
@@ -114,7 +114,7 @@ def _pairs(choice: Any, dataset: Dataset) -> Batch:
     return Batch((z0, z1), (z1 - z0) / choice.step_size)
 
 
-def _discrete_field(choice: Any, family: Family, *inputs: torch.Tensor) -> torch.Tensor:
+def _discrete_field(choice: Any, family: Trainable, *inputs: torch.Tensor) -> torch.Tensor:
     return family.discrete_field(*inputs)
 
 
@@ -125,7 +125,7 @@ def _positions(choice: Any, dataset: Dataset) -> Batch:
     return Batch((q0, q1, q2), (q2 - 2.0 * q1 + q0) / choice.step_size**2)
 
 
-def _discrete_euler_lagrange(choice: Any, family: Family, q0: torch.Tensor, q1: torch.Tensor,
+def _discrete_euler_lagrange(choice: Any, family: Trainable, q0: torch.Tensor, q1: torch.Tensor,
                              q2: torch.Tensor) -> torch.Tensor:
     """
     Return what D_1 L_d(q1, q2) + D_2 L_d(q0, q1) = 0 makes of the second difference.
@@ -143,7 +143,7 @@ def _velocities(choice: Any, dataset: Dataset) -> Batch:
     return Batch((_joined(dataset.q, dataset.dq_dt),), torch.tensor(dataset.accelerations))
 
 
-def _acceleration(choice: Any, family: Family, *inputs: torch.Tensor) -> torch.Tensor:
+def _acceleration(choice: Any, family: Trainable, *inputs: torch.Tensor) -> torch.Tensor:
     return family.acceleration(*inputs)
 
 

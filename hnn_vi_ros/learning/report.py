@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.config import TrainingConfig
-from hnn_vi_ros.learning.loop import History
+from hnn_vi_ros.learning.loop import LossHistory
 from hnn_vi_ros.learning.problem import Comparison
 from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.models.model_card import ModelCard
@@ -38,7 +38,7 @@ class Outputs(NamedTuple):
             '.loss.png', '.loss.rrd', '.field.png', '.report.md')))
 
 
-def write_report(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: History,
+def write_report(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: LossHistory,
                  comparison: Comparison, seconds: float, device: str) -> None:
     """
     Write the pictures, the curves and the page of a run.
@@ -51,7 +51,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, card: ModelCard, hist
         How was trained.
     card : ModelCard
         What came of it.
-    history : History
+    history : LossHistory
         How the losses fell.
     comparison : Comparison
         What the model says of held-out data, beside what they are.
@@ -70,7 +70,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, card: ModelCard, hist
         _page(outputs, config, card, history, comparison, seconds, device), encoding='utf-8')
 
 
-def plot_history(history: History, name: str, path: Path) -> None:
+def plot_history(history: LossHistory, name: str, path: Path) -> None:
     """Write the loss curves as a PNG."""
     figure = Figure(figsize=(7.0, 4.5), layout='constrained')
     FigureCanvasAgg(figure)
@@ -139,7 +139,7 @@ def _draw_residuals(axes, comparison: Comparison, card: ModelCard, i: int) -> No
     axes.grid(alpha=0.3)
 
 
-def _page(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: History,
+def _page(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: LossHistory,
           comparison: Comparison, seconds: float, device: str) -> str:
     facts = {
         'family': card.family, 'data': card.dataset, 'seed': card.seed,

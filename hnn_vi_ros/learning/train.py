@@ -23,9 +23,9 @@ from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.energy_account import friction_work, integrated
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
-from hnn_vi_ros.learning.families.base import EnergyFamily, Family
+from hnn_vi_ros.learning.families.base import EnergyFamily, Trainable
 from hnn_vi_ros.learning.interruption import Keeper
-from hnn_vi_ros.learning.loop import History, Loop
+from hnn_vi_ros.learning.loop import Loop, LossHistory
 from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.report import Outputs, write_report
 from hnn_vi_ros.learning.sources import make_dataset
@@ -44,7 +44,7 @@ _STATES = 2000
 
 def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
           device: str = 'cpu', keeper: Keeper | None = None, resume: bool = False
-          ) -> tuple[Checkpoint, History, TrainingProblem]:
+          ) -> tuple[Checkpoint, LossHistory, TrainingProblem]:
     """
     Train a network and describe it.
 
@@ -65,7 +65,7 @@ def train(config: TrainingConfig, dataset: Dataset, name: str, command: str,
 
     Returns
     -------
-    tuple of Checkpoint, History and TrainingProblem
+    tuple of Checkpoint, LossHistory and TrainingProblem
         The trained model, not yet saved, how the losses fell, and the problem that it solves.
 
     Raises
@@ -116,8 +116,8 @@ def describe(problem: TrainingProblem, config: TrainingConfig, dataset: Dataset,
     return replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
 
 
-def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig, dataset: Dataset
-                 ) -> EnergyError | None:
+def judge_energy(checkpoint: Checkpoint, family: Trainable, config: TrainingConfig,
+                 dataset: Dataset) -> EnergyError | None:
     """
     Return how far the learned energy is from what is known of it; None if nothing is.
 
@@ -129,7 +129,7 @@ def judge_energy(checkpoint: Checkpoint, family: Family, config: TrainingConfig,
     ----------
     checkpoint : Checkpoint
         The trained model.
-    family : Family
+    family : Trainable
         The same, for the momenta of the states.
     config : TrainingConfig
         How it was trained.

@@ -28,7 +28,7 @@ _OPTIONS: dict[str, Any] = {'fastmath': FASTMATH, 'error_model': 'numpy', 'force
 _inlined = part(**_OPTIONS)
 
 
-class Reference(NamedTuple):
+class NumpyActivation(NamedTuple):
     """An activation in numpy, for any precision: value and slope of z."""
 
     value: Callable[[np.ndarray], np.ndarray]
@@ -37,11 +37,12 @@ class Reference(NamedTuple):
 
 
 ACTIVATIONS = {
-    'tanh': Reference(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2),
-    'sine': Reference(np.sin, np.cos),
-    'relu': Reference(lambda z: np.maximum(z, 0.0), lambda z: np.where(z > 0.0, 1.0, 0.0 * z),
-                      smooth=False),
-    'softplus': Reference(lambda z: np.logaddexp(z, 0.0), lambda z: 1.0 / (1.0 + np.exp(-z))),
+    'tanh': NumpyActivation(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2),
+    'sine': NumpyActivation(np.sin, np.cos),
+    'relu': NumpyActivation(lambda z: np.maximum(z, 0.0),
+                            lambda z: np.where(z > 0.0, 1.0, 0.0 * z), smooth=False),
+    'softplus': NumpyActivation(lambda z: np.logaddexp(z, 0.0),
+                                lambda z: 1.0 / (1.0 + np.exp(-z))),
 }
 
 

@@ -16,7 +16,7 @@ from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.remapped_topics import KEY
-from hnn_vi_ros.ros.selection import Event, select
+from hnn_vi_ros.ros.selection import LogLine, select
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -51,7 +51,7 @@ class Prepared(NamedTuple):
         What ``~/scene`` tells.
     recording : Recording
         The open files.
-    events : list of Event
+    log_lines : list of LogLine
         What is to be reported.
     origin : int
         Stamp of step 0 [ns].
@@ -64,7 +64,7 @@ class Prepared(NamedTuple):
     box: tuple[np.ndarray, np.ndarray]
     report: dict[str, Any]
     recording: Recording
-    events: list[Event]
+    log_lines: list[LogLine]
     origin: int
 
 
@@ -99,14 +99,15 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     factor = settings.real_time_factor
     scene, step, origin = _load(settings)
     begin('selecting the integrator')
-    scene, chosen, events = select(scene, 1.0 / settings.publish_rate, factor, logger)
+    scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     simulation = _compile(scene, logger, begin)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
     if step:
-        events.append((f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
+        log_lines.append(
+            LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
     sampler.count(settings.duration)
     check_pace(factor, sampler.tick)
     begin('looking ahead')
@@ -129,7 +130,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, settings, topics, box, report, sampler)
-    return Prepared(scene, chosen, simulation, box, report, recording, events, origin)
+    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin)
 
 
 def _load(settings: Settings) -> tuple[Scene, int, int]:

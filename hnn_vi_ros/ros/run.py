@@ -75,8 +75,8 @@ class Run:
         self._events = EventTopic(node, topics.open_events, self._scene.name, self.simulation)
         self._begin(monitor)
         self._tell_scene(prepared.report)
-        for event in prepared.events:
-            self.tell(*event)
+        for line in prepared.log_lines:
+            self.tell(*line)
         if self.sampler.deviation:
             node.get_logger().warning(self.sampler.deviation)
 

@@ -12,7 +12,7 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 
 
-class Event(NamedTuple):
+class LogLine(NamedTuple):
     """A line to log and to show beside the samples; level is INFO, WARN or ERROR."""
 
     text: str
@@ -20,7 +20,7 @@ class Event(NamedTuple):
 
 
 def select(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
-           ) -> tuple[Scene, Chosen | None, list[Event]]:
+           ) -> tuple[Scene, Chosen | None, list[LogLine]]:
     """
     Return a scene that names its method and step size, the choice, and what to report of it.
 
@@ -50,14 +50,14 @@ def select(scene: Scene, largest_step: float, real_time_factor: float, logger: L
     return scene, chosen, report(*chosen, real_time_factor) if chosen else []
 
 
-def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[Event]:
+def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[LogLine]:
     """Return what to report of a choice at a pace."""
-    events = [Event(choice.explain(tolerance), 'INFO')]
+    lines = [LogLine(choice.explain(tolerance), 'INFO')]
     cost = choice.seconds_per_simulated_second
     if cost * real_time_factor > 1.0:
-        events.append(Event(
+        lines.append(LogLine(
             f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s '
             f'at real_time_factor {real_time_factor:g} on this machine: the cheapest takes '
             f'{cost:.3g} s for each simulated second; use a real_time_factor of at most about '
             f'{1.0 / cost:.2g}, or allow a larger error', 'WARN'))
-    return events
+    return lines

@@ -11,7 +11,7 @@ from typing import Any
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.named_code import find_beside
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
-from hnn_vi_ros.files.yaml_text import Places
+from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.models.checkpoint import file_digest
 
 
@@ -24,7 +24,7 @@ class Origin:
     ----------
     path : Path
         The file that the scene was read from, when it was.
-    places : Places or None
+    places : KeyPlaces or None
         Where its keys stand.
     replaced : frozenset of str
         Keys whose values are no more those that stand there.
@@ -38,7 +38,7 @@ class Origin:
     """
 
     path: Path = Path('scene')
-    places: Places | None = None
+    places: KeyPlaces | None = None
     replaced: frozenset[str] = frozenset()
     code_folder: str | None = None
     digests: frozenset[str] | None = None

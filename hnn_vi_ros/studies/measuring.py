@@ -78,7 +78,7 @@ class StudyRow:
         return not self.finished and not self.status.startswith(TOO_LONG)
 
 
-class Measured(NamedTuple):
+class MeasuredPath(NamedTuple):
     """A run: (q, p) at the last of each ``INSTANTS / len(path)`` instants, and what it took."""
 
     path: np.ndarray
@@ -102,7 +102,7 @@ class MethodRun(ABC):
     step_size: float
 
     @abstractmethod
-    def measure(self, horizon: float) -> Measured:
+    def measure(self, horizon: float) -> MeasuredPath:
         """Run once, looking at the states on the way; RunFailure if it does not arrive."""
 
     @abstractmethod
@@ -131,7 +131,7 @@ class OwnRun(MethodRun):
         self._start = simulation.q.copy(), simulation.p.copy()
         simulation.compile()
 
-    def measure(self, horizon: float) -> Measured:
+    def measure(self, horizon: float) -> MeasuredPath:
         """See MethodRun."""
         simulation, energy = self._simulation, self._hamiltonian.energy
         simulation.restart(*self._start)
@@ -150,7 +150,7 @@ class OwnRun(MethodRun):
         except StepFailure as failure:
             raise RunFailure(failure.reason, simulation.time, simulation.gradients) from failure
         note = f' ({simulation.rescued} steps in parts)' if simulation.rescued else ''
-        return Measured(np.array(path), band, simulation.gradients, note)
+        return MeasuredPath(np.array(path), band, simulation.gradients, note)
 
     def prepare(self, horizon: float) -> Callable[[], object]:
         """See MethodRun."""
@@ -194,7 +194,7 @@ class PeerRun(MethodRun):
         self._peer, self._setting, self._hamiltonian = peer, setting, hamiltonian
         self._z0 = z0
 
-    def measure(self, horizon: float) -> Measured:
+    def measure(self, horizon: float) -> MeasuredPath:
         """See MethodRun."""
         states, spent = [self._z0], 0
         for part in range(INSTANTS):
@@ -204,7 +204,7 @@ class PeerRun(MethodRun):
             spent += gradients
         end, spent = self._solve(self._z0, horizon, 0.0, 0)
         energies = self._hamiltonian.energy(*np.split(np.array([*states, end]), 2, axis=1))
-        return Measured(end[None], float(np.abs(energies - energies[0]).max()), spent, '')
+        return MeasuredPath(end[None], float(np.abs(energies - energies[0]).max()), spent, '')
 
     def prepare(self, horizon: float) -> Callable[[], object]:
         """See MethodRun."""

@@ -19,7 +19,7 @@ _PRIOR_ORBITS, _PRIOR_SEED = 1500, 20_000_001
 _CHUNK = 100
 
 
-class System(Protocol):
+class TrueSystem(Protocol):
     """What a measure asks of the true system; see published_data."""
 
     def follow(self, starts: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -104,14 +104,14 @@ def least_loss(plane: Plane, orbits: Orbits) -> float:
     return float(squares / wanted.size)
 
 
-def orbit_errors(system: System, model: Model, starts: np.ndarray, t: np.ndarray,
+def orbit_errors(system: TrueSystem, model: Model, starts: np.ndarray, t: np.ndarray,
                  method: str = METHOD, longest: float = STEP) -> OrbitErrors:
     """
     Simulate a learned model and compare with the true orbits.
 
     Parameters
     ----------
-    system : System
+    system : TrueSystem
         The true one.
     model : Model
         The learned one.

@@ -49,7 +49,7 @@ class Result:
 _COLUMNS = [field.name for field in fields(Result)]
 
 
-class Results:
+class ResultTable:
     """
     What was measured, to be looked up.
 
@@ -116,11 +116,11 @@ def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
     """Write the page; return the file."""
     path = folder / PAGE
     machines = '\n'.join(_machines_table(folder / FOLDER / MACHINES))
-    path.write_text(as_page(Results(results), quick, machines), encoding='utf-8')
+    path.write_text(as_page(ResultTable(results), quick, machines), encoding='utf-8')
     return path
 
 
-def as_page(results: Results, quick: bool, machines: str) -> str:
+def as_page(results: ResultTable, quick: bool, machines: str) -> str:
     """Return the page."""
     return PAGE_TEXT.format(
         quick=QUICK_TEXT if quick else '', csv=f'{FOLDER}/{CSV}', machines=machines,
@@ -135,7 +135,7 @@ def as_page(results: Results, quick: bool, machines: str) -> str:
         real_physics='\n'.join(_real_table(results)))
 
 
-def _summary(results: Results) -> str:
+def _summary(results: ResultTable) -> str:
     """Say how many published numbers are reached."""
     found = [(results.values(*key), published) for key, published in PUBLISHED.items()]
     reached = [is_reached(values, published) for values, published in found if len(values)]
@@ -144,7 +144,7 @@ def _summary(results: Results) -> str:
             f'or below {first} of them on the published data, and {mean} in the mean over seeds.')
 
 
-def _published_table(results: Results, table: str) -> Iterator[str]:
+def _published_table(results: ResultTable, table: str) -> Iterator[str]:
     """Yield the published measures, ours beside them."""
     yield ('| system | measure | published | ours, the published data (seed 0) | '
            'ours, mean ± spread | seeds | at or below |')
@@ -160,7 +160,7 @@ def _published_table(results: Results, table: str) -> Iterator[str]:
                f'{spread(values)} | {len(values)} | {verdict(values, published)} |')
 
 
-def _noise_table(results: Results) -> Iterator[str]:
+def _noise_table(results: ResultTable) -> Iterator[str]:
     """Yield what a test loss on noisy states can be at all."""
     yield ('| system | data | ours | the true H | the best function of a noisy state |')
     yield '|---' * 5 + '|'
@@ -173,7 +173,7 @@ def _noise_table(results: Results) -> Iterator[str]:
                 yield f'| {SYSTEMS[system]} | {name} | {" | ".join(cells)} |'
 
 
-def _physics_table(results: Results, table: str) -> Iterator[str]:
+def _physics_table(results: ResultTable, table: str) -> Iterator[str]:
     """Yield what a user of a model would ask for."""
     yield ('| system | field error without noise, RMS | energy error of H, RMS | '
            'path error, RMS | time [s] |')
@@ -187,7 +187,7 @@ def _physics_table(results: Results, table: str) -> Iterator[str]:
             yield f'| {SYSTEMS[system]} | {" | ".join(cells)} |'
 
 
-def _real_table(results: Results) -> Iterator[str]:
+def _real_table(results: ResultTable) -> Iterator[str]:
     """Yield what the real pendulum's measure can be, and how far the path is off."""
     yield '| family | energy MSE | of a parabola fitted to the test | path error, RMS |'
     yield '|---' * 4 + '|'

@@ -62,7 +62,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class ModelError:
+class ModelDiscrepancy:
     """
     What a learned H is off by, whatever integrates it.
 
@@ -146,16 +146,16 @@ def true_hamiltonian(hamiltonian: Hamiltonian) -> Hamiltonian | None:
 
 
 def model_error(learned: Reference, truth: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
-                horizon: float, step_size: float) -> ModelError:
+                horizon: float, step_size: float) -> ModelDiscrepancy:
     """Return what the motion of a learned H is off by; arguments as of make_reference."""
     energies = truth.energy(*np.split(learned.samples, 2, axis=1))
     energy = float(np.abs(energies - truth.energy(q0, p0)).max(initial=0.0))
     if not learned.verified:
-        return ModelError(math.nan, energy)
+        return ModelDiscrepancy(math.nan, energy)
     exact = make_reference(truth, q0, p0, horizon, step_size)
     if not exact.verified:
-        return ModelError(math.nan, energy)
-    return ModelError(float(np.abs(learned.path - exact.path).max()), energy)
+        return ModelDiscrepancy(math.nan, energy)
+    return ModelDiscrepancy(float(np.abs(learned.path - exact.path).max()), energy)
 
 
 def _gauss_path(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray, h: float, every: int

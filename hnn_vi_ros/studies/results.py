@@ -15,7 +15,7 @@ from typing import Any, TextIO
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.studies.measuring import StudyRow
-from hnn_vi_ros.studies.references import ModelError, Reference
+from hnn_vi_ros.studies.references import ModelDiscrepancy, Reference
 import numpy as np
 
 COLUMNS = tuple(field.name for field in fields(StudyRow))
@@ -49,7 +49,7 @@ class Results:
         self.commits: list[str] = []
         self._commit = commit()
         self.references: dict[float, Reference] = {}
-        self.model_errors: dict[float, ModelError] = {}
+        self.model_errors: dict[float, ModelDiscrepancy] = {}
         self._rows: dict[tuple, StudyRow] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +80,7 @@ class Results:
         with (self.folder / CSV).open('a', newline='', encoding='utf-8') as file:
             _writer(file).writerow(_as_text(row))
 
-    def keep_reference(self, horizon: float, reference: Reference, model: ModelError | None
+    def keep_reference(self, horizon: float, reference: Reference, model: ModelDiscrepancy | None
                        ) -> None:
         """Keep what the rows of a horizon are measured against."""
         self.references[horizon] = reference
@@ -124,7 +124,7 @@ class Results:
             self.references[float(horizon)] = Reference(
                 path, _number(entry['accuracy'], math.inf), entry['how'], path[:0])
         for horizon, entry in models.items():
-            self.model_errors[float(horizon)] = ModelError(
+            self.model_errors[float(horizon)] = ModelDiscrepancy(
                 _number(entry['path'], math.nan), _number(entry['energy'], math.nan),
                 EnergyError(**entry['box']) if entry.get('box') else None)
         self._rows = {row.key: row for row in read_rows(self.folder / CSV)}

@@ -36,7 +36,7 @@ _STATES = 64
 _EPS = float(np.finfo(np.float64).eps)
 
 
-class Method(NamedTuple):
+class MethodLabel(NamedTuple):
     """A label as above, taken apart; ``variant`` is empty for the method itself."""
 
     label: str
@@ -44,7 +44,7 @@ class Method(NamedTuple):
     variant: str
 
 
-def parse_method(label: str) -> Method:
+def parse_method(label: str) -> MethodLabel:
     """
     Take a label apart.
 
@@ -63,10 +63,10 @@ def parse_method(label: str) -> Method:
             raise ParameterError(f'--methods: {label}: {kind} solves no equation of its own; '
                                  'take an implicit method')
         _accuracy(label, variant)
-    return Method(label, kind, variant)
+    return MethodLabel(label, kind, variant)
 
 
-def create(method: Method, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, Integrator]:
+def create(method: MethodLabel, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, Integrator]:
     """
     Build a method, and the Hamiltonian that it integrates.
 
@@ -92,7 +92,7 @@ def create(method: Method, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, Integ
     return hamiltonian, integrator
 
 
-def applicable(method: Method, hamiltonian: Hamiltonian) -> bool:
+def applicable(method: MethodLabel, hamiltonian: Hamiltonian) -> bool:
     """Tell whether a method can be built for a Hamiltonian."""
     try:
         create(method, hamiltonian)

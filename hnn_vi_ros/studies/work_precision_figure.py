@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.studies.label_placement import place_labels
 from hnn_vi_ros.studies.measuring import StudyRow
-from hnn_vi_ros.studies.references import ModelError, Reference
+from hnn_vi_ros.studies.references import ModelDiscrepancy, Reference
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -87,7 +87,7 @@ def is_peer(name: str) -> bool:
 
 
 def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
-         model: ModelError | None) -> Path:
+         model: ModelDiscrepancy | None) -> Path:
     """
     Draw the rows of one horizon into a PNG file.
 
@@ -101,7 +101,7 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
         All of one horizon.
     reference : Reference
         Below whose accuracy no path error is known.
-    model : ModelError or None
+    model : ModelDiscrepancy or None
         What a learned H is off by, drawn as a floor.
 
     """

@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.arguments import HALVINGS, LONGEST
 from hnn_vi_ros.studies.measuring import MethodRun, OwnRun, Peer, PeerRun, whole_steps
 from hnn_vi_ros.studies.results import machine, Results
-from hnn_vi_ros.studies.variants import applicable, create, Method, parse_method
+from hnn_vi_ros.studies.variants import applicable, create, MethodLabel, parse_method
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import Field
@@ -128,11 +128,11 @@ def step_sizes(scene: Scene, order: int) -> list[float]:
             if order >= HIGH_ORDER else halved)
 
 
-def _own_settings(scene: Scene, hamiltonian: Hamiltonian, methods: Sequence[Method],
+def _own_settings(scene: Scene, hamiltonian: Hamiltonian, methods: Sequence[MethodLabel],
                   steps: list[float] | None) -> Iterator[Setting]:
     start = scene.initial_state.q, scene.initial_state.p
 
-    def run(method: Method, step_size: float) -> MethodRun:
+    def run(method: MethodLabel, step_size: float) -> MethodRun:
         integrated, integrator = create(method, hamiltonian)
         return OwnRun(method.label, Simulation(integrated, integrator, step_size, *start),
                       hamiltonian)

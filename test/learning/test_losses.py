@@ -12,7 +12,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.choices import (
     DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
 from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.families.base import Family, Scales
+from hnn_vi_ros.learning.families.base import Scales, Trainable
 from hnn_vi_ros.learning.families.dgnet import DGNet
 from hnn_vi_ros.learning.families.vin import VIN
 from hnn_vi_ros.learning.losses import LOSSES
@@ -60,7 +60,7 @@ def steps(hamiltonian: Hamiltonian, method: str, h: float, effects: tuple = ()) 
     return Dataset(q, p, q, p, block, 'simulated', np.tile(h * np.arange(STEPS + 1), STARTS))
 
 
-def residuals(choice, family: Family, data: Dataset) -> np.ndarray:
+def residuals(choice, family: Trainable, data: Dataset) -> np.ndarray:
     """Return what a loss of this choice squares, in the units of its target."""
     loss = LOSSES[choice.kind]
     batch = loss.batch(choice, data)

@@ -9,7 +9,7 @@ from hnn_vi_ros.studies.published_data import NOISE, PENDULUM, Plane, SPRING, TW
 from hnn_vi_ros.studies.published_measures import (
     exact_loss, field_error, least_loss, orbit_errors, published_loss)
 from hnn_vi_ros.studies.published_models import Model
-from hnn_vi_ros.studies.published_page import PUBLISHED, read_results, Results, verdict
+from hnn_vi_ros.studies.published_page import PUBLISHED, read_results, ResultTable, verdict
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -142,7 +142,7 @@ def test_quick_run_writes_the_page_and_says_what_is_missing(tmp_path, capsys):
     assert 'nowhere/real_pend_h_1.txt: not there' in said
     page = (tmp_path / 'learning.md').read_text()
     assert 'quick run' in page and page.count('not measured') >= 2
-    results = Results(read_results(tmp_path))
+    results = ResultTable(read_results(tmp_path))
     for table, system, measure in PUBLISHED:
         assert len(results.values(table, system, measure)) == (system != 'real_pendulum')
     # Written anew from the values, without measuring.
@@ -153,7 +153,7 @@ def test_quick_run_writes_the_page_and_says_what_is_missing(tmp_path, capsys):
 
 
 def test_committed_values_are_at_or_below_the_published_ones_on_the_published_data():
-    results = Results(read_results(DOCS))
+    results = ResultTable(read_results(DOCS))
     for (table, system, measure), published in PUBLISHED.items():
         values = results.values(table, system, measure)
         assert verdict(values, published) != '**no**'

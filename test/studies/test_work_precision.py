@@ -21,7 +21,8 @@ from hnn_vi_ros.studies.accuracy_page import write_page
 from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.measuring import measure_row, PeerRun, StudyRow, whole_steps
 from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
-from hnn_vi_ros.studies.references import make_reference, ModelError, Reference, true_hamiltonian
+from hnn_vi_ros.studies.references import (
+    make_reference, ModelDiscrepancy, Reference, true_hamiltonian)
 from hnn_vi_ros.studies.results import read_rows, Results
 from hnn_vi_ros.studies.work_precision_report import cheapest
 import mpmath
@@ -403,7 +404,7 @@ def invent(folder: Path, scene: str) -> None:
         results.keep_reference(
             horizon, Reference(path, 1e-12, 'exact: invented', path[:0]),
             None if scene in ('kepler', 'henon_heiles') or scene.startswith('exact')
-            else ModelError(1e-3, 1e-4, BOX_ERROR))
+            else ModelDiscrepancy(1e-3, 1e-4, BOX_ERROR))
         for method, order, cost, drift in (
                 ('variational_euler', 1, 3.0, 0.0), ('rk4', 4, 4.0, 1.0), ('gauss8', 8, 20.0, 0.0),
                 ('gauss8@1e-4', 2, 10.0, 1.0), ('scipy DOP853 tolerance=1e-06', 8, 80.0, 1.0)):

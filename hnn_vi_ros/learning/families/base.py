@@ -70,7 +70,7 @@ class Scales:
             [self.q_rate * self.p_half, self.p_rate * self.q_half])))
 
 
-class Family(torch.nn.Module, ABC):
+class Trainable(torch.nn.Module, ABC):
     """A model that is trained; its losses ask for what is below or what a subclass adds."""
 
     @abstractmethod
@@ -108,7 +108,7 @@ class Family(torch.nn.Module, ABC):
         return dataset.p
 
 
-class EnergyFamily(Family):
+class EnergyFamily(Trainable):
     """A family with an energy H(q, p), and Hamilton's equations for its field."""
 
     @abstractmethod

@@ -80,7 +80,7 @@ class ControlAffine(EnergyFamily):
         return field + torch.cat([torch.zeros_like(q), force[:, :, 0]], dim=1)
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return A, V and g; see Family."""
+        """Return A, V and g; see Trainable."""
         q0, _ = np.split(z0, 2)
         z = torch.tensor(z0)[None]
         kinetic = float((self.energy(z) - self.potential(z.chunk(2, dim=1)[0])[:, 0]).detach())

@@ -74,7 +74,7 @@ class DGNet(EnergyFamily):
         return torch.cat([D_p, -D_q - self.friction * middle.chunk(2, dim=1)[1]], dim=1)
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the network; see Family."""
+        """Return the network; see Trainable."""
         return {'energy': self.network.layers(z0, energy0)}
 
     def constants(self) -> dict[str, Any]:

@@ -68,6 +68,6 @@ class DissipativeHNN(EnergyFamily):
         return _WEIGHT * (D_q.square().mean() + D_p.mean(dim=0).square().mean())
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return H and D; see Family."""
+        """Return H and D; see Trainable."""
         return {'energy': self.conservative.layers(z0, energy0),
                 'dissipation': self.dissipation.layers(z0, 0.0)}

@@ -41,5 +41,5 @@ class HNN(EnergyFamily):
         return self.network(z)[:, 0]
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the network; see Family."""
+        """Return the network; see Trainable."""
         return {'energy': self.network.layers(z0, energy0)}

@@ -6,7 +6,7 @@ from typing import Any
 
 from hnn_vi_ros.learning.choices import LagrangianChoice
 from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.families.base import Family, gradient, Scales
+from hnn_vi_ros.learning.families.base import gradient, Scales, Trainable
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
@@ -17,7 +17,7 @@ _ITERATIONS = 50
 _WEIGHT = 1e-2
 
 
-class LagrangianNetwork(Family):
+class LagrangianNetwork(Trainable):
     """
     L(q, v) = v . M v / 2 + N(q, v): a constant diagonal M, and a network for all the rest.
 
@@ -101,7 +101,7 @@ class LagrangianNetwork(Family):
         return self.first_mass / float(self.derivatives(self.samples)[1][:, 0, d].mean().detach())
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the network N; see Family."""
+        """Return the network N; see Trainable."""
         factor = self.factor
         (q0, p0), v0 = torch.tensor(z0).chunk(2), torch.zeros(len(self.mass), dtype=torch.float64)
         for _ in range(_ITERATIONS):

@@ -46,7 +46,7 @@ class SeparableHNN(EnergyFamily):
         return self.kinetic(p)[:, 0] + self.potential(q)[:, 0]
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return T, zero at the momenta of z0, and V; see Family."""
+        """Return T, zero at the momenta of z0, and V; see Trainable."""
         q0, p0 = np.split(z0, 2)
         return {'kinetic': self.kinetic.layers(p0, 0.0),
                 'potential': self.potential.layers(q0, energy0)}

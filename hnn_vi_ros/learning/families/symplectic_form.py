@@ -6,7 +6,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.choices import SymplecticFormChoice
-from hnn_vi_ros.learning.families.base import Family, gradient, Scales
+from hnn_vi_ros.learning.families.base import gradient, Scales, Trainable
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
@@ -17,7 +17,7 @@ _SAMPLES = 1024
 _WEIGHT = 1e-5
 
 
-class SymplecticForm(Family):
+class SymplecticForm(Trainable):
     """
     theta(u) = (M p, 0) + N(u) and H(u), u = (q, p): a constant diagonal M, and two networks.
 
@@ -86,7 +86,7 @@ class SymplecticForm(Family):
         return torch.linalg.solve(self.two_form(z), rates[:, :, None])[:, :, 0]
 
     def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor | None:
-        """Return a small weight on the variation of W in one degree of freedom; see Family."""
+        """Return a small weight on the variation of W in one degree of freedom; see Trainable."""
         if len(self.mass) > 1:
             return None
         weight = self.two_form(z)[:, 1, 0]
@@ -110,7 +110,7 @@ class SymplecticForm(Family):
         return self.first_mass / float(two_forms[:, d, 0].mean())
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the networks N and H; see Family."""
+        """Return the networks N and H; see Trainable."""
         def scaled(layers: Layers) -> Layers:
             return Layers(*((*parts[:-1], self.factor * parts[-1]) for parts in layers))
 

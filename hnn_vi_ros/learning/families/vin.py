@@ -68,7 +68,7 @@ class VIN(EnergyFamily):
         return -torch.linalg.solve(self.mass, gradient(self.potential, q).T).T
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return V; see Family."""
+        """Return V; see Trainable."""
         q0, p0 = np.split(z0, 2)
         kinetic = 0.5 * p0 @ np.linalg.solve(self.mass.detach().numpy(), p0)
         return {'potential': self.potential.layers(q0, energy0 - kinetic)}
