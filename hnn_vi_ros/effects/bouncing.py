@@ -23,6 +23,9 @@ _MOST_IMPACTS = 10_000
 # that the same force makes in the step.
 _SHORTEST_FLIGHT = 1e-5
 _NEWTON_ITERATIONS = 50
+# What a body at rest needs of the wall in a step is found to so many roundings, by so many trials
+# at most; or to this share of how far it would sink in, where rounding keeps it from more.
+_HELD, _PUSHES, _STALLED = 8.0, 30, 1e-9
 
 
 class Wall(NamedTuple):
@@ -74,16 +77,20 @@ class BouncingWork(NamedTuple):
         The state that a part of the step begins with.
     rates : Rates
         For the velocity at the wall.
+    push : np.ndarray, shape (5,)
+        Of a body that rests on the wall in this step: trials so far, the last change of p_c,
+        where q_c ended before it, as a distance, and first of all; H before all changes.
 
     """
 
     start: Point
     rates: Rates
+    push: np.ndarray
 
     @classmethod
     def empty(cls, n: int) -> 'BouncingWork':
         """Return the workspace for n coordinates."""
-        return cls(Point.empty(n), Rates(*np.zeros((4, n))))
+        return cls(Point.empty(n), Rates(*np.zeros((4, n))), np.zeros(5))
 
 
 def bounce(step: Step, high: bool) -> Step:
@@ -106,7 +113,7 @@ def bounce(step: Step, high: bool) -> Step:
                  memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         _, wall, state, effect = options
-        (start, rates), inside = memory[-1], memory[:-1]
+        (start, rates, push), inside = memory[-1], memory[:-1]
         copy_point(z, start)
         first = draws = _keep(state, wall.kept, 2)
         rest, rounding, impacts, total = h, 0.0, 0, 0
@@ -121,7 +128,7 @@ def bounce(step: Step, high: bool) -> Step:
             if outcome == OK and met:
                 work, rests = _meet(kernel, z1, wall, rates, rest, h, rounding)
             elif outcome == OK and state.resting[effect] > 0.0:
-                work, rests = _hold(kernel, z1, wall)
+                work, rests = _hold(kernel, start, z1, wall, push)
             if np.isnan(work) or (impacts > _MOST_IMPACTS and not rests):
                 outcome = NO_CONVERGENCE
             if outcome != OK:
@@ -156,12 +163,21 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, bool, float, flo
         distance, the residual and the number of gradients. What rests on the wall meets nothing.
         """
         inner, wall, state, effect = options
-        (start, rates), inside = memory[-1], memory[:-1]
+        (start, rates, push), inside = memory[-1], memory[:-1]
         # Once it is known what comes next, a step of that length is taken for its state alone.
         action, part, total = FREE if state.resting[effect] > 0.0 else TRY, rest, 0
+        push[0] = 0.0
         while True:
             outcome, residual, gradients = step(kernel, part, inner, start, z1, inside)
             total += gradients
+            if outcome == OK and state.resting[effect] > 0.0 and _push(
+                    kernel, part, start, z1, wall, rates, push):
+                if push[0] > _PUSHES:
+                    outcome = NO_CONVERGENCE
+                    break
+                _put_back(state, wall.kept, 0, draws)
+                forget(inside)
+                continue
             if outcome != OK or action != TRY:
                 break
             total += 1
@@ -248,12 +264,45 @@ def _meet(kernel: Kernel, z: Point, wall: Wall, rates: Rates, rest: float, h: fl
 
 
 @called
-def _hold(kernel: Kernel, z: Point, wall: Wall) -> tuple[float, bool]:
-    """Put what rested on the wall back onto it, unless it was pulled away; see _meet."""
-    if wall.sign * (z.q[wall.place] - wall.position) >= 0.0:
+def _push(kernel: Kernel, h: float, start: Point, z: Point, wall: Wall, rates: Rates,
+          push: np.ndarray) -> bool:
+    """
+    Change p_c at the start of a step so that q_c ends on the wall, by the secant method.
+
+    Return whether a step from there is to be tried: not if the last one ended on the wall; nor
+    if the first one, without the wall, left it. With what ``_hold`` takes at the end this is the
+    method of Shake and Rattle: of order 2, where putting q_c back after a step is of order 1.
+    """
+    c, zero, unit = wall.place, rates.dH_dq, rates.dH_dp
+    gap = z.q[c] - wall.position
+    if push[0] == 0.0:
+        if wall.sign * gap >= 0.0:
+            return False
+        for i in range(z.q.size):
+            zero[i] = unit[i] = 0.0
+        unit[c] = 1.0
+        kernel.hessian_vector(kernel.parameters, start.q, start.p, zero, unit,
+                              rates.product_q, rates.product_p)
+        slope = h * rates.product_p[c]
+        push[3], push[4] = gap, energy_of(kernel, start)
+    else:
+        enough = abs(gap) <= _HELD * _EPS * max(abs(wall.position), abs(push[3]))
+        stalled = abs(gap) >= 0.5 * abs(push[2]) and abs(gap) <= _STALLED * abs(push[3])
+        if enough or stalled:
+            return False
+        slope = (gap - push[2]) / push[1]
+    push[0], push[1], push[2] = push[0] + 1.0, -gap / slope, gap
+    start.p[c] += push[1]
+    return True
+
+
+@called
+def _hold(kernel: Kernel, start: Point, z: Point, wall: Wall, push: np.ndarray
+          ) -> tuple[float, bool]:
+    """Take the velocity of what was held on the wall; return its work [J], and if it rests."""
+    if push[0] == 0.0:
         return 0.0, False
-    # What pulls it into the wall at the end held it there all the time.
-    return _turn(kernel, z, wall, 0.0), True
+    return energy_of(kernel, start) - push[4] + _turn(kernel, z, wall, 0.0), True
 
 
 @called

@@ -10,6 +10,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 
@@ -119,6 +120,61 @@ def test_two_walls_are_met_in_turn_within_one_step(restitution):
         x, speed = (1.0 if speed > 0.0 else 0.0), -restitution * speed
     assert simulation.q[0] == pytest.approx(x + speed * left, abs=1e-13)
     assert simulation.p[0] == pytest.approx(speed, abs=1e-13)
+
+
+@pytest.mark.parametrize('method', ['generalized_leapfrog', 'implicit_midpoint'])
+def test_wall_that_a_body_rests_on_does_no_work_on_what_moves_along_it(method):
+    """A charge is pressed on a wall and moves along it: the magnetic force is held by the wall."""
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['x', 'y'])), INTEGRATORS[method](), 0.02,
+        [0.0, 0.0], [0.0, 1.0], [
+            EFFECTS['gravity']('x', 1.0, 10.0), EFFECTS['magnetic_field'](['x', 'y'], 1.0, 1.0),
+            EFFECTS['impact']('x', 0.0, 'above', 0.0)], 'stop')
+    energy = simulation.energy
+    simulation.advance(50)
+    # In each step x leaves the wall and comes back, so that its means cancel in y: what is left
+    # is the rounding of 50 steps, of energies and positions of order 1.
+    assert simulation.q[0] == 0.0
+    assert simulation.p[1] - 0.5 * simulation.q[0] == pytest.approx(1.0, abs=50 * 4e-16)
+    assert simulation.energy == pytest.approx(energy, abs=50 * 4e-16)
+    assert abs(simulation.energy_balance) < 50 * 4e-16
+
+
+def test_what_is_coupled_to_a_body_at_a_stop_moves_with_the_order_of_the_method():
+    """The upper rod of a double pendulum lies on a stop: the lower one is a pendulum."""
+    lower = HAMILTONIANS['pendulum']()
+
+    def rates(t: float, z: np.ndarray) -> list[float]:
+        dH_dq, dH_dp = lower.gradient(z[:1], z[1:])
+        return [dH_dp[0], -dH_dq[0]]
+
+    exact = solve_ivp(rates, (0.0, 1.0), [0.8, 0.0], method='DOP853', rtol=1e-12, atol=1e-12)
+    errors, sizes = [], np.array([0.02, 0.01])
+    for h in sizes:
+        simulation = Simulation(
+            Uncompiled(HAMILTONIANS['double_pendulum']()), INTEGRATORS['generalized_leapfrog'](),
+            h, [0.5, 0.8], [0.0, 0.0], [EFFECTS['impact']('angle1', 0.5, 'above', 0.0)], 'stop')
+        simulation.advance(round(1.0 / h))
+        assert simulation.q[0] == 0.5
+        errors.append(abs(simulation.q[1] - exact.y[0, -1]))
+    # The next term of the error is h^2 smaller: 0.1 leaves a hundred times of that.
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_body_on_a_wall_leaves_it_when_it_is_pulled_away():
+    """A force -cos(t) presses a mass on the floor until pi / 2; then it goes up by x'' = -cos."""
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['free_particle'](names=['z'])), INTEGRATORS['stormer_verlet'](),
+        0.01, [0.0], [0.0], [EFFECTS['periodic_drive']('z', 1.0, 0.5 / np.pi, np.pi),
+                             EFFECTS['impact']('z', 0.0, 'above', 0.0)], 'stop')
+    simulation.advance(157)
+    assert (simulation.q[0], simulation.p[0]) == (0.0, 0.0)
+    simulation.advance(143)
+    t = 3.0
+    # x' = 1 - sin t and x = t - pi / 2 + cos t from pi / 2 on; leaving up to h late costs h^2 / 2
+    # in x', which lasts for 1.5 s, and the method errs by h^2 / 12 in each.
+    assert simulation.p[0] == pytest.approx(1.0 - np.sin(t), abs=1e-4)
+    assert simulation.q[0] == pytest.approx(t - 0.5 * np.pi + np.cos(t), abs=2e-4)
 
 
 def test_step_with_more_impacts_than_can_be_followed_fails(monkeypatch):
