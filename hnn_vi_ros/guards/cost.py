@@ -4,6 +4,7 @@
 
 from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 from hnn_vi_ros.simulation import Simulation
+import numpy as np
 
 # Times what the equations of a step take at most as a rule.
 _SLOW = 5
@@ -15,7 +16,8 @@ class CostGuard(Guard):
 
     A step that does is one whose equations have no solution that the method's own solver finds:
     Newton's method takes it, or sub-steps do. Gradients are counted, and no time is measured, so
-    that the same run raises the same alarm everywhere.
+    that the same run raises the same alarm everywhere. Of trajectories that step together a step
+    takes at most what each would take alone, so that much is allowed.
 
     Parameters
     ----------
@@ -28,7 +30,8 @@ class CostGuard(Guard):
 
     def __init__(self, simulation: Simulation):
         self._simulation, self._raised = simulation, False
-        self._limit = _SLOW * simulation.usual_gradients
+        self._usual = simulation.usual_gradients * np.atleast_2d(simulation.q).shape[0]
+        self._limit = _SLOW * self._usual
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""
@@ -42,5 +45,5 @@ class CostGuard(Guard):
         gradients, step = self._simulation.costliest
         return Alarm(self.kind, step, gradients, self._limit,
                      f'a step took {gradients} evaluations of the gradient, where '
-                     f'{self._simulation.usual_gradients} do as a rule; use a smaller '
+                     f'{self._usual} do as a rule; use a smaller '
                      'step_size or another integrator', '1')

@@ -108,7 +108,12 @@ class EnergyGuard(Guard):
 
     def _alarm(self, step: int, value: float, share: float, how: str) -> Alarm:
         self.raised, self._how = True, (share, how)
+        if not math.isfinite(value):
+            return Alarm(self.kind, step, value, share * self._scale,
+                         'the energy is infinite, or no number; start elsewhere, or use a '
+                         'smaller step_size')
+        relative = value / self._scale if self._scale > 0.0 else math.inf
         return Alarm(self.kind, step, value, share * self._scale,
-                     f'the energy has {how} by {value:.2g} J, {value / self._scale:.2g} of the '
+                     f'the energy has {how} by {value:.2g} J, {relative:.2g} of the '
                      'energies in play, beyond the work that was done: take a symplectic method '
                      'or a smaller step_size')

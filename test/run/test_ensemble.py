@@ -236,3 +236,13 @@ initial_state: {q: [0.0], p: [0.0]}
 def test_duration_that_no_float_holds_is_refused(tmp_path):
     with pytest.raises(ValueError, match='duration = 1000.* must be a number of seconds'):
         simulate(free_particle(tmp_path), 10 ** 400)
+
+
+def test_trajectories_that_step_together_raise_no_slow_step_that_none_raises_alone(tmp_path):
+    """Newton's method of a block takes a column of the Jacobian for each of its unknowns."""
+    path = tmp_path / 'scene.yaml'
+    path.write_text(SCENE.format(kind='double_pendulum', integrator='variational_euler',
+                                 q=[0.0, 0.0]))
+    q, p = np.random.default_rng(0).uniform(-0.8, 0.8, (2, BLOCK, 2))
+    many = simulate_many(path, q, p, 2.0, samples=4)
+    assert 'slow step' not in {alarm.kind for alarm in many.alarms[0]}
