@@ -5,15 +5,13 @@
 from array import array
 from collections.abc import Sequence
 import json
-import os
-from pathlib import Path
 import re
-import sys
 from typing import Any, final
 
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.state_message import state_names
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.package_uri import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.run.serialization import Template
 from hnn_vi_ros.simulation.sample import Sample
@@ -179,16 +177,14 @@ def type_hash(type_name: str) -> str:
 def _read_interface(name: str, suffix: str) -> str:
     """Read ``share/<package>/msg/<type>.<suffix>`` of ``'package/Type'`` or its long form."""
     package, type_name = name.split('/')[0], name.split('/')[-1]
-    # Wheels put share/ beside the interpreter's lib/ and need no AMENT_PREFIX_PATH for it.
-    prefixes = [*filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)),
-                sys.prefix]
-    for prefix in prefixes:
-        path = Path(prefix) / 'share' / package / 'msg' / f'{type_name}.{suffix}'
+    for prefix in prefixes():
+        path = prefix / 'share' / package / 'msg' / f'{type_name}.{suffix}'
         if path.is_file():
             return path.read_text(encoding='utf-8')
     raise RecordingError(
-        f'{package}/msg/{type_name}.{suffix} is not under share/ of {", ".join(prefixes)}; '
-        f'source ROS 2, or pip install ros-jazzy-common-interfaces')
+        f'{package}/msg/{type_name}.{suffix} is not under share/ of '
+        f'{", ".join(map(str, prefixes()))}; source ROS 2, or pip install '
+        'ros-jazzy-common-interfaces')
 
 
 def qos_yaml(qos: QoSProfile) -> str:
