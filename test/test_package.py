@@ -10,7 +10,7 @@ import sys
 from xml.etree import ElementTree
 
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.version import __version__
 import pytest
 
@@ -36,7 +36,7 @@ DELIBERATE = {
     ('simulation.dense_step', 'simulation'):
         'a dense step is one of a simulation, and is returned by it',
 }
-REGISTRIES = {'effects': EFFECTS, 'hamiltonians': HAMILTONIANS}
+REGISTRIES = {'effects': EFFECTS, 'hamiltonians': HAMILTONIANS | ROBOTS}
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hamiltonians: analytic ones by name, learned ones from a checkpoint."""
+"""Hamiltonians: analytic ones by name, robots by the kind of their file."""
 
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
@@ -9,6 +9,7 @@ from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.hamiltonians.tao import Tao
 
 HAMILTONIANS = {
@@ -20,4 +21,8 @@ HAMILTONIANS = {
     'kepler': Kepler,
     'pendulum': Pendulum,
     'tao': Tao,
+}
+# What a file describes: its argument ``file`` is found from the scene; see scene.
+ROBOTS = {
+    'urdf': RigidBodyTree,
 }

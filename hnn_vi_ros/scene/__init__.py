@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, Unsuppor
 from hnn_vi_ros.files.named_code import trusting
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
@@ -29,13 +29,15 @@ from hnn_vi_ros.scene.origin import Origin
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr, ValidationError
 
+_EXACT: dict[str, type] = {**HAMILTONIANS, **ROBOTS}
+
 
 class Scene(StrictModel):
     """What is simulated: a Hamiltonian, effects, an integrator, a step size, an initial state."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     hamiltonian: choices(  # type: ignore[valid-type]
-        HAMILTONIANS, LearnedChoice, PythonChoice) = Field(description='H(q, p) [J]')
+        _EXACT, LearnedChoice, PythonChoice) = Field(description='H(q, p) [J]')
     effects: list[choices(EFFECTS)] = Field(  # type: ignore[valid-type]
         [], max_length=100, description='what acts beside H(q, p); nothing else is simulated')
     integrator: choices(INTEGRATORS, AutoChoice) = Field(  # type: ignore[valid-type]
@@ -172,7 +174,7 @@ class Scene(StrictModel):
             hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),
                                        self._origin.code_folder)
         else:
-            hamiltonian = self._construct(HAMILTONIANS, choice, 'hamiltonian')
+            hamiltonian = self._construct(_EXACT, choice, 'hamiltonian')
         self._check_dimension([coordinate.name for coordinate in hamiltonian.coordinates])
         state = np.array(self.initial_state.q), np.array(self.initial_state.p)
         hamiltonian.invariants = invariants_of(
@@ -181,11 +183,20 @@ class Scene(StrictModel):
         return hamiltonian
 
     def model_files(self) -> dict[str, Path]:
-        """Return the files of the models that it names; ModelError for one that is not there."""
+        """
+        Return the files of the models and robots that it names.
+
+        Raises
+        ------
+        ModelError
+            One is not there.
+
+        """
         placed = [(self.hamiltonian, 'hamiltonian'), (self.integrator, 'integrator'), *(
             (choice, 'effects', i) for i, choice in enumerate(self.effects))]
-        return {model: self._origin.model_file(model, *key)
-                for choice, *key in placed if (model := getattr(choice, 'model', None))}
+        finders = {'model': self._origin.model_file, 'file': self._origin.robot_file}
+        return {name: find(name, *key) for choice, *key in placed
+                for field, find in finders.items() if (name := getattr(choice, field, None))}
 
     @cached_property
     def model_digests(self) -> dict[str, str]:
@@ -213,6 +224,8 @@ class Scene(StrictModel):
         self._origin.find_code(arguments)
         if arguments.get('model'):
             arguments['model'] = self._origin.model_file(arguments['model'], *key)
+        if arguments.get('file'):
+            arguments['file'] = self._origin.robot_file(arguments['file'], *key)
         with self.placed(*key):
             return classes[kind](**arguments)
 

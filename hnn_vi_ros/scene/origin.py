@@ -10,6 +10,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.named_code import find_beside
+from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.models.checkpoint import file_digest
@@ -74,7 +75,7 @@ class Origin:
         if is_path('model', model):
             beside = self.path.parent / model
             file = beside if os.path.exists(beside) else Path(model)
-            self._check_digest(file, *key)
+            self._check_digest(file, '.safetensors', *key, 'model')
             return file
         # One that the user trained comes before the shipped one of the same name.
         for candidate in (Path('models') / f'{model}.safetensors', shipped_file('model', model)):
@@ -86,12 +87,44 @@ class Origin:
             f'{self.place(*key, "model")}: no model {model!r}: not shipped '
             f'({", ".join(shipped_names("model"))}) nor at models/{model}.safetensors{train}')
 
-    def _check_digest(self, file: Path, *key: str | int) -> None:
+    def robot_file(self, name: str, *key: str | int) -> Path:
+        """
+        Return the file of a robot.
+
+        Parameters
+        ----------
+        name : str
+            A path, or package://PACKAGE/PATH.
+        *key : str or int
+            Of what names it.
+
+        Raises
+        ------
+        ModelError
+            No such file, or another one than that of the recorded scene.
+
+        """
+        place = self.place(*key, 'file')
+        if name.startswith(SCHEME):
+            try:
+                file = package_file(name)
+            except ValueError as problem:
+                raise ModelError(f'{place}: {problem}') from problem
+        else:
+            beside = self.path.parent / name
+            file = beside if os.path.exists(beside) else Path(name)
+        if not os.path.isfile(file):
+            raise ModelError(f'{place}: no file {str(file)!r}; give a path from the folder of the '
+                             'scene or the working directory, or package://PACKAGE/PATH')
+        self._check_digest(file, '.urdf', *key, 'file')
+        return file
+
+    def _check_digest(self, file: Path, suffix: str, *key: str | int) -> None:
         if self.digests is None:
             return
-        place = self.place(*key, 'model')
-        if file.suffix != '.safetensors':
-            raise ModelError(f'{place}: {str(file)!r} is no .safetensors file')
+        place = self.place(*key)
+        if file.suffix != suffix:
+            raise ModelError(f'{place}: {str(file)!r} is no {suffix} file')
         try:
             digest = file_digest(file)
         except ModelError as problem:

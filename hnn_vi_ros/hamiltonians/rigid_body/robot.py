@@ -1,0 +1,150 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A robot as a URDF describes it: links and the joints between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Joints with one coordinate, and those without.
+TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
+KINDS = (*TURNING, SLIDING, RIGID)
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """
+    What a link weighs.
+
+    Parameters
+    ----------
+    mass : float
+        [kg].
+    centre : np.ndarray, shape (3,)
+        Its centre of mass, in the frame of the link [m].
+    moments : np.ndarray, shape (3, 3)
+        Its inertia about the centre of mass, in the axes of the link [kg m2].
+
+    """
+
+    mass: float
+    centre: np.ndarray
+    moments: np.ndarray
+
+
+@dataclass(frozen=True)
+class Limits:
+    """
+    What a joint is limited to; None where the file does not say.
+
+    Parameters
+    ----------
+    lower, upper : float or None
+        Of the coordinate [rad] or [m].
+    velocity : float or None
+        [rad/s] or [m/s].
+    effort : float or None
+        [N m] or [N].
+
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """
+    A joint between two links.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    kind : str
+        The URDF's type, also one that is not in KINDS.
+    place : str
+        ``file:line: joint 'name'``, for errors.
+    parent, child : str
+        The links that it joins.
+    origin : np.ndarray, shape (3,)
+        Of the child, in the frame of the parent [m], where the coordinate is zero.
+    rotation : np.ndarray, shape (3, 3)
+        Of the child's frame from the parent's.
+    axis : np.ndarray, shape (3,)
+        A unit vector in the child's frame.
+    limits : Limits
+        They act where a scene lists an effect that says so, as do the next two.
+    damping : float
+        Of the force -damping q' [N m s/rad] or [N s/m].
+    friction : float
+        Static [N m] or [N].
+    mimics : str or None
+        The joint that this one follows.
+
+    """
+
+    name: str
+    kind: str
+    place: str
+    parent: str
+    child: str
+    origin: np.ndarray
+    rotation: np.ndarray
+    axis: np.ndarray
+    limits: Limits
+    damping: float
+    friction: float
+    mimics: str | None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a coordinate."""
+        return self.kind in (*TURNING, SLIDING)
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """
+    A rigid body.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    place : str
+        ``file:line: link 'name'``, for errors.
+    inertial : Inertial or None
+        None where it weighs nothing.
+    joints : tuple of Joint
+        Those on it that carry others.
+
+    """
+
+    name: str
+    place: str
+    inertial: Inertial | None
+    joints: tuple[Joint, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """
+    A tree of links.
+
+    Parameters
+    ----------
+    name : str
+        That the file gives it.
+    links : dict of str to Link
+        By name.
+    root : str
+        The link that no joint carries.
+
+    """
+
+    name: str
+    links: dict[str, Link]
+    root: str

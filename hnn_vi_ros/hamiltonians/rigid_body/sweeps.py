@@ -1,0 +1,294 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Sweeps over a tree of bodies: from the base outward, and from the tips inward.
+
+With joint axes S_j, velocities v_i = sum over the path to body i of S_k q'_k, and inertias I_i,
+
+    M_jk = S_j . I_j^c S_k (k on the path to j),    I_j^c = sum of I_i,    h_j = sum of I_i v_i
+
+over the bodies i behind joint j (composite bodies), and at fixed p, with a_g = (0, g),
+
+    H_p = v = M^-1 p,    H_q,j = (S_j x v_j) . h_j - S_j . (I_j^c a_g)
+
+since d v_i / dq_j = S_j x (v_i - v_j) and d I_i / dq_j = S_j x* I_i - I_i S_j x.
+
+References
+----------
+R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 6.
+
+"""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
+    add_cross_force, cross_motion, hand_down, inherit, join, momentum, power, weight_power)
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
+from numpy.typing import DTypeLike
+
+
+class Bodies(NamedTuple):
+    """
+    A tree of d bodies, each behind one joint; row 0 of the arrays is the base, which rests.
+
+    The axes of a body are such that its joint turns about z, or slides along it.
+
+    Parameters
+    ----------
+    parent : np.ndarray of int, shape (d + 1,)
+        The row of the parent of each body, which stands before it.
+    coordinate : np.ndarray of int, shape (d + 1,)
+        Which coordinate that of its joint is.
+    prismatic : np.ndarray of int, shape (d + 1,)
+        1 where the joint slides, 0 where it turns.
+    placement : np.ndarray, shape (d + 1, 12)
+        The rotation, row by row, and the origin [m] in the parent's frame, where q = 0.
+    inertia : np.ndarray, shape (d + 1, 10)
+        m [kg], h [kg m] and I [kg m2] in the body's own frame; see spatial.
+    armature : np.ndarray, shape (d + 1,)
+        Inertia of the rotor behind each joint, in its coordinate [kg m2], [kg].
+    gravity : np.ndarray, shape (3,)
+        g [m/s2], in the frame of the base.
+
+    """
+
+    parent: np.ndarray
+    coordinate: np.ndarray
+    prismatic: np.ndarray
+    placement: np.ndarray
+    inertia: np.ndarray
+    armature: np.ndarray
+    gravity: np.ndarray
+
+
+class Work(NamedTuple):
+    """
+    Space for one state of d bodies; what ends in ``_v`` is a change along a direction.
+
+    Parameters
+    ----------
+    rotation : np.ndarray, shape (d + 1, 9)
+        Of each body from the base, row by row.
+    offset : np.ndarray, shape (d + 1, 3)
+        Origin of each body from its parent's, in the axes of the base [m].
+    inertia, composite : np.ndarray, shape (d + 1, 10)
+        Of each body, and with all behind it.
+    axis, velocity, momentum : np.ndarray, shape (d + 1, 6)
+        S, v, and the momentum h of all behind the joint.
+    product : np.ndarray, shape (d + 1, 6)
+        S x v.
+    shift, axis_v, velocity_v, momentum_v : np.ndarray, shape (d + 1, 6)
+        The displacement of each body along a direction, and the changes.
+    spare, impulse : np.ndarray, shape (d + 1, 6)
+        For what is used at once.
+    first_v : np.ndarray, shape (d + 1, 4)
+        The change of the first moment of all behind a joint, from place 1.
+    mass : np.ndarray, shape (d, d)
+        M, of which the lower triangle is used, and then its Cholesky factor.
+    rates, rates_v : np.ndarray, shape (d,)
+        The velocities of the joints in the order of the bodies.
+
+    """
+
+    rotation: np.ndarray
+    offset: np.ndarray
+    inertia: np.ndarray
+    composite: np.ndarray
+    axis: np.ndarray
+    velocity: np.ndarray
+    momentum: np.ndarray
+    product: np.ndarray
+    shift: np.ndarray
+    axis_v: np.ndarray
+    velocity_v: np.ndarray
+    momentum_v: np.ndarray
+    spare: np.ndarray
+    impulse: np.ndarray
+    first_v: np.ndarray
+    mass: np.ndarray
+    rates: np.ndarray
+    rates_v: np.ndarray
+
+    @classmethod
+    def empty(cls, d: int, dtype: DTypeLike = np.float64) -> 'Work':
+        """Return space for d bodies; the base is at rest in it."""
+        widths = (9, 3, 10, 10, *[6] * 10, 4)
+        work = cls._make([*(np.zeros((d + 1, n), dtype) for n in widths),
+                          np.zeros((d, d), dtype), *np.zeros((2, d), dtype)])
+        work.rotation[0, ::4] = 1
+        return work
+
+
+class TreeParameters(NamedTuple):
+    """What the functions of a tree take first: the bodies, and space."""
+
+    bodies: Bodies
+    work: Work
+
+
+@inlined
+def place(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
+    """Fill where the bodies are, their axes and inertias, for the state that starts there."""
+    rotation, offset, axis = work.rotation, work.offset, work.axis
+    placement, own, inertia = bodies.placement, bodies.inertia, work.inertia
+    inertia[0, :] = 0.0
+    for i in range(1, bodies.parent.size):
+        parent, value = bodies.parent[i], q[start + bodies.coordinate[i]]
+        slides = bodies.prismatic[i] == 1
+        cosine, sine = np.cos(value), np.sin(value)
+        inertia[i, 0] = own[i, 0]
+        for k in range(3):
+            x, y, z = (rotation[parent, 3 * k], rotation[parent, 3 * k + 1],
+                       rotation[parent, 3 * k + 2])
+            a = x * placement[i, 0] + y * placement[i, 3] + z * placement[i, 6]
+            b = x * placement[i, 1] + y * placement[i, 4] + z * placement[i, 7]
+            c = x * placement[i, 2] + y * placement[i, 5] + z * placement[i, 8]
+            offset[i, k] = x * placement[i, 9] + y * placement[i, 10] + z * placement[i, 11]
+            if slides:
+                offset[i, k] += c * value
+                axis[i, k], axis[i, 3 + k] = 0.0, c
+            else:
+                a, b = cosine * a + sine * b, cosine * b - sine * a
+                axis[i, k], axis[i, 3 + k] = c, 0.0
+            rotation[i, 3 * k], rotation[i, 3 * k + 1], rotation[i, 3 * k + 2] = a, b, c
+            inertia[i, 1 + k] = a * own[i, 1] + b * own[i, 2] + c * own[i, 3]
+            u = a * own[i, 4] + b * own[i, 5] + c * own[i, 7]
+            v = a * own[i, 5] + b * own[i, 6] + c * own[i, 8]
+            w = a * own[i, 7] + b * own[i, 8] + c * own[i, 9]
+            for j in range(k + 1):
+                inertia[i, 4 + k * (k + 1) // 2 + j] = (
+                    u * rotation[i, 3 * j] + v * rotation[i, 3 * j + 1]
+                    + w * rotation[i, 3 * j + 2])
+
+
+@inlined
+def compose(bodies: Bodies, work: Work) -> None:
+    """Fill the composite inertias and the lower triangle of M; after ``place``."""
+    composite, axis, offset, force = work.composite, work.axis, work.offset, work.spare
+    for i in range(bodies.parent.size):
+        for k in range(10):
+            composite[i, k] = work.inertia[i, k]
+    for i in range(bodies.parent.size - 1, 0, -1):
+        join(offset, bodies.parent[i], i, composite)
+        momentum(composite, axis, i, force)
+        x, y, z = force[i, 0], force[i, 1], force[i, 2]
+        u, v, w = force[i, 3], force[i, 4], force[i, 5]
+        for j in range(i - 1):
+            work.mass[i - 1, j] = 0.0
+        work.mass[i - 1, i - 1] = power(axis, force, i) + bodies.armature[i]
+        at, j = i, bodies.parent[i]
+        while j > 0:
+            # The moment about the origin of the next body towards the base.
+            a, b, c = offset[at, 0], offset[at, 1], offset[at, 2]
+            x, y, z = x + b * w - c * v, y + c * u - a * w, z + a * v - b * u
+            work.mass[i - 1, j - 1] = (axis[j, 0] * x + axis[j, 1] * y + axis[j, 2] * z
+                                       + axis[j, 3] * u + axis[j, 4] * v + axis[j, 5] * w)
+            at, j = j, bodies.parent[j]
+
+
+@inlined
+def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
+    """Fill v = M^-1 p, NaN where M is not positive definite; leave the factor of M."""
+    regular = factorise(work.mass)
+    for i in range(work.rates.size):
+        work.rates[i] = p[start + bodies.coordinate[i + 1]] if regular else np.nan
+    solve_lower(work.mass, work.rates)
+    solve_upper(work.mass, work.rates)
+
+
+@inlined
+def move(bodies: Bodies, work: Work) -> None:
+    """Fill velocities, momenta and S x v; after ``solve_rates``."""
+    velocity, momenta, axis = work.velocity, work.momentum, work.axis
+    for k in range(6):
+        momenta[0, k] = 0.0
+    for i in range(1, bodies.parent.size):
+        inherit(work.offset, bodies.parent[i], i, velocity)
+        for k in range(6):
+            velocity[i, k] += axis[i, k] * work.rates[i - 1]
+        momentum(work.inertia, velocity, i, momenta)
+        cross_motion(axis, velocity, i, work.product)
+    for i in range(bodies.parent.size - 1, 0, -1):
+        hand_down(work.offset, bodies.parent[i], i, momenta)
+
+
+@inlined
+def force_of(bodies: Bodies, work: Work, i: int) -> float:
+    """Return H_q of the joint of body i; after ``move``."""
+    composite = work.composite
+    return (power(work.product, work.momentum, i)
+            - weight_power(work.axis, composite[i, 0], composite, bodies.gravity, i))
+
+
+@inlined
+def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
+    """Fill the changes along v_q while the rates stay as they are; after ``move``."""
+    shift, axis, axis_v = work.shift, work.axis, work.axis_v
+    velocity_v, momentum_v, first_v, spare = (
+        work.velocity_v, work.momentum_v, work.first_v, work.spare)
+    for k in range(6):
+        momentum_v[0, k] = 0.0
+    for k in range(4):
+        first_v[0, k] = 0.0
+    for i in range(1, bodies.parent.size):
+        inherit(work.offset, bodies.parent[i], i, shift)
+        inherit(work.offset, bodies.parent[i], i, velocity_v)
+        for k in range(6):
+            shift[i, k] += axis[i, k] * v_q[start + bodies.coordinate[i]]
+        cross_motion(shift, axis, i, axis_v)
+        for k in range(6):
+            velocity_v[i, k] += axis_v[i, k] * work.rates[i - 1]
+        # I v changes by shift x* (I v) + I (v' - shift x v), and h by the momentum of the shift.
+        momentum(work.inertia, shift, i, spare)
+        for k in range(3):
+            first_v[i, 1 + k] = spare[i, 3 + k]
+        cross_motion(shift, work.velocity, i, spare)
+        for k in range(6):
+            spare[i, k] = velocity_v[i, k] - spare[i, k]
+        momentum(work.inertia, spare, i, momentum_v)
+        momentum(work.inertia, work.velocity, i, spare)
+        add_cross_force(shift, spare, i, momentum_v)
+    for i in range(bodies.parent.size - 1, 0, -1):
+        parent = bodies.parent[i]
+        hand_down(work.offset, parent, i, momentum_v)
+        for k in range(1, 4):
+            first_v[parent, k] += first_v[i, k]
+
+
+@inlined
+def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) -> None:
+    """Fill the change of the rates, M^-1 (v_p - (M v)'), and add what it changes."""
+    axis, momentum_v, rate, impulse = work.axis, work.momentum_v, work.spare, work.impulse
+    for i in range(1, bodies.parent.size):
+        work.rates_v[i - 1] = (v_p[start + bodies.coordinate[i]]
+                               - power(work.axis_v, work.momentum, i)
+                               - power(axis, momentum_v, i))
+    solve_lower(work.mass, work.rates_v)
+    solve_upper(work.mass, work.rates_v)
+    for k in range(6):
+        impulse[0, k] = 0.0
+    for i in range(1, bodies.parent.size):
+        inherit(work.offset, bodies.parent[i], i, rate)
+        for k in range(6):
+            rate[i, k] += axis[i, k] * work.rates_v[i - 1]
+            work.velocity_v[i, k] += rate[i, k]
+        momentum(work.inertia, rate, i, impulse)
+    for i in range(bodies.parent.size - 1, 0, -1):
+        # After those behind it were handed down.
+        for k in range(6):
+            momentum_v[i, k] += impulse[i, k]
+        hand_down(work.offset, bodies.parent[i], i, impulse)
+
+
+@inlined
+def force_change_of(bodies: Bodies, work: Work, i: int) -> float:
+    """Return the change of H_q of the joint of body i; after ``solve_rate_changes``."""
+    composite, spare = work.composite, work.spare
+    cross_motion(work.axis_v, work.velocity, i, spare)
+    change = power(spare, work.momentum, i)
+    cross_motion(work.axis, work.velocity_v, i, spare)
+    return (change + power(spare, work.momentum, i) + power(work.product, work.momentum_v, i)
+            - weight_power(work.axis_v, composite[i, 0], composite, bodies.gravity, i)
+            - weight_power(work.axis, 0.0, work.first_v, bodies.gravity, i))

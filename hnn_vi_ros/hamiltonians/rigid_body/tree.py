@@ -1,0 +1,234 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a robot to the bodies that its moving joints carry: what is rigid is one body."""
+
+from collections.abc import Mapping, Sequence
+import math
+import re
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.rigid_body.robot import (
+    Inertial, Joint, KINDS, RIGID, Robot, SLIDING)
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, place, Work
+import numpy as np
+
+MOST_JOINTS = 12
+_NAME = re.compile(r'[^\W\d][\w.-]*\Z')
+# Least eigenvalue of M, its diagonal scaled to one, that is no rounding.
+_SINGULAR = 1e-13
+# Configurations that have nothing to do with one another, at which M is looked at.
+_PROBES = 4
+
+
+def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, float],
+            gravity: Sequence[float], base: str, rotor_inertia: Mapping[str, float]
+            ) -> tuple[Bodies, tuple[Joint, ...]]:
+    """
+    Return the bodies of a robot, and the joints in the order of the coordinates.
+
+    Parameters
+    ----------
+    robot : Robot
+        Of any links and joints; what is not behind ``base`` is left out.
+    joints : sequence of str or None
+        The moving joints in the order of the coordinates; by default all that are not locked, from
+        the base to the tips.
+    locked : mapping of str to float
+        Values of joints that do not move [rad] or [m].
+    gravity : sequence of float
+        In the frame of the base [m/s2].
+    base : str
+        The link that rests.
+    rotor_inertia : mapping of str to float
+        Of the rotors behind joints, as their coordinates see it [kg m2] or [kg].
+
+    Raises
+    ------
+    ModelError
+        The robot has no such link or joint, has joints that cannot be simulated, or parts that can
+        be moved without inertia.
+    ValueError
+        An argument that cannot be used.
+
+    """
+    if base not in robot.links:
+        raise ValueError(f'base = {base!r} is no link; links: {", ".join(robot.links)}')
+    builder = _Builder(robot, locked, base)
+    moving = {joint.name: joint for joint in builder.joints}
+    order = list(moving) if joints is None else list(joints)
+    _check_joints(order, moving, builder.met)
+    for name, values in (('locked', locked), ('rotor_inertia', rotor_inertia)):
+        valid = builder.met if name == 'locked' else moving
+        for joint in values:
+            if joint not in valid:
+                raise ValueError(f'{name} names {joint!r}, which is no joint that moves; valid: '
+                                 f'{", ".join(valid) or "none"}')
+    for joint, value in rotor_inertia.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise ValueError(f'rotor_inertia of {joint} = {value} must be a number from 0')
+    if len(gravity) != 3 or not all(map(math.isfinite, gravity)):
+        raise ValueError(f'gravity = {list(gravity)} must be three numbers [m/s2], such as '
+                         '[0, 0, -9.81]')
+    places = [order.index(name) for name in moving]
+    bodies = builder.bodies(places, [rotor_inertia.get(name, 0.0) for name in moving], gravity)
+    if not all(np.isfinite(part).all() for part in bodies):
+        raise ModelError(f'{robot.links[base].place}: numbers behind it whose products overflow; '
+                         'see their units')
+    _check_mass(bodies, builder.joints)
+    return bodies, tuple(moving[name] for name in order)
+
+
+def mass_matrix(bodies: Bodies, q: np.ndarray) -> np.ndarray:
+    """Return M(q), shape (d, d), for q of shape (d,), in the arithmetic of q."""
+    d = q.size
+    work = Work.empty(d, q.dtype)
+    place(bodies, work, q, 0)
+    compose(bodies, work)
+    lower = work.mass + np.tril(work.mass, -1).T
+    rows = np.empty(d, dtype=np.int64)
+    rows[bodies.coordinate[1:]] = np.arange(d)
+    return lower[np.ix_(rows, rows)]
+
+
+def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mapping[str, Joint]
+                  ) -> None:
+    for name in order:
+        if name not in moving:
+            why = 'it is locked' if name in met else 'no such joint moves'
+            raise ValueError(f'joints names {name!r}: {why}; moving joints: '
+                             f'{", ".join(moving) or "none"}')
+    if len(set(order)) < len(order):
+        raise ValueError(f'joints = {list(order)} must name each joint once')
+    left = [name for name in moving if name not in order]
+    if left:
+        raise ValueError(f'joints leaves out {", ".join(left)}; name them too, or hold them where '
+                         f'they are to be: locked: {{{left[0]}: 0.0}}')
+    if not order:
+        raise ValueError('joints has none that moves; take another base, or lock fewer')
+    if len(order) > MOST_JOINTS:
+        raise ValueError(f'joints: {len(order)} move, at most {MOST_JOINTS} can; lock some, or '
+                         f'take another base: {", ".join(order)}')
+    for name in order:
+        if not _NAME.match(name):
+            raise ModelError(f'{moving[name].place}: the name of a coordinate must be a letter or '
+                             'underscore, then letters, digits, underscores, dots, hyphens; '
+                             'rename the joint')
+
+
+def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
+    """Raise unless M is positive definite at some configuration."""
+    rng = np.random.default_rng(1)
+    for _ in range(_PROBES):
+        mass = mass_matrix(bodies._replace(
+            coordinate=np.arange(-1, len(joints))), rng.uniform(-1.0, 1.0, len(joints)))
+        diagonal = np.diag(mass)
+        if (diagonal > 0.0).all():
+            scale = np.sqrt(diagonal)
+            values, vectors = np.linalg.eigh(mass / scale / scale[:, None])
+            if values[0] > _SINGULAR:
+                return
+            free = np.abs(vectors[:, 0]) > 0.1
+        else:
+            free = diagonal <= 0.0
+    names = [joint.name for joint, one in zip(joints, free, strict=True) if one]
+    first = next(joint for joint, one in zip(joints, free, strict=True) if one)
+    raise ModelError(f'{first.place}: {", ".join(names)} can move without moving any mass or '
+                     f'inertia; give <inertial> to link {first.child!r} or those behind it, lock '
+                     'the joint, or give its rotor_inertia')
+
+
+class _Body:
+    """What is rigid together: a row of Bodies in the making."""
+
+    def __init__(self, parent: int, slides: bool, rotation: np.ndarray, origin: np.ndarray):
+        self.parent, self.slides = parent, slides
+        self.rotation, self.origin = rotation, origin
+        self.mass, self.first, self.second = 0.0, np.zeros(3), np.zeros((3, 3))
+
+    def add(self, link: Inertial, rotation: np.ndarray, origin: np.ndarray) -> None:
+        """Add a link whose frame stands there in the frame of the body."""
+        centre = origin + rotation @ link.centre
+        self.mass += link.mass
+        self.first += link.mass * centre
+        self.second += rotation @ link.moments @ rotation.T + link.mass * (
+            centre @ centre * np.eye(3) - np.outer(centre, centre))
+
+
+class _Builder:
+    """Walk a robot from a link to the tips."""
+
+    def __init__(self, robot: Robot, locked: Mapping[str, float], base: str):
+        self._robot, self._locked = robot, locked
+        self._rows = [_Body(0, False, np.eye(3), np.zeros(3))]
+        # Those that move, in the order of the bodies; and those that could.
+        self.joints: list[Joint] = []
+        self.met: dict[str, Joint] = {}
+        # Joints that are still to be passed, with the body that they are on and where the frame
+        # of the link that they are on stands in its own.
+        self._waiting: list[tuple[Joint, int, np.ndarray, np.ndarray]] = []
+        self._reach(base, 0, np.eye(3), np.zeros(3))
+        while self._waiting:
+            self._pass(*self._waiting.pop())
+
+    def _reach(self, name: str, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
+        link = self._robot.links[name]
+        if link.inertial is not None:
+            self._rows[row].add(link.inertial, rotation, origin)
+        # The first one is passed next.
+        self._waiting += [(joint, row, rotation, origin) for joint in reversed(link.joints)]
+
+    def _pass(self, joint: Joint, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
+        origin = origin + rotation @ joint.origin
+        rotation = rotation @ joint.rotation
+        if joint.kind not in KINDS:
+            raise ModelError(f'{joint.place}: type {joint.kind!r} cannot be simulated; valid: '
+                             f'{", ".join(KINDS)}; or take a base behind it: base: {joint.child}')
+        if joint.moves:
+            self.met[joint.name] = joint
+        if joint.kind == RIGID:
+            self._reach(joint.child, row, rotation, origin)
+        elif joint.name in self._locked:
+            value = self._locked[joint.name]
+            if not math.isfinite(value):
+                raise ValueError(f'locked at {joint.name} = {value} must be a finite number')
+            if joint.kind == SLIDING:
+                origin = origin + value * (rotation @ joint.axis)
+            else:
+                rotation = rotation @ _turn(joint.axis, value)
+            self._reach(joint.child, row, rotation, origin)
+        elif joint.mimics is not None:
+            raise ModelError(f'{joint.place} mimics {joint.mimics!r}, which is not simulated; '
+                             f'hold it where it is to be: locked: {{{joint.name}: 0.0}}')
+        else:
+            frame = _frame_of(joint.axis)
+            self.joints.append(joint)
+            self._rows.append(_Body(row, joint.kind == SLIDING, rotation @ frame, origin))
+            self._reach(joint.child, len(self._rows) - 1, frame.T, np.zeros(3))
+
+    def bodies(self, places: Sequence[int], armature: Sequence[float], gravity: Sequence[float]
+               ) -> Bodies:
+        """Return them, with the place of each one's joint among the coordinates."""
+        rows = self._rows
+        placement = [[*body.rotation.ravel(), *body.origin] for body in rows]
+        inertia = [[body.mass, *body.first, *body.second[np.tril_indices(3)]] for body in rows]
+        return Bodies(
+            np.array([body.parent for body in rows]), np.array([0, *places]),
+            np.array([int(body.slides) for body in rows]), np.array(placement),
+            np.array(inertia), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64))
+
+
+def _frame_of(axis: np.ndarray) -> np.ndarray:
+    """Return a rotation whose third column is a unit vector; of an axis of the frame, exactly."""
+    other = np.zeros(3)
+    other[np.argmin(np.abs(axis))] = 1.0
+    first = np.cross(other, axis)
+    first /= math.sqrt(first @ first)
+    return np.stack([first, np.cross(axis, first), axis], axis=1)
+
+
+def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the rotation about a unit vector, by Rodrigues' formula."""
+    x, y, z = axis
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    half = math.sin(0.5 * angle)
+    return np.eye(3) + math.sin(angle) * across + 2.0 * half * half * across @ across

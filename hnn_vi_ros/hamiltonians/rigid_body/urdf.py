@@ -1,0 +1,261 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read a robot from a URDF: its links and joints; what it looks like is not read."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+import math
+from pathlib import Path
+import re
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.files.xml_text import Element, MAX_BYTES, parse_xml
+from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Inertial, Joint, Limits, Link, RIGID, Robot
+import numpy as np
+
+# Without a way back: the time that it takes is proportional to the length.
+_NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
+_LONGEST_NAME = 200
+# In SI units; larger ones, of which products overflow, are mistakes. Limits may be any number.
+_LARGEST = 1e12
+# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of its rules.
+_ROUNDING, _NOTHING = 1e-6, 1e-12
+_MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+
+
+def read_urdf(path: Path) -> Robot:
+    """
+    Read a robot.
+
+    Parameters
+    ----------
+    path : Path
+        A URDF file.
+
+    Raises
+    ------
+    ModelError
+        It cannot be read or describes no tree of links; one line names file, line, what is wrong
+        and the remedy.
+
+    """
+    return parse_urdf(_read(path), str(path))
+
+
+def parse_urdf(text: bytes, where: str) -> Robot:
+    """Return the robot that a URDF describes; see ``read_urdf``."""
+    root = parse_xml(text, where, ModelError)
+    if root.tag != 'robot':
+        raise ModelError(f'{where}:{root.line}: <{root.tag}>, expected <robot>: no URDF')
+    macro = next((child for child in root.children if child.tag.startswith('xacro:')), None)
+    if macro is not None:
+        raise ModelError(f'{where}:{macro.line}: <{macro.tag}>: a xacro, which is no URDF yet; '
+                         'make one of it: xacro FILE > robot.urdf')
+    joints = [_joint(element, where) for element in root.named('joint')]
+    links = root.named('link')
+    _check_names([_name(element, where) for element in links], 'link', where)
+    _check_names([joint.name for joint in joints], 'joint', where)
+    carried: dict[str, list[Joint]] = {_name(element, where): [] for element in links}
+    if not links:
+        raise ModelError(f'{where}: a robot without links; expected <link name="..."/>')
+    for joint in joints:
+        for end in (joint.parent, joint.child):
+            if end not in carried:
+                raise ModelError(f'{joint.place}: no link {end!r}; links: {_list(carried)}')
+        carried[joint.parent].append(joint)
+    first = _root(list(carried), joints, where)
+    return Robot(root.attributes.get('name', ''), {
+        name: Link(name, _place(element, where), _inertial(element, where), tuple(own))
+        for element, (name, own) in zip(links, carried.items(), strict=True)}, first)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise ModelError(f'{path}: no such file; give the path of a URDF, or '
+                             'package://PACKAGE/PATH')
+        with path.open('rb') as stream:
+            return stream.read(MAX_BYTES + 1)
+    except OSError as problem:
+        raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
+
+
+def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
+    """Return the one link that no joint carries; all others hang on it."""
+    carriers: dict[str, Joint] = {}
+    for joint in joints:
+        if joint.child in carriers:
+            raise ModelError(f'{joint.place}: link {joint.child!r} hangs on joint '
+                             f'{carriers[joint.child].name!r} already; a tree has one joint '
+                             'towards the base for each link')
+        carriers[joint.child] = joint
+    roots = [link for link in links if link not in carriers]
+    if len(roots) > 1:
+        raise ModelError(f'{where}: several links hang on nothing: {_list(roots)}; join all but '
+                         'one to others, by fixed joints for example')
+    # Towards the base, each link once.
+    known = set(roots)
+    for link in links:
+        path: dict[str, Joint] = {}
+        while link not in known:
+            if link in path:
+                raise ModelError(f'{path[link].place}: joints in a circle: '
+                                 f'{_list(joint.name for joint in path.values())}; a tree has '
+                                 'none: leave one of them out')
+            path[link] = carriers[link]
+            link = carriers[link].parent
+        known |= path.keys()
+    return roots[0]
+
+
+def _joint(element: Element, where: str) -> Joint:
+    name, place = _name(element, where), _place(element, where)
+    kind = element.attributes.get('type')
+    if not kind:
+        raise ModelError(f'{place}: no type; valid: revolute, continuous, prismatic, fixed')
+    origin, rotation = _frame(element, place)
+    limit, dynamics, mimic = (_only(element, tag, place) for tag in ('limit', 'dynamics', 'mimic'))
+    damping, friction = (_number(dynamics, key, place, default=0.0)
+                         for key in ('damping', 'friction'))
+    for key, value in (('damping', damping), ('friction', friction)):
+        if value < 0.0:
+            raise ModelError(f'{place}: {key} = {value:g} must not be negative')
+    parent, child = (_end(element, end, place) for end in ('parent', 'child'))
+    return Joint(name, kind, place, parent, child, origin, rotation, _axis(element, kind, place),
+                 _limits(limit, place), damping, friction,
+                 None if mimic is None else mimic.attributes.get('joint', ''))
+
+
+def _end(element: Element, end: str, place: str) -> str:
+    found = _only(element, end, place)
+    if found is None or not found.attributes.get('link'):
+        raise ModelError(f'{place}: no {end}; expected <{end} link="..."/>')
+    return found.attributes['link']
+
+
+def _axis(element: Element, kind: str, place: str) -> np.ndarray:
+    axis = _vector(_only(element, 'axis', place), 'xyz', place, (1.0, 0.0, 0.0))
+    length = math.sqrt(axis @ axis)
+    if kind != RIGID and not length > 0.0:
+        raise ModelError(f'{place}: axis xyz = 0 0 0 has no direction; give one, such as 0 0 1')
+    return axis / length if length > 0.0 else axis
+
+
+def _limits(element: Element | None, place: str) -> Limits:
+    lower, upper, velocity, effort = (
+        None if element is None or key not in element.attributes
+        else _number(element, key, place, largest=math.inf)
+        for key in ('lower', 'upper', 'velocity', 'effort'))
+    if lower is not None and upper is not None and lower > upper:
+        raise ModelError(f'{place}: limits {lower:g} to {upper:g} leave nothing between; exchange '
+                         'lower and upper')
+    for key, value in (('velocity', velocity), ('effort', effort)):
+        if value is not None and value < 0.0:
+            raise ModelError(f'{place}: limit {key} = {value:g} must not be negative')
+    return Limits(lower, upper, velocity, effort)
+
+
+def _inertial(link: Element, where: str) -> Inertial | None:
+    place = _place(link, where)
+    element = _only(link, 'inertial', place)
+    if element is None:
+        return None
+    masses, inertia = (_only(element, tag, place) for tag in ('mass', 'inertia'))
+    if masses is None or inertia is None:
+        raise ModelError(f'{place}: inertial without {"mass" if masses is None else "inertia"}; '
+                         'give both, or leave inertial out of a link that weighs nothing')
+    mass = _number(masses, 'value', place)
+    if mass < 0.0:
+        raise ModelError(f'{place}: mass = {mass:g} kg must not be negative')
+    xx, xy, xz, yy, yz, zz = (_number(inertia, key, place) for key in _MOMENTS)
+    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    _check_moments(mass, moments, place)
+    centre, rotation = _frame(element, place)
+    return Inertial(mass, centre, rotation @ moments @ rotation.T)
+
+
+def _check_moments(mass: float, moments: np.ndarray, place: str) -> None:
+    """Raise unless some body of this mass has these moments of inertia."""
+    low, middle, high = np.linalg.eigvalsh(moments)
+    room = _NOTHING + _ROUNDING * abs(high)
+    text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
+    if low < -room:
+        raise ModelError(f'{place}: {text}: none may be negative; see ixx to izz')
+    if low + middle < high - room:
+        raise ModelError(f'{place}: {text}: no body has one that is more than the two others '
+                         'together (triangle inequality); see ixx to izz, and their unit')
+    if mass == 0.0 and high > room:
+        raise ModelError(f'{place}: {text} without mass; give the mass, or leave inertial out')
+
+
+def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the origin and the rotation, about fixed axes x, y, z in turn, of its <origin>."""
+    origin = _only(element, 'origin', place)
+    (cr, cp, cy), (sr, sp, sy) = (
+        f(_vector(origin, 'rpy', place, (0.0, 0.0, 0.0))) for f in (np.cos, np.sin))
+    rotation = np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr]])
+    return _vector(origin, 'xyz', place, (0.0, 0.0, 0.0)), rotation
+
+
+def _vector(element: Element | None, key: str, place: str, default: tuple[float, ...]
+            ) -> np.ndarray:
+    if element is None or key not in element.attributes:
+        return np.array(default)
+    words = element.attributes[key].split()
+    if len(words) != 3:
+        raise ModelError(f'{place}: {element.tag} {key} has {len(words)} numbers, expected 3')
+    return np.array([_float(word, f'{element.tag} {key}', place) for word in words])
+
+
+def _number(element: Element | None, key: str, place: str, default: float | None = None,
+            largest: float = _LARGEST) -> float:
+    if element is None or key not in element.attributes:
+        if default is None:
+            assert element is not None, 'a number that must be there is that of an element'
+            raise ModelError(f'{place}: {element.tag} without {key}; expected {key}="..."')
+        return default
+    return _float(element.attributes[key].strip(), f'{element.tag} {key}', place, largest)
+
+
+def _float(word: str, name: str, place: str, largest: float = _LARGEST) -> float:
+    value = float(word) if _NUMBER.match(word) else math.nan
+    if not (math.isfinite(value) and abs(value) <= largest):
+        bound = '' if largest == math.inf else f' of at most {largest:g}'
+        raise ModelError(f'{place}: {name} = {word[:40]!r} must be a finite number{bound}')
+    return value
+
+
+def _only(element: Element, tag: str, place: str) -> Element | None:
+    found = element.named(tag)
+    if len(found) > 1:
+        raise ModelError(f'{place}: {len(found)} times <{tag}>, expected one; remove the others')
+    return found[0] if found else None
+
+
+def _name(element: Element, where: str) -> str:
+    name = element.attributes.get('name', '')
+    if not (name and name.isprintable() and len(name) <= _LONGEST_NAME):
+        raise ModelError(f'{where}:{element.line}: {element.tag} name={name[:60]!r} must be 1 to '
+                         f'{_LONGEST_NAME} printable characters')
+    return name
+
+
+def _check_names(names: Sequence[str], tag: str, where: str) -> None:
+    name, count = max(Counter(names).items(), key=lambda item: item[1], default=('', 0))
+    if count > 1:
+        raise ModelError(f'{where}: {count} {tag}s are named {name!r}; give each a name of its '
+                         'own')
+
+
+def _place(element: Element, where: str) -> str:
+    return f'{where}:{element.line}: {element.tag} {element.attributes["name"]!r}'
+
+
+def _list(names: Iterator[str] | Sequence[str] | dict[str, list[Joint]]) -> str:
+    """Return names for an error; of many the first."""
+    every = list(names)
+    return ', '.join(every[:20]) + (', ...' if len(every) > 20 else '')

@@ -1,0 +1,221 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""URDF files: what is read of them, and what each mistake is answered with."""
+
+import re
+
+from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.scene import load_scene
+import numpy as np
+import pytest
+from urdf_robots import chain, TREE, TREE_ARGUMENTS
+
+INERTIA = '<inertia ixx="0.2" ixy="0.01" ixz="-0.02" iyy="0.25" iyz="0.03" izz="0.1"/>'
+
+
+def build(folder, text: str = TREE, **arguments) -> RigidBodyTree:
+    path = folder / 'robot.urdf'
+    path.write_bytes(text.encode())
+    return RigidBodyTree(str(path), **TREE_ARGUMENTS | arguments)
+
+
+def test_robot_is_read_with_what_effects_will_ask_for():
+    robot = parse_urdf(TREE.encode(), 'robot.urdf')
+    assert (robot.name, robot.root, len(robot.links)) == ('tree', 'ground', 9)
+    assert [joint.name for joint in robot.links['trunk'].joints] == ['rail', 'tail']
+    rail, _ = robot.links['trunk'].joints
+    assert (rail.limits.lower, rail.limits.upper, rail.limits.velocity, rail.limits.effort,
+            rail.damping, rail.friction) == (-0.5, 0.5, 1.0, 90.0, 2.5, 0.5)
+    np.testing.assert_allclose(rail.axis, [0.6, 0.0, 0.8], rtol=1e-15)
+    (hip,) = robot.links['base'].joints
+    assert hip.limits.lower is None and hip.kind == 'continuous' and hip.mimics is None
+    np.testing.assert_allclose(hip.rotation @ hip.rotation.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(robot.links['trunk'].inertial.moments.trace(), 0.55, rtol=1e-15)
+
+
+def test_rotation_is_about_fixed_axes_in_turn():
+    robot = parse_urdf(b'<robot name="r"><link name="a"/><link name="b"/><joint name="j" '
+                       b'type="fixed"><parent link="a"/><child link="b"/><origin rpy="'
+                       b'1.5707963267948966 0 1.5707963267948966"/></joint></robot>', 'x')
+    # y is turned to z by the first, x to y and z stays by the second.
+    np.testing.assert_allclose(robot.links['a'].joints[0].rotation,
+                               [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15)
+
+
+@pytest.mark.parametrize('old, new, expected', [
+    ('<robot name="tree">', '<robot>', None),
+    ('<robot name="tree">', '<sdf>', 'no XML: mismatched tag'),
+    ('</robot>', '', 'no XML: no element found'),
+    (TREE, '<sdf/>', r'robot.urdf:1: <sdf>, expected <robot>: no URDF'),
+    (TREE, '<robot/>', 'a robot without links'),
+    (TREE, '', 'no XML: no element found'),
+    (TREE, '\0', 'no XML: '),
+    (TREE, '<?xml version="1.0" encoding="utf-7"?><robot/>', 'robot.urdf:1: '),
+    (TREE, '<?xml version="1.0" encoding="no-such"?><robot/>', 'robot.urdf:1: '),
+    (TREE, '<a>' * 65, 'elements nested more than 64 deep'),
+    (TREE, '<robot>' + '<a/>' * 100_000, 'more than 100000 elements'),
+    (TREE, ' ' * (8 << 20) + '<robot/>', 'more than 8 MiB of XML'),
+    (TREE, '<!DOCTYPE r [<!ENTITY a "b"><!ENTITY c "&a;&a;">]><robot name="&c;"/>',
+     'robot.urdf:1: a document type declaration'),
+    (TREE, '<!DOCTYPE r SYSTEM "file:///etc/passwd"><robot/>', 'a document type declaration'),
+    ('  <link name="base"/>', '  <xacro:link name="base"/>', r'<xacro:link>: a xacro'),
+    ('<link name="base"/>', '<link/>', r"robot.urdf:6: link name='' must be 1 to 200 printable"),
+    ('<link name="base"/>', '<link name="hand"/>', "2 links are named 'hand'"),
+    ('name="rail"', 'name="wrist"', "2 joints are named 'wrist'"),
+    ('<child link="hand"/>', '<child link="hadn"/>',
+     r"robot.urdf:17: joint 'wrist': no link 'hadn'; links: ground, base"),
+    ('<child link="hand"/>', '', "joint 'wrist': no child; expected"),
+    ('<child link="hand"/>', '<child link="hand"/><child link="tip"/>', '2 times <child>'),
+    ('<parent link="slider"/><child link="hand"/>', '<parent link="slider"/><child link="tool"/>',
+     "joint 'grip': link 'tool' hangs on joint 'wrist' already"),
+    ('<link name="base"/>', '<link name="base"/><link name="loose"/>',
+     'several links hang on nothing: ground, loose'),
+    ('<parent link="base"/><child link="trunk"/>', '<parent link="hand"/><child link="trunk"/>',
+     'several links|joints in a circle'),
+    ('<parent link="ground"/><child link="base"/>', '<parent link="hand"/><child link="base"/>',
+     'joints in a circle|several links'),
+    ('type="continuous"', '', "joint 'hip': no type; valid: revolute"),
+    ('type="continuous"', 'type="floating"',
+     "joint 'hip': type 'floating' cannot be simulated; valid: revolute, .* base: trunk"),
+    ('xyz="1 2 -2"', 'xyz="0 0 0"', "joint 'hip': axis xyz = 0 0 0 has no direction"),
+    ('xyz="1 2 -2"', 'xyz="1 2"', 'axis xyz has 2 numbers, expected 3'),
+    ('xyz="1 2 -2"', 'xyz="1 2 nan"', "axis xyz = 'nan' must be a finite number"),
+    ('rpy="0.3 0.5 -0.7"', 'rpy="0.3 inf -0.7"', "origin rpy = 'inf' must be a finite number"),
+    ('rpy="0.3 0.5 -0.7"', 'rpy="0.3 1e13 -0.7"', "'1e13' must be a finite number of at most"),
+    ('value="3.5"', 'value="3,5"', "link 'trunk': mass value = '3,5' must be a finite number"),
+    ('value="3.5"', 'value="1_0"', "mass value = '1_0' must be"),
+    ('value="3.5"', 'value="٣"', 'mass value = .* must be'),
+    ('value="3.5"', 'value="-3.5"', "link 'trunk': mass = -3.5 kg must not be negative"),
+    ('<mass value="3.5"/>', '', "link 'trunk': inertial without mass"),
+    (INERTIA, '', "link 'trunk': inertial without inertia"),
+    (INERTIA, INERTIA.replace('izz="0.1"', ''), "link 'trunk': inertia without izz"),
+    (INERTIA, INERTIA.replace('0.25', '-0.25'), 'moments of inertia .*: none may be negative'),
+    (INERTIA, INERTIA.replace('izz="0.1"', 'izz="10"'), 'triangle inequality'),
+    ('<mass value="3.5"/>', '<mass value="0"/>', 'kg m2 without mass'),
+    ('lower="-0.5" upper="0.5"', 'lower="0.5" upper="-0.5"', 'limits 0.5 to -0.5 leave nothing'),
+    ('damping="2.5"', 'damping="-2.5"', "joint 'rail': damping = -2.5 must not be negative"),
+    ('effort="90"', 'effort="-90"', 'limit effort = -90 must not be negative'),
+    ('effort="90"', 'effort="1e308"', None),
+])
+def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, new, expected):
+    assert old in TREE
+    if expected is None:
+        assert build(tmp_path, TREE.replace(old, new, 1)).dimension == 5
+        return
+    with pytest.raises(ModelError, match=expected) as caught:
+        build(tmp_path, TREE.replace(old, new, 1))
+    assert '\n' not in str(caught.value) and 'robot.urdf' in str(caught.value)
+
+
+@pytest.mark.parametrize('arguments, expected', [
+    ({'base': 'floor'}, "base = 'floor' is no link; links: ground, base"),
+    ({'joints': ['hip']}, 'joints leaves out rail, wrist, finger, tail; .* locked: {rail: 0.0}'),
+    ({'joints': ['hip', 'hip', 'rail', 'wrist', 'finger', 'tail']}, 'joints .* each joint once'),
+    ({'joints': ['hpi']}, "joints names 'hpi': no such joint moves; moving joints: hip, rail"),
+    ({'joints': ['follower']}, "joints names 'follower': it is locked"),
+    ({'joints': ['grip']}, "joints names 'grip': no such joint moves"),
+    ({'locked': {}}, "joint 'follower' mimics 'finger', which is not simulated; .* locked: "),
+    ({'locked': {'follower': 0.0, 'grip': 1.0}}, "locked names 'grip', which is no joint that"),
+    ({'locked': {'follower': float('nan')}}, 'locked at follower = nan must be a finite number'),
+    ({'joints': [], 'locked': dict.fromkeys(
+        ['follower', 'hip', 'rail', 'wrist', 'finger', 'tail'], 0.0), 'rotor_inertia': {}},
+     'joints has none that moves'),
+    ({'gravity': [0.0, 9.81]}, 'gravity = .* must be three numbers'),
+    ({'gravity': [0.0, 0.0, float('inf')]}, 'gravity = .* must be three numbers'),
+    ({'rotor_inertia': {'hip': -1.0}}, 'rotor_inertia of hip = -1.0 must be a number from 0'),
+    ({'rotor_inertia': {'follower': 1.0}}, "rotor_inertia names 'follower', which is no joint"),
+])
+def test_argument_that_does_not_fit_the_robot_is_answered_with_the_valid_ones(
+        tmp_path, arguments, expected):
+    with pytest.raises((ModelError, ValueError), match=expected) as caught:
+        build(tmp_path, **arguments)
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('mass, inertia, rotor, singular', [
+    # A tip without mass; a point on the axis that it turns about; a rod along it.
+    (0.0, 0.0, 0.0, True), (1.0, 0.0, 0.0, True), (1.0, 0.1, 0.0, False), (0.0, 0.0, 0.1, False)])
+def test_joint_that_moves_no_inertia_is_named(tmp_path, mass, inertia, rotor, singular):
+    text = chain([1.0, 1.0], [1.0, 1.0]).replace('</robot>', f"""
+  <joint name="spin" type="continuous"><parent link="l2"/><child link="disc"/>
+    <origin xyz="0 0 -1"/><axis xyz="1 0 0"/></joint>
+  <link name="disc"><inertial><mass value="{mass}"/><inertia ixx="{inertia}" ixy="0" ixz="0"
+    iyy="{inertia}" iyz="0" izz="{inertia}"/></inertial></link></robot>""")
+    arguments = {**dict.fromkeys(TREE_ARGUMENTS), 'gravity': [0.0, 0.0, -9.81],
+                 'rotor_inertia': {'spin': rotor}}
+    if not singular:
+        assert build(tmp_path, text, **arguments).dimension == 3
+        return
+    with pytest.raises(ModelError, match=r"robot.urdf:2: joint 'spin': spin can move without "
+                                         "moving any mass .* link 'disc'"):
+        build(tmp_path, text, **arguments)
+
+
+@pytest.mark.parametrize('number, refused', [(12, False), (13, True)])
+def test_robot_moves_up_to_twelve_joints(tmp_path, number, refused):
+    text, arguments = chain([1.0] * number, [0.5] * number), dict.fromkeys(TREE_ARGUMENTS)
+    arguments['gravity'] = [0.0, 0.0, -9.81]
+    if refused:
+        with pytest.raises(ValueError, match='joints: 13 move, at most 12 can; .*: j1, j2'):
+            build(tmp_path, text, **arguments)
+    else:
+        assert build(tmp_path, text, **arguments).dimension == 12
+
+
+def test_joint_whose_name_cannot_name_a_coordinate_is_refused_unless_it_is_held(tmp_path):
+    text = chain([1.0, 1.0], [1.0, 1.0]).replace('name="j2"', 'name="j 2/x"')
+    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
+    with pytest.raises(ModelError, match="joint 'j 2/x': the name of a coordinate must be"):
+        build(tmp_path, text, **arguments)
+    assert build(tmp_path, text, **arguments | {'locked': {'j 2/x': 0.0}}).dimension == 1
+
+
+SCENE = """\
+hamiltonian:
+  kind: urdf
+  file: robot.urdf
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0]}
+"""
+
+
+@pytest.mark.parametrize('line, expected', [
+    ('file: none.urdf', r"mine.yaml:3: hamiltonian.file: no file '.*none.urdf'; give a path"),
+    ('file: package://no_such_package/a.urdf',
+     r"mine.yaml:3: hamiltonian.file: package://.*: no package 'no_such_package' is in what"),
+    ('file: package://x', r'mine.yaml:3: hamiltonian.file: .* must be package://PACKAGE/PATH'),
+    ('file: .', r"mine.yaml:3: hamiltonian.file: no file '"),
+    ('file: robot.urdf\n  base: x', r"mine.yaml:4: hamiltonian.base: urdf: base = 'x' is no link"),
+    ('file: robot.urdf\n  locked: {x: 0}', 'mine.yaml:4: hamiltonian.locked: urdf: locked names'),
+    ('file: robot.urdf\n  gravity: [0]', 'mine.yaml:4: hamiltonian.gravity: urdf: gravity = '),
+    ('file: robot.urdf\n  joints: j1', 'mine.yaml:4: hamiltonian.joints: .*list'),
+    ('file: robot.urdf\n  locked: {j1: .inf}', 'mine.yaml:4: hamiltonian.locked.j1: .*finite'),
+    ('file: robot.urdf\n  joint: [j1]', 'mine.yaml:4: hamiltonian.joint: unknown key; valid keys'),
+    ('file: bad.urdf', 'mine.yaml:1: hamiltonian: urdf: .*bad.urdf:1: no XML'),
+])
+def test_mistake_in_a_scene_of_a_robot_is_answered_with_its_line(tmp_path, line, expected):
+    (tmp_path / 'robot.urdf').write_text(chain([1.0], [1.0]))
+    (tmp_path / 'bad.urdf').write_text('<robot')
+    path = tmp_path / 'mine.yaml'
+    path.write_text(SCENE.replace('file: robot.urdf', line))
+    with pytest.raises(HnnViRosError, match=expected) as caught:
+        load_scene(path).create_hamiltonian()
+    assert isinstance(caught.value, (SceneError, ModelError)) and '\n' not in str(caught.value)
+
+
+def test_robot_of_an_installed_package_is_found(tmp_path, monkeypatch):
+    share = tmp_path / 'share'
+    index = share / 'ament_index' / 'resource_index' / 'packages'
+    for folder in (index, share / 'my_robot' / 'urdf'):
+        folder.mkdir(parents=True)
+    (index / 'my_robot').touch()
+    (share / 'my_robot' / 'urdf' / 'arm.urdf').write_text(chain([1.0], [1.0]))
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path / "other"}:{tmp_path}')
+    path = tmp_path / 'mine.yaml'
+    path.write_text(SCENE.replace('robot.urdf', 'package://my_robot/urdf/arm.urdf'))
+    scene = load_scene(path)
+    assert scene.create_hamiltonian().robot.name == 'chain'
+    assert re.fullmatch('[0-9a-f]{64}', scene.model_digests['package://my_robot/urdf/arm.urdf'])
