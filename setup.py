@@ -62,7 +62,7 @@ setup(
     extras_require={
         # What training and the studies take besides.
         'train': TRAIN,
-        'test': [*TRAIN, 'hypothesis>=6.100', 'pytest>=7.4', 'pytest-timeout>=2.1',
+        'test': [*TRAIN, 'hypothesis>=6.100', 'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1',
                  'pytest-xdist>=3.5', 'rosbags>=0.10'],
     },
     zip_safe=False,
