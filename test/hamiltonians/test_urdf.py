@@ -98,6 +98,8 @@ def test_rotation_is_about_fixed_axes_in_turn():
     ('damping="2.5"', 'damping="-2.5"', "joint 'rail': damping = -2.5 must not be negative"),
     ('effort="90"', 'effort="-90"', 'limit effort = -90 must not be negative'),
     ('effort="90"', 'effort="1e308"', None),
+    # The ground does not move.
+    ('izz="1"', 'izz="9"', None),
 ])
 def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, new, expected):
     assert old in TREE
@@ -116,7 +118,7 @@ def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, 
     ({'joints': ['hpi']}, "joints names 'hpi': no such joint moves; moving joints: hip, rail"),
     ({'joints': ['follower']}, "joints names 'follower': it is locked"),
     ({'joints': ['grip']}, "joints names 'grip': no such joint moves"),
-    ({'locked': {}}, "joint 'follower' mimics 'finger', which is not simulated; .* locked: "),
+    ({'locked': {}}, r"joint 'follower': joints that mimic .*: follower \(of finger\); .* locked"),
     ({'locked': {'follower': 0.0, 'grip': 1.0}}, "locked names 'grip', which is no joint that"),
     ({'locked': {'follower': float('nan')}}, 'locked at follower = nan must be a finite number'),
     ({'joints': [], 'locked': dict.fromkeys(

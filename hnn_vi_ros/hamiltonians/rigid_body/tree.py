@@ -14,6 +14,8 @@ import numpy as np
 
 MOST_JOINTS = 12
 _NAME = re.compile(r'[^\W\d][\w.-]*\Z')
+# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of its rules.
+_ROUNDING, _NOTHING = 1e-6, 1e-12
 # Least eigenvalue of M, its diagonal scaled to one, that is no rounding.
 _SINGULAR = 1e-13
 # Configurations that have nothing to do with one another, at which M is looked at.
@@ -137,6 +139,20 @@ def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
                      'the joint, or give its rotor_inertia')
 
 
+def _check_inertial(inertial: Inertial, place: str) -> None:
+    """Raise unless some body has this mass and these moments of inertia."""
+    low, middle, high = np.linalg.eigvalsh(inertial.moments)
+    room = _NOTHING + _ROUNDING * abs(high)
+    text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
+    if low < -room:
+        raise ModelError(f'{place}: {text}: none may be negative; see ixx to izz')
+    if low + middle < high - room:
+        raise ModelError(f'{place}: {text}: no body has one that is more than the two others '
+                         'together (triangle inequality); see ixx to izz, and their unit')
+    if inertial.mass == 0.0 and high > room:
+        raise ModelError(f'{place}: {text} without mass; give the mass, or leave inertial out')
+
+
 class _Body:
     """What is rigid together: a row of Bodies in the making."""
 
@@ -163,16 +179,25 @@ class _Builder:
         # Those that move, in the order of the bodies; and those that could.
         self.joints: list[Joint] = []
         self.met: dict[str, Joint] = {}
+        self._mimics: list[Joint] = []
         # Joints that are still to be passed, with the body that they are on and where the frame
         # of the link that they are on stands in its own.
         self._waiting: list[tuple[Joint, int, np.ndarray, np.ndarray]] = []
         self._reach(base, 0, np.eye(3), np.zeros(3))
         while self._waiting:
             self._pass(*self._waiting.pop())
+        if self._mimics:
+            text = ', '.join(f'{joint.name} (of {joint.mimics})' for joint in self._mimics)
+            held = ', '.join(f'{joint.name}: 0.0' for joint in self._mimics)
+            raise ModelError(f'{self._mimics[0].place}: joints that mimic others are not '
+                             f'simulated: {text}; hold them where they are to be: '
+                             f'locked: {{{held}}}')
 
     def _reach(self, name: str, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
         link = self._robot.links[name]
-        if link.inertial is not None:
+        # What rests may weigh anything.
+        if link.inertial is not None and row > 0:
+            _check_inertial(link.inertial, link.place)
             self._rows[row].add(link.inertial, rotation, origin)
         # The first one is passed next.
         self._waiting += [(joint, row, rotation, origin) for joint in reversed(link.joints)]
@@ -197,8 +222,8 @@ class _Builder:
                 rotation = rotation @ _turn(joint.axis, value)
             self._reach(joint.child, row, rotation, origin)
         elif joint.mimics is not None:
-            raise ModelError(f'{joint.place} mimics {joint.mimics!r}, which is not simulated; '
-                             f'hold it where it is to be: locked: {{{joint.name}: 0.0}}')
+            self._mimics.append(joint)
+            self._reach(joint.child, row, rotation, origin)
         else:
             frame = _frame_of(joint.axis)
             self.joints.append(joint)

@@ -19,8 +19,6 @@ _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?
 _LONGEST_NAME = 200
 # In SI units; larger ones, of which products overflow, are mistakes. Limits may be any number.
 _LARGEST = 1e12
-# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of its rules.
-_ROUNDING, _NOTHING = 1e-6, 1e-12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 
 
@@ -170,23 +168,8 @@ def _inertial(link: Element, where: str) -> Inertial | None:
         raise ModelError(f'{place}: mass = {mass:g} kg must not be negative')
     xx, xy, xz, yy, yz, zz = (_number(inertia, key, place) for key in _MOMENTS)
     moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    _check_moments(mass, moments, place)
     centre, rotation = _frame(element, place)
     return Inertial(mass, centre, rotation @ moments @ rotation.T)
-
-
-def _check_moments(mass: float, moments: np.ndarray, place: str) -> None:
-    """Raise unless some body of this mass has these moments of inertia."""
-    low, middle, high = np.linalg.eigvalsh(moments)
-    room = _NOTHING + _ROUNDING * abs(high)
-    text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
-    if low < -room:
-        raise ModelError(f'{place}: {text}: none may be negative; see ixx to izz')
-    if low + middle < high - room:
-        raise ModelError(f'{place}: {text}: no body has one that is more than the two others '
-                         'together (triangle inequality); see ixx to izz, and their unit')
-    if mass == 0.0 and high > room:
-        raise ModelError(f'{place}: {text} without mass; give the mass, or leave inertial out')
 
 
 def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
