@@ -87,6 +87,7 @@ setup(
             'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
             'scene = hnn_vi_ros.cli:scene',
             'simulator = hnn_vi_ros.cli:simulator',
+            'sweep = hnn_vi_ros.cli:sweep',
             'train = hnn_vi_ros.cli:train',
             'work_precision = hnn_vi_ros.cli:work_precision',
         ],

@@ -10,11 +10,12 @@ from hnn_vi_ros.version import __version__
 if TYPE_CHECKING:
     from hnn_vi_ros.run.ensemble import simulate, simulate_many
     from hnn_vi_ros.scene import load_scene
+    from hnn_vi_ros.sweeps.sweep import sweep
 
-__all__ = ['__version__', 'load_scene', 'simulate', 'simulate_many']
+__all__ = ['__version__', 'load_scene', 'simulate', 'simulate_many', 'sweep']
 
 _HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.run.ensemble',
-          'simulate_many': 'hnn_vi_ros.run.ensemble'}
+          'simulate_many': 'hnn_vi_ros.run.ensemble', 'sweep': 'hnn_vi_ros.sweeps.sweep'}
 
 
 def __getattr__(name: str) -> object:

@@ -67,6 +67,11 @@ def train() -> NoReturn:
     _run('train', 'hnn_vi_ros.learning.train')
 
 
+def sweep() -> NoReturn:
+    """Simulate a scene for many parameters and initial states."""
+    _run('sweep', 'hnn_vi_ros.sweeps.sweep')
+
+
 def evaluate() -> NoReturn:
     """Judge a model or a scene by measured motions."""
     _run('evaluate', 'hnn_vi_ros.learning.evaluate')

@@ -23,7 +23,7 @@ EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').re
 # The parsers are told apart by the package that their executable belongs to.
 HOMES = {'learning': ['train', 'evaluate', 'import_checkpoint'],
          'ros': ['simulator', 'replay', 'rerun_bridge', 'listener'],
-         'bags': ['recover_bag']}
+         'bags': ['recover_bag'], 'sweeps': ['sweep']}
 # What help can do without: these take seconds to import.
 HEAVY = {'torch', 'numba', 'rclpy', 'numpy', 'scipy', 'matplotlib', 'rerun', 'pydantic', 'yaml'}
 
@@ -52,7 +52,7 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
     ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', 'ros-jazzy-common-interfaces'),
     ('train', 'yaml', 'pyyaml'),
     ('paper_figures', 'pydantic', 'pydantic'), ('work_precision', 'scipy', 'scipy'),
-    ('recover_bag', 'zstandard', 'zstandard'),
+    ('recover_bag', 'zstandard', 'zstandard'), ('sweep', 'pyarrow', 'pyarrow'),
     ('replay', 'std_srvs', 'ros-jazzy-common-interfaces'), ('rerun_bridge', 'rerun', 'rerun-sdk'),
 ])
 def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, package):
@@ -148,6 +148,7 @@ def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     ('scene', ['--explain', 'nothing']), ('work_precision', ['--scene', 'nothing']),
     ('published_tables', ['--out', '/dev/null/x']),
     ('recover_bag', ['nothing']), ('replay', ['nothing']), ('rerun_bridge', ['nothing']),
+    ('sweep', ['nothing']),
 ])
 def test_error_of_the_user_is_one_line_and_no_traceback(executable, arguments):
     result = run(executable, 'a_package_that_nobody_needs', *arguments)

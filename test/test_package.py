@@ -25,8 +25,8 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 FLOORS = (
     'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
     'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
-    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'studies', 'ros', 'cli',
-    '__init__')
+    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'sweeps',
+    'studies', 'ros', 'cli', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -48,6 +48,7 @@ HOMES = {
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
+    'pyarrow': r'sweeps/parquet\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
     'matplotlib': r'learning/\w+\.py|studies/\w+\.py',

@@ -6,6 +6,7 @@ from pathlib import Path
 
 _FOLDERS = {
     'scene': ('config/scenes', '.yaml'),
+    'sweep': ('config/sweeps', '.yaml'),
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
@@ -27,7 +28,7 @@ def share_folder() -> Path:
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the sorted names of the shipped files of a kind: scene, training or model."""
+    """Return the sorted names of the shipped files of a kind: scene, sweep, training or model."""
     folder, suffix = _FOLDERS[kind]
     return sorted(path.stem for path in (share_folder() / folder).glob(f'*{suffix}'))
 

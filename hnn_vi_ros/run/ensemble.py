@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
@@ -89,10 +89,38 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     check_count('every', every)
     scene, _ = resolve(_scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
-    simulation = watched(build(scene), scene)
+    trajectory = record_one(watched(build(scene), scene), duration, int(every), times, commands)
+    tell(list(trajectory.alarms), scene.known_step_size)
+    return trajectory
+
+
+def record_one(simulation: Simulation | WatchedSimulation, duration: float, every: int,
+               times: Sequence[float] | None = None, commands: Commands | None = None
+               ) -> Trajectory:
+    """
+    Take the samples of one trajectory, and warn of nothing.
+
+    Parameters
+    ----------
+    simulation : Simulation or WatchedSimulation
+        In its initial state, of shape (d,).
+    duration, every, times, commands
+        See ``simulate``.
+
+    Returns
+    -------
+    Trajectory
+        With the alarms.
+
+    Raises
+    ------
+    StepFailure, ValueError
+        See ``simulate``.
+
+    """
     watch = Watch(simulation, simulation.hamiltonian.barrier)
     parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
-    t, takers = recorders(simulation, duration, int(every), times, commands, watch)
+    t, takers = recorders(simulation, duration, every, times, commands, watch)
     try:
         for take in takers:
             parts.append(take())  # noqa: PERF401  what was taken before it stops is kept
@@ -105,7 +133,6 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     energies = energies_of(simulation, q, p)
     if simulation.conservative:
         watch.show(simulation, t / simulation.step_size, (q, p), energies)
-    tell(watch.alarms, simulation.step_size)
     return Trajectory(t, q, p, energies[0], tuple(watch.alarms),
                       tuple(event for event in getattr(simulation, 'events', ())
                             if event.t <= t[-1]))

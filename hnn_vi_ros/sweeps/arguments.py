@@ -1,0 +1,36 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of ``sweep``; import nothing of what it works with."""
+
+import os
+from pathlib import Path
+
+from hnn_vi_ros.command_line import Parser
+
+_DETAILS = """\
+Shards are what is made and kept as a whole: part-00000.parquet and so on, the same bytes whichever
+process or machine makes them, and in whichever order. What is in the folder already is not made
+again: the same command goes on after it was stopped. Exit status: 0 if all shards asked for are
+there, 130 if Ctrl-C stopped it."""
+
+
+def sweep() -> Parser:
+    """Return the parser of ``sweep``."""
+    parser = Parser('sweep', (
+        'Simulate a scene for many parameters and initial states, and keep a Parquet dataset.'), [
+            'ros2 run hnn_vi_ros sweep pendulum_energies',
+            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
+            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100'], _DETAILS)
+    parser.add_argument('sweep', metavar='SWEEP', help=(
+        'what varies: the name of a shipped sweep, or a YAML file'))
+    parser.add_argument('--out', type=Path, metavar='DIR', help=(
+        'folder of the results, which several processes and machines may share (default: '
+        'sweeps/NAME)'))
+    parser.add_argument('--shard', default='0/1', metavar='I/N', help=(
+        'make every N-th shard, from the I-th on, counted from 0: the share of one of N jobs '
+        '(default: 0/1, all)'))
+    parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1, metavar='N', help=(
+        'processes of this machine (default: one for each processor)'))
+    parser.add_argument('--device', choices=('cpu',), default='cpu', help=(
+        'what trajectories are computed on (default: cpu)'))
+    return parser

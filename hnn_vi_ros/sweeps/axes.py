@@ -1,0 +1,240 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What varies in a sweep: the values of its keys at any place of an axis, by the place alone."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from hashlib import sha256
+from math import prod
+import os
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.sweeps.definition import Box, File, Grid, MOST, Repeats, Sobol, Values
+import numpy as np
+
+# What is drawn for so many places has one seed: as many random states as places take long.
+_DRAWN = 32
+_LARGEST_FILE = 2**28
+
+
+class Axis(ABC):
+    """
+    Something that varies.
+
+    Attributes
+    ----------
+    keys : list of str
+        Keys of the scene.
+    count : int
+        How many places it has.
+
+    """
+
+    keys: list[str]
+    count: int
+
+    @property
+    def types(self) -> list[type]:
+        """Return the type of the values of each key; str for what is of several, as JSON."""
+        return [float] * len(self.keys)
+
+    @abstractmethod
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """
+        Return the values of each key at some places.
+
+        Parameters
+        ----------
+        places : np.ndarray of int, shape (n,)
+            From 0 to the count; rising.
+
+        Returns
+        -------
+        list of sequence, of length n each
+            In the order of the keys.
+
+        """
+
+
+class ValuesAxis(Axis):
+    """See Values."""
+
+    def __init__(self, axis: Values):
+        self.keys, self.count, self._values = [axis.key], len(axis.values), axis.values
+
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """See Axis."""
+        return [[self._values[place] for place in places]]
+
+    @property
+    def types(self) -> list[type]:
+        """See Axis."""
+        kinds = {type(value) for value in self._values}
+        if kinds == {int, float}:
+            return [float]
+        return [kinds.pop() if len(kinds) == 1 and list not in kinds else str]
+
+
+class GridAxis(Axis):
+    """See Grid; the last key is the fastest."""
+
+    def __init__(self, axis: Grid):
+        self.keys, self.count, self._shape = axis.keys, prod(axis.counts), tuple(axis.counts)
+        self._bounds = list(zip(axis.low, axis.high, strict=True))
+
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """See Axis."""
+        along = np.unravel_index(places, self._shape)
+        return [low + (high - low) * (k / max(count - 1, 1)) for (low, high), k, count in zip(
+            self._bounds, along, self._shape, strict=True)]
+
+
+class BoxAxis(Axis):
+    """See Box."""
+
+    def __init__(self, axis: Box, entropy: int, number: int):
+        self.keys, self.count = axis.keys, axis.count
+        self._low, self._high = np.array(axis.low), np.array(axis.high)
+        self._entropy, self._number = entropy, number
+
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """See Axis."""
+        shares = np.empty((len(places), len(self.keys)))
+        for block in np.unique(places // _DRAWN):
+            seeds = np.random.SeedSequence(self._entropy, spawn_key=(self._number, int(block)))
+            drawn = np.random.default_rng(seeds).random((_DRAWN, len(self.keys)))
+            own = places // _DRAWN == block
+            shares[own] = drawn[places[own] % _DRAWN]
+        return list((self._low + (self._high - self._low) * shares).T)
+
+
+class SobolAxis(Axis):
+    """See Sobol."""
+
+    def __init__(self, axis: Sobol, entropy: int, number: int):
+        self.keys, self.count = axis.keys, axis.count
+        self._low, self._high = np.array(axis.low), np.array(axis.high)
+        self._entropy, self._number = entropy, number
+
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """See Axis."""
+        # Imported here: it takes half a second, which other sweeps need not wait.
+        from scipy.stats import qmc
+        wanted, back = np.unique(places, return_inverse=True)
+        parts = []
+        for run in np.split(wanted, np.flatnonzero(np.diff(wanted) > 1) + 1):
+            seeds = np.random.SeedSequence(self._entropy, spawn_key=(self._number,))
+            # Of 2^30 points; named as in all versions of scipy.
+            points = qmc.Sobol(len(self.keys), scramble=True, seed=np.random.default_rng(seeds))
+            if run[0]:
+                points.fast_forward(int(run[0]))
+            # One by one: only of a first draw of another length than a power of two it warns.
+            first = points.random(1)
+            parts += [first, points.random(len(run) - 1)] if len(run) > 1 else [first]
+        shares = np.vstack(parts)[back]
+        return list((self._low + (self._high - self._low) * shares).T)
+
+
+class FileAxis(Axis):
+    """See File."""
+
+    def __init__(self, axis: File, folder: Path, place: str):
+        path = folder / axis.path
+        try:
+            if os.path.getsize(path) > _LARGEST_FILE:
+                raise DataError(f'{place}: {path} is larger than {_LARGEST_FILE} bytes; cut it '
+                                'into several sweeps')
+            raw = path.read_bytes()
+            text = raw.decode('utf-8')
+        except (OSError, UnicodeDecodeError) as problem:
+            raise DataError(f'{place}: {path}: {one_line(problem)}') from problem
+        head, *lines = text.splitlines() if text else ['']
+        self.keys = [name.strip() for name in head.split(',')]
+        rows = [line.split(',') for line in lines if line.strip()]
+        if not rows:
+            raise DataError(f'{place}: {path} has no row of numbers; its first line names keys '
+                            'of the scene, and each further one has a number for each')
+        for number, row in enumerate(rows, 2):
+            if len(row) != len(self.keys):
+                raise DataError(f'{place}: {path}: row {number} has {len(row)} values, expected '
+                                f'{len(self.keys)}')
+        try:
+            self._table = np.array(rows, dtype=np.float64)
+        except ValueError as problem:
+            raise DataError(f'{place}: {path}: {one_line(problem)}') from problem
+        bad = np.argwhere(~np.isfinite(self._table))
+        if bad.size:
+            raise DataError(f'{place}: {path}: row {bad[0, 0] + 2}, {self.keys[bad[0, 1]]}: '
+                            f'{self._table[tuple(bad[0])]} is not finite')
+        self.count, self.digest = len(rows), sha256(raw).hexdigest()
+
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """See Axis."""
+        return list(self._table[places].T)
+
+
+class RepeatsAxis(Axis):
+    """See Repeats."""
+
+    def __init__(self, axis: Repeats, entropy: int, number: int):
+        self.keys, self.count = [] if axis.key is None else [axis.key], axis.count
+        self._entropy, self._number = entropy, number
+
+    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+        """See Axis."""
+        if not self.keys:
+            return []
+        return [[int(np.random.SeedSequence(
+            self._entropy, spawn_key=(self._number, int(place))).generate_state(1)[0])
+            for place in places]]
+
+    @property
+    def types(self) -> list[type]:
+        """See Axis."""
+        return [int] * len(self.keys)
+
+
+def make_axis(axis: Values | Grid | Box | Sobol | File | Repeats, entropy: int, number: int,
+              folder: Path, place: str) -> Axis:
+    """
+    Return what gives the values of an axis.
+
+    Parameters
+    ----------
+    axis
+        As it is defined.
+    entropy : int
+        The seed of the sweep.
+    number : int
+        Of the axis, which has a stream of its own.
+    folder : Path
+        Where a file is looked for.
+    place : str
+        Where it is defined, for errors.
+
+    Raises
+    ------
+    DataError
+        A file that cannot be used, or too many places.
+
+    """
+    made: Axis
+    match axis:
+        case Values():
+            made = ValuesAxis(axis)
+        case Grid():
+            made = GridAxis(axis)
+        case Box():
+            made = BoxAxis(axis, entropy, number)
+        case Sobol():
+            made = SobolAxis(axis, entropy, number)
+        case File():
+            made = FileAxis(axis, folder, place)
+        case Repeats():
+            made = RepeatsAxis(axis, entropy, number)
+    if made.count > MOST:
+        raise DataError(f'{place}: {made.count:.3g} points, more than {MOST}; take fewer')
+    return made

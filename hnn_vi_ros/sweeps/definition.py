@@ -1,0 +1,180 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The schema of a sweep's YAML: a scene, what varies, and what is kept."""
+
+from collections.abc import Mapping
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.named_code import NAMES_CODE
+from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
+from hnn_vi_ros.files.yaml_text import KeyPlaces
+from pydantic import Field, model_validator
+
+# Of one axis, and of a whole sweep: what Sobol's sequence has, of which no point comes twice.
+MOST = 2**30
+
+Key = Annotated[str, Field(min_length=1, max_length=256, description=(
+    'a key of the scene, with dots: hamiltonian.length, effects.0.rate, initial_state.q.angle'))]
+Keys = Annotated[list[Key], Field(min_length=1, max_length=1000)]
+Numbers = Annotated[list[float], Field(min_length=1, max_length=1000)]
+
+
+class Values(StrictModel):
+    """Values of one key, one after another."""
+
+    kind: Literal['values'] = Field(description='values of one key')
+    key: Key
+    values: list[bool | int | float | str | list[float]] = Field(
+        min_length=1, max_length=10_000, description='what it takes')
+
+
+class _Ranges(StrictModel):
+    """What lies between bounds of several keys."""
+
+    keys: Keys
+    low: Numbers = Field(description='the lower bound of each key')
+    high: Numbers = Field(description='the upper bound of each key')
+
+    @model_validator(mode='after')
+    def _check_bounds(self) -> Self:
+        for name in ('low', 'high'):
+            if len(getattr(self, name)) != len(self.keys):
+                raise ValueError(f'{name} has {len(getattr(self, name))} values, expected '
+                                 f'{len(self.keys)}, one for each of keys')
+        for key, low, high in zip(self.keys, self.low, self.high, strict=True):
+            if not low <= high:
+                raise ValueError(f'{key}: low = {low:g} lies above high = {high:g}')
+        return self
+
+
+class Grid(_Ranges):
+    """All combinations of evenly spaced values, the bounds among them."""
+
+    kind: Literal['grid'] = Field(description='evenly spaced values in all combinations')
+    counts: list[Annotated[int, Field(ge=1, le=MOST)]] = Field(
+        min_length=1, max_length=1000, description='how many values of each key')
+
+    @model_validator(mode='after')
+    def _check_counts(self) -> Self:
+        if len(self.counts) != len(self.keys):
+            raise ValueError(f'counts has {len(self.counts)} values, expected {len(self.keys)}, '
+                             'one for each of keys')
+        return self
+
+
+class Box(_Ranges):
+    """Points that are drawn evenly from a box."""
+
+    kind: Literal['box'] = Field(description='points drawn evenly from a box')
+    count: int = Field(ge=1, le=MOST, description='how many points')
+
+
+class Sobol(_Ranges):
+    """The points of a scrambled Sobol sequence, which fill a box more evenly than drawn ones."""
+
+    kind: Literal['sobol'] = Field(description="points of Sobol's sequence in a box, scrambled")
+    count: int = Field(ge=1, le=MOST, description='how many points; best a power of two')
+
+
+class File(StrictModel):
+    """The rows of a table of numbers."""
+
+    kind: Literal['file'] = Field(description='rows of a CSV file, whose first line names keys')
+    path: str = Field(min_length=1, max_length=4096, description='from the folder of this file')
+
+
+class Repeats(StrictModel):
+    """The same again, each time with other noise; with a key, a seed is put there as well."""
+
+    kind: Literal['repeats'] = Field(description='the same again, each with noise of its own')
+    count: int = Field(ge=1, le=MOST, description='how often')
+    key: Key | None = Field(None, description=(
+        'where a seed of its own goes, such as that of a function of yours; effects need none'))
+
+
+Axis = Annotated[Values | Grid | Box | Sobol | File | Repeats, Field(discriminator='kind')]
+
+
+class Reduction(StrictModel):
+    """A Python function of yours, from a trajectory to some numbers."""
+
+    function: Annotated[str, NAMES_CODE] = Field(pattern=r'^[\w.]+:\w+$', description=(
+        'package.module:function; takes a Trajectory, returns a mapping of columns to numbers'))
+    columns: list[Annotated[str, Field(min_length=1, max_length=256)]] = Field(
+        min_length=1, max_length=1000, description='names of what it returns')
+
+
+class Sweep(StrictModel):
+    """What is simulated: a scene, for each combination of what varies."""
+
+    description: str = Field('', max_length=1000, description='one line for lists and titles')
+    scene: str = Field(min_length=1, max_length=4096, description=(
+        'the name of a shipped scene, or a YAML file, looked for beside this one first'))
+    duration: float = Field(gt=0.0, le=1e12, description='simulated time [s]')
+    vary: list[Axis] = Field(min_length=1, max_length=20, description=(
+        'what varies, in all combinations; the last one fastest'))
+    every: int | None = Field(None, ge=1, le=2**53, description=(
+        'steps from one sample to the next, which statistics, guards and the reduction see; '
+        'without it only the first state and the last'))
+    keep: Literal['final', 'samples'] = Field('final', description=(
+        'the last state of each trajectory, or all samples'))
+    statistics: list[Literal[
+        'energy_band', 'out_of_box_time', 'event_times', 'lyapunov_time']] = Field(
+            [], max_length=4, description=(
+                'of each trajectory: max - min of H over the samples [J]; time in which samples '
+                'are outside of the box that the model was trained in [s]; times of the events '
+                'of the scene [s]; the Lyapunov time [s]'))
+    reduction: Reduction | None = Field(None, description='numbers by a function of yours')
+    seed: int = Field(0, ge=0, lt=2**63, description='of all that is drawn, by index')
+    shard_size: int | None = Field(None, ge=1, le=2**20, description=(
+        'trajectories in a file, rounded up to whole blocks; by default some 10^7 steps'))
+
+    @model_validator(mode='after')
+    def _check_samples(self) -> Self:
+        seen = [name for name in self.statistics if name in ('energy_band', 'out_of_box_time')]
+        needing = ['keep: samples'] * (self.keep == 'samples') + seen
+        if needing and self.every is None:
+            raise ValueError(f'every: required by {", ".join(needing)}: steps from one sample to '
+                             'the next')
+        if len(set(self.statistics)) < len(self.statistics):
+            raise ValueError('statistics: each can be asked for once')
+        return self
+
+
+def load_sweep(sweep: str | Path | Mapping[str, Any]) -> tuple[Sweep, KeyPlaces, Path]:
+    """
+    Read and validate a sweep.
+
+    Parameters
+    ----------
+    sweep : str, Path or mapping
+        The name of a shipped sweep, the path of a YAML file, or what such a file holds.
+
+    Returns
+    -------
+    tuple of (Sweep, KeyPlaces, Path)
+        The sweep, where its keys stand, and the folder that its paths start from.
+
+    Raises
+    ------
+    DataError
+        No such sweep, or one that is not valid; names file, line and key.
+
+    """
+    if isinstance(sweep, Mapping):
+        places = KeyPlaces('sweep', {(): 1})
+        return validate(sweep, places, Sweep, DataError, trust_code=True), places, Path()
+    if not isinstance(sweep, str | Path):
+        raise TypeError(f'sweep is a {type(sweep).__name__}: give the name of a shipped sweep, '
+                        'the path of a YAML file, or a mapping')
+    text = str(sweep)
+    path = Path(text) if is_path('sweep', text) else shipped_file('sweep', text)
+    if not is_path('sweep', text) and not os.path.isfile(path):
+        raise DataError(f'no sweep {text!r}; shipped: {", ".join(shipped_names("sweep"))}; '
+                        'or give the path of a .yaml file')
+    loaded, places = read_yaml(path, Sweep, DataError)
+    return loaded, places, path.parent

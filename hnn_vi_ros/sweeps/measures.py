@@ -1,0 +1,127 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is told of a trajectory in place of its samples."""
+
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.accuracy.lyapunov import time_between_motions
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.phase_space import Trajectory
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.choices import load_code
+from hnn_vi_ros.sweeps.definition import Reduction
+import numpy as np
+
+
+class Parts(NamedTuple):
+    """What a scene is made of; joined is H with the potentials and fields among its effects."""
+
+    scene: Scene
+    hamiltonian: Hamiltonian
+    joined: Hamiltonian
+    integrator: Integrator
+    effects: list[Effect]
+
+
+def measure(statistics: list[str], trajectory: Trajectory, parts: Parts, duration: float
+            ) -> dict[str, Any]:
+    """
+    Return statistics of a trajectory, by the columns that hold them.
+
+    Parameters
+    ----------
+    statistics : list of str
+        Which.
+    trajectory : Trajectory
+        With the initial state first.
+    parts : Parts
+        Of its scene.
+    duration : float
+        Within which chaos is looked for [s].
+
+    Raises
+    ------
+    HnnViRosError, ValueError
+        A statistic that cannot be had of this trajectory.
+
+    """
+    found: dict[str, Any] = {}
+    for name in statistics:
+        match name:
+            case 'energy_band':
+                found[name] = float(np.ptp(trajectory.energy))
+            case 'out_of_box_time':
+                found[name] = out_of_box_time(trajectory, parts.joined)
+            case 'event_times':
+                found[name] = [event.t for event in trajectory.events]
+                found['events'] = [event.when for event in trajectory.events]
+            case 'lyapunov_time':
+                h = parts.scene.known_step_size
+                found[name] = time_between_motions(
+                    parts.hamiltonian, parts.effects, parts.integrator, h, trajectory.q[0],
+                    trajectory.p[0], max(1024, duration / h), parts.scene.on_failure)
+    return found
+
+
+def out_of_box_time(trajectory: Trajectory, hamiltonian: Hamiltonian) -> float:
+    """
+    Return how long a path is outside of the box of training [s], as its samples tell.
+
+    An interval counts if the sample at its end is outside.
+    """
+    assert hamiltonian.box is not None, 'it is asked for only where there is one'
+    low, high = np.concatenate(hamiltonian.box).T
+    gauge = hamiltonian.gauge
+    x = trajectory.p if gauge is None else trajectory.p - trajectory.q @ gauge.T
+    z = np.hstack([trajectory.q, x])
+    outside = ~((low <= z) & (z <= high)).all(axis=1)
+    return float(np.diff(trajectory.t)[outside[1:]].sum())
+
+
+class Reducer:
+    """
+    A function of the user's, made ready.
+
+    Parameters
+    ----------
+    reduction : Reduction
+        Which.
+    folder : str
+        Where its module is found beside the installed.
+
+    Raises
+    ------
+    SceneError
+        It cannot be imported.
+
+    """
+
+    def __init__(self, reduction: Reduction, folder: str):
+        self._name, self._columns = reduction.function, reduction.columns
+        self._function = load_code(reduction.function, 'reduction', folder)
+
+    def __call__(self, trajectory: Trajectory) -> dict[str, float]:
+        """
+        Return its numbers, by column.
+
+        Raises
+        ------
+        HnnViRosError
+            It fails, or returns something else.
+
+        """
+        try:
+            found = self._function(trajectory)
+            numbers = {name: float(found[name]) for name in self._columns}
+            more = set(found) - set(self._columns)
+        except Exception as problem:  # noqa: B902  the user's code may raise any
+            raise HnnViRosError(f'{self._name}: {type(problem).__name__}: {one_line(problem)}'
+                                ) from problem
+        if more:
+            raise HnnViRosError(f'{self._name}: returned {", ".join(map(str, sorted(more)))} '
+                                'beside its columns; name them in columns')
+        return numbers

@@ -1,0 +1,220 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A sweep made ready: which trajectory has which values, and which are made together."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from importlib.metadata import version
+import json
+from math import prod
+from pathlib import Path
+import platform
+from typing import Any
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.run.ensemble import BLOCK
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.sweeps.axes import Axis, FileAxis, make_axis
+from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
+from hnn_vi_ros.sweeps.keys import find_key, with_values
+from hnn_vi_ros.version import __version__
+import numpy as np
+
+# Numbers that the samples of one block may have, and rows that a shard may have: 64 MiB and,
+# with some ten columns, 20 MiB; what is made of them on the way takes several times that.
+_MOST_NUMBERS, _MOST_ROWS = 2**23, 2**18
+# Steps that make a shard where none asks for another size, and its most trajectories: some ten
+# seconds, so that little is lost by an end and little time is spent on files.
+_STEPS, _MOST_TRAJECTORIES = 10**7, 2**13
+_PACKAGES = ('numba', 'numpy', 'pyarrow', 'scipy')
+
+
+@dataclass(frozen=True)
+class Plan:
+    """
+    A sweep, its scene and its axes.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        As it is defined.
+    folder : Path
+        That its paths start from.
+    scene : Scene
+        With a method and a step size.
+    hamiltonian : Hamiltonian
+        Of that scene.
+    axes : list of Axis
+        What varies, the last one fastest.
+    parts : list of tuple
+        The parts of each key that varies; see ``find_key``.
+
+    """
+
+    sweep: Sweep
+    folder: Path
+    scene: Scene
+    hamiltonian: Hamiltonian
+    axes: list[Axis]
+    parts: list[tuple[str | int, ...]]
+
+    @property
+    def keys(self) -> list[str]:
+        """Return the keys that vary: columns of the results."""
+        return [key for axis in self.axes for key in axis.keys]
+
+    @property
+    def names(self) -> list[str]:
+        """Return the names of the coordinates."""
+        return [coordinate.name for coordinate in self.hamiltonian.coordinates]
+
+    @property
+    def count(self) -> int:
+        """Return how many trajectories there are."""
+        return prod(axis.count for axis in self.axes)
+
+    @property
+    def steps(self) -> int:
+        """Return how many steps a trajectory of the scene as it is has."""
+        return max(whole_steps(self.sweep.duration, self.scene.known_step_size)[0], 1)
+
+    @property
+    def samples(self) -> int:
+        """Return how many samples there are of each trajectory in memory, about."""
+        return self.steps // self.sweep.every + 2 if self.sweep.every else 2
+
+    @cached_property
+    def block(self) -> int:
+        """Return how many neighbours step together; what they are depends on that."""
+        most = _MOST_NUMBERS // (2 * self.hamiltonian.dimension * self.samples)
+        return min(BLOCK, most)
+
+    @cached_property
+    def shard_size(self) -> int:
+        """Return how many trajectories a shard has: whole blocks."""
+        rows = self.samples if self.sweep.keep == 'samples' else 1
+        most = min(_MOST_TRAJECTORIES, _STEPS // self.steps)
+        size = min(self.sweep.shard_size or max(most, 1), max(_MOST_ROWS // rows, 1))
+        return -(-size // self.block) * self.block
+
+    @property
+    def shards(self) -> int:
+        """Return how many shards there are."""
+        return -(-self.count // self.shard_size)
+
+    def indices(self, shard: int) -> range:
+        """Return the trajectories of a shard."""
+        first = shard * self.shard_size
+        return range(first, min(first + self.shard_size, self.count))
+
+    def values(self, indices: range) -> list[list[Any]]:
+        """Return the values of each key at each of some trajectories: plain Python ones."""
+        columns: list[list[Any]] = []
+        places = np.arange(indices.start, indices.stop)
+        for axis in reversed(self.axes):
+            places, along = np.divmod(places, axis.count)
+            columns = [np.asarray(values).tolist() if isinstance(values, np.ndarray)
+                       else list(values) for values in axis.values(along)] + columns
+        return columns
+
+    def scene_of(self, values: Mapping[tuple[str | int, ...], Any]) -> Scene:
+        """Return the scene with other values of some keys, by their parts."""
+        return with_values(self.scene, values)
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Return all that the results depend on, and how they are cut: JSON's plain data."""
+        record = {
+            'sweep': self.sweep.model_dump(mode='json'),
+            'scene': self.scene.model_dump(mode='json'),
+            'models': self.scene.model_digests,
+            'files': [axis.digest for axis in self.axes if isinstance(axis, FileAxis)],
+            'versions': {'hnn_vi_ros': __version__, 'python': platform.python_version(),
+                         'machine': platform.machine(),
+                         **{name: version(name) for name in _PACKAGES}},
+            'columns': self.keys,
+            'trajectories': self.count, 'shards': self.shards, 'shard_size': self.shard_size,
+            'block': self.block,
+        }
+        return record | {'digest': sha256(as_json(record).encode()).hexdigest()}
+
+
+def as_json(data: object) -> str:
+    """Return plain data as JSON, the same text for the same data."""
+    return json.dumps(data, indent=2, ensure_ascii=False)
+
+
+def make_plan(definition: str | Path | Mapping[str, Any],
+              chosen: Mapping[str, Any] | None = None) -> Plan:
+    """
+    Make a sweep ready.
+
+    Parameters
+    ----------
+    definition : str, Path or mapping
+        See ``load_sweep``.
+    chosen : mapping, optional
+        What the integrator auto chose where the sweep was begun: "step_size" and "integrator".
+
+    Returns
+    -------
+    Plan
+        The integrator auto is resolved, for the scene as it is.
+
+    Raises
+    ------
+    HnnViRosError
+        The sweep, its scene, or what it varies cannot be used; one line.
+
+    """
+    sweep, places, folder = load_sweep(definition)
+    beside = folder / sweep.scene
+    scene = load_scene(
+        beside if is_path('scene', sweep.scene) and beside.is_file() else sweep.scene)
+    if chosen is not None and isinstance(scene.integrator, AutoChoice):
+        scene = scene.changed({name: chosen[name] for name in ('step_size', 'integrator')})
+    scene, _ = resolve(scene)
+    hamiltonian = scene.create_hamiltonian()
+    axes = [make_axis(axis, sweep.seed, number, folder, places.place('vary', number))
+            for number, axis in enumerate(sweep.vary)]
+    plan = Plan(sweep, folder, scene, hamiltonian, axes, [])
+    for number, axis in enumerate(axes):
+        plan.parts.extend(find_key(scene, key, plan.names, places.place('vary', number))
+                          for key in axis.keys)
+    _check(plan, places.where)
+    return plan
+
+
+def _check(plan: Plan, where: str) -> None:
+    """Raise DataError of what does not fit together."""
+    sweep, keys = plan.sweep, plan.keys
+    for i, part in enumerate(plan.parts):
+        for j, other in enumerate(plan.parts[:i]):
+            if part[:len(other)] == other or other[:len(part)] == part:
+                raise DataError(f'{where}: vary: {keys[j]} and {keys[i]} both set the same value; '
+                                'leave one out')
+    if plan.count > MOST:
+        raise DataError(f'{where}: vary: makes {plan.count:.3g} trajectories, more than {MOST}; '
+                        'take fewer, or several sweeps')
+    if plan.block == 0:
+        raise DataError(f'{where}: every: {plan.samples} samples of a trajectory are more than '
+                        'memory holds; take a larger every')
+    if 'out_of_box_time' in sweep.statistics and plan.hamiltonian.box is None:
+        raise DataError(f'{where}: statistics: out_of_box_time: {plan.scene.name} was not trained '
+                        'in a box; leave it out')
+    if 'event_times' in sweep.statistics and not plan.scene.events:
+        raise DataError(f'{where}: statistics: event_times: {plan.scene.name} has no events; add '
+                        'them to the scene, or leave it out')
+    used = {'index', 't', 'energy', 'alarms', 'failure', 'events', *sweep.statistics, *(
+        f'{half}_{name}' for half in 'qp' for name in plan.names)}
+    for name in (*keys, *(sweep.reduction.columns if sweep.reduction else ())):
+        if name in used:
+            raise DataError(f'{where}: two columns would be named {name}; name one otherwise')
+        used.add(name)

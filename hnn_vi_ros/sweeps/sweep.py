@@ -1,0 +1,159 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run a sweep: by command line, or from Python."""
+
+from collections.abc import Iterator, Mapping
+import os
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.simulation.checks import check_count
+from hnn_vi_ros.sweeps import arguments
+from hnn_vi_ros.sweeps.folder import shards_of, SweepFolder
+from hnn_vi_ros.sweeps.plan import make_plan, Plan
+from hnn_vi_ros.sweeps.trajectories import Runner
+from hnn_vi_ros.sweeps.workers import Job, make_here, make_in_processes
+
+# Wall time from one line to the next, on a terminal and elsewhere [s].
+_TERMINAL, _ELSEWHERE = 0.2, 10.0
+
+
+def main(argv: list[str]) -> int:
+    """Make the shards that the command line asks for, and say what came of it."""
+    options = arguments.sweep().parse_args(argv)
+    out = options.out or Path('sweeps') / Path(options.sweep).stem
+    try:
+        begin = time.monotonic()
+        sweep(options.sweep, out, shard=options.shard, jobs=options.jobs, device=options.device,
+              progress=True)
+    except (ValueError, TypeError) as problem:
+        raise ParameterError(str(problem)) from problem
+    except KeyboardInterrupt:
+        print(f'sweep: stopped; what is whole is in {out}: the same command goes on',
+              file=sys.stderr)
+        raise
+    plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'))
+    print(_summary(plan, SweepFolder(out), time.monotonic() - begin))
+    return 0
+
+
+def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard: str = '0/1',
+          jobs: int = 1, device: str = 'cpu', progress: bool = False) -> Path:
+    """
+    Simulate a scene for many parameters and initial states, and keep a Parquet dataset.
+
+    Shards that are in the folder are not made again. A trajectory that fails is a row with its
+    reason; see the column ``failure``.
+
+    Parameters
+    ----------
+    definition : str, Path or mapping
+        The name of a shipped sweep, a YAML file, or what such a file holds.
+    out : str or Path
+        The folder: ``sweep.json`` and ``part-*.parquet``.
+    shard : str, optional
+        ``I/N``: every N-th shard, from the I-th on, counted from 0.
+    jobs : int, optional
+        Processes. More than one are spawned: the caller's main module is imported by them, so it
+        must do its work under ``if __name__ == '__main__'``.
+    device : str, optional
+        ``'cpu'``.
+    progress : bool, optional
+        Whether a line on standard error tells how far it is.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    HnnViRosError
+        The sweep, its scene or the folder cannot be used, or it holds another sweep.
+    ValueError, TypeError
+        An argument that is not usable.
+
+    """
+    check_count('jobs', jobs)
+    if device != 'cpu':
+        raise ValueError(f'device = {device!r} is not known; valid: cpu')
+    share, folder = shards_of(shard), SweepFolder(Path(out))
+    if not isinstance(definition, Mapping) and is_path('sweep', str(definition)):
+        # As workers find it, wherever they are started.
+        definition = os.path.abspath(definition)
+    plan = make_plan(definition, (folder.record() or {}).get('scene'))
+    Runner(plan).check()
+    folder.begin(plan)
+    shards = folder.missing(plan, share)
+    line = _Progress(plan, shards, share) if progress else None
+    job = Job(definition if isinstance(definition, Mapping) else str(definition),
+              plan.record['scene'], plan.record['digest'])
+    made: Iterator[int]
+    if min(jobs, len(shards)) > 1:
+        made = make_in_processes(job, folder, shards, jobs)
+    else:
+        made = make_here(plan, folder, shards, line.block if line else lambda count: None)
+    try:
+        for shard_made in made:
+            if line:
+                line.shard(len(plan.indices(shard_made)))
+    finally:
+        if line:
+            line.close()
+    return folder.path
+
+
+def _summary(plan: Plan, folder: SweepFolder, seconds: float) -> str:
+    there = plan.shards - len(folder.missing(plan, (0, 1)))
+    failed = folder.failures(plan)
+    return (f'{folder.path}: {there} of {plan.shards} shards of {plan.count} trajectories, '
+            + (f'{failed} failed (see the column failure)' if failed else 'none failed')
+            + f'; {seconds:.1f} s')
+
+
+class _Progress:
+    """One line that tells how many trajectories of a share are made, and how long it takes."""
+
+    def __init__(self, plan: Plan, shards: list[int], share: tuple[int, int]):
+        self._left = sum(len(plan.indices(shard)) for shard in shards)
+        self._total = sum(len(plan.indices(shard)) for shard in range(
+            share[0], plan.shards, share[1]))
+        self._terminal, self._shown = sys.stderr.isatty(), False
+        self._made = self._ahead = 0
+        self._start = now = time.monotonic()
+        self._next = now + self._interval
+
+    @property
+    def _interval(self) -> float:
+        return _TERMINAL if self._terminal else _ELSEWHERE
+
+    def block(self, count: int) -> None:
+        """Count trajectories of a shard that is being made."""
+        self._ahead += count
+        self._show()
+
+    def shard(self, count: int) -> None:
+        """Count those of one that is made."""
+        self._made, self._ahead = self._made + count, 0
+        self._show()
+
+    def _show(self) -> None:
+        now, made = time.monotonic(), self._made + self._ahead
+        if now < self._next or not made:
+            return
+        self._next = now + self._interval
+        pace = made / (now - self._start)
+        text = (f'{self._total - self._left + made} of {self._total} trajectories, '
+                f'{pace:.3g} a second, {(self._left - made) / pace:.0f} s left')
+        self._shown = self._terminal
+        print(f'\r\x1b[K{text}' if self._terminal else text, end='' if self._terminal else '\n',
+              file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Leave the line: what is printed next begins one of its own."""
+        if self._shown:
+            print(file=sys.stderr, flush=True)

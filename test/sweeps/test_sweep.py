@@ -1,0 +1,327 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps: the same bytes however they are cut, stopped and gone on with; what columns hold."""
+
+from collections import Counter
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.sweeps import parquet, trajectories
+from hnn_vi_ros.sweeps.folder import SweepFolder
+from hnn_vi_ros.sweeps.plan import make_plan
+from hnn_vi_ros.sweeps.sweep import main, sweep
+from hnn_vi_ros.sweeps.trajectories import Runner
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+STATE = ['initial_state.q.angle', 'initial_state.p.angle']
+BOX = {'kind': 'box', 'keys': STATE, 'low': [-2.0, -2.0], 'high': [2.0, 2.0]}
+# Three lengths of 70 states each, and 64 trajectories in a shard: blocks have two lengths in them.
+LENGTHS = {'scene': 'exact_pendulum', 'duration': 0.2, 'shard_size': 64, 'vary': [
+    {'kind': 'values', 'key': 'hamiltonian.length', 'values': [0.5, 1.0, 2.0]},
+    BOX | {'count': 70}]}
+EVENTS = """\
+hamiltonian: {kind: pendulum, mass: 1.0, length: 1.0, gravity: 9.81}
+integrator: {kind: variational_euler}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+events: [{when: angle = 0}, {when: angle = -0.5, then: stop}]
+"""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def table_of(folder: Path) -> pa.Table:
+    return pa.concat_tables([pq.read_table(path) for path in sorted(folder.glob('part-*'))])
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory):
+    """Return the folder of a sweep that was made in one go."""
+    return sweep(LENGTHS, tmp_path_factory.mktemp('sweep') / 'whole')
+
+
+@pytest.mark.parametrize('shares', [
+    ['0/3', '1/3', '2/3'], [f'{k}/7' for k in (5, 0, 6, 2, 1, 3, 4)]])
+def test_bytes_do_not_depend_on_shares_and_their_order(whole, tmp_path, shares):
+    for share in shares:
+        sweep(LENGTHS, tmp_path / 'out', shard=share)
+    assert contents(tmp_path / 'out') == contents(whole)
+    assert len(contents(whole)) == 5
+
+
+def test_shards_in_any_order_by_one_runner_are_the_same(whole):
+    plan = make_plan(LENGTHS)
+    runner = Runner(plan)
+    for shard in (2, 0, 3, 0, 1):
+        made = parquet.write_shard(plan, shard, runner.shard(shard))
+        assert made == (whole / f'part-{shard:06d}.parquet').read_bytes()
+
+
+def test_rows_are_the_trajectories_of_their_values(whole):
+    table = table_of(whole)
+    assert table['index'].to_pylist() == list(range(210))
+    assert table['failure'].null_count == 210
+    scene = load_scene('exact_pendulum')
+    for row in table.take([0, 31, 32, 69, 70, 139, 140, 209]).to_pylist():
+        length = [0.5, 1.0, 2.0][row['index'] // 70]
+        assert row['hamiltonian.length'] == length
+        found = simulate(scene.changed({'hamiltonian': {
+            **scene.hamiltonian.model_dump(), 'length': length}}), 0.2,
+            initial_state=([row[STATE[0]]], [row[STATE[1]]]))
+        # Both solve eq. (6) to 8 eps in each of 20 steps, which a pendulum stretches little.
+        tolerance = 1e3 * np.finfo(float).eps
+        assert row['t'] == found.t[-1]
+        assert row['q_angle'] == pytest.approx(found.q[-1, 0], abs=tolerance)
+        assert row['p_angle'] == pytest.approx(found.p[-1, 0], abs=tolerance)
+        assert row['energy'] == pytest.approx(found.energy[-1], abs=1e2 * tolerance)
+
+
+def test_states_are_those_of_many_trajectories_bit_by_bit(tmp_path):
+    definition = {'scene': 'exact_pendulum', 'duration': 0.2,
+                  'vary': [BOX | {'count': 2 * BLOCK + 5}]}
+    table = table_of(sweep(definition, tmp_path / 'out'))
+    q, p = (np.array(table[key])[:, None] for key in STATE)
+    many = simulate_many('exact_pendulum', q, p, 0.2, threads=1)
+    assert np.array_equal(np.array(table['q_angle']), many.q[-1, :, 0])
+    assert np.array_equal(np.array(table['energy']), many.energy[-1])
+
+
+def test_axes_are_the_same_at_any_places():
+    for axis in (BOX, BOX | {'kind': 'sobol'}):
+        plan = make_plan(LENGTHS | {'seed': 3, 'vary': [
+            LENGTHS['vary'][0], axis | {'count': 100}]})
+        columns = plan.values(range(300))
+        for part in (range(1), range(31, 65), range(95, 207), range(299, 300)):
+            assert plan.values(part) == [column[part.start:part.stop] for column in columns]
+        # Not the same twice, in the box, and other ones by another seed.
+        states = list(zip(*columns[1:], strict=True))
+        assert len(set(states)) == 100 and states[:100] == states[100:200]
+        assert np.abs(states).max() <= 2.0
+        other = make_plan(LENGTHS | {'seed': 4, 'vary': [axis | {'count': 100}]})
+        assert not set(columns[1]) & set(other.values(range(100))[0])
+    # Sobol's points are one in each cell of a partition, which drawn ones are not.
+    plan = make_plan({**LENGTHS, 'vary': [BOX | {'kind': 'sobol', 'count': 64}]})
+    cells = np.floor((np.array(plan.values(range(64))) + 2.0) * 2.0).astype(int)
+    assert set(Counter(map(tuple, cells.T)).values()) == {1}
+
+
+def test_grid_and_file_and_coordinates_by_name(tmp_path):
+    (tmp_path / 'states.csv').write_text(f'{STATE[0]}, {STATE[1]}\n0.5,1\n-1,2e-1\n')
+    (tmp_path / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.1\nvary:\n- {kind: grid, keys: [hamiltonian.mass, '
+        'hamiltonian.length], low: [1, 1], high: [2, 3], counts: [2, 3]}\n'
+        '- {kind: file, path: states.csv}\n')
+    plan = make_plan(tmp_path / 'a.yaml')
+    assert plan.count == 12
+    assert list(zip(*plan.values(range(3, 8)), strict=True)) == [
+        (1.0, 2.0, -1.0, 0.2), (1.0, 3.0, 0.5, 1.0), (1.0, 3.0, -1.0, 0.2), (2.0, 1.0, 0.5, 1.0),
+        (2.0, 1.0, -1.0, 0.2)]
+
+
+def test_each_repeat_has_noise_of_its_own_by_index(tmp_path):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(
+        'hamiltonian: {kind: harmonic_oscillator, mass: 1.0, stiffness: 1.0}\n'
+        'effects: [{kind: thermostat, temperature: 0.1, rate: 0.5, seed: 1}]\n'
+        'integrator: {kind: stormer_verlet}\nstep_size: 0.01\n'
+        'initial_state: {q: [1.0], p: [0.0]}\n')
+    definition = {'scene': str(path), 'duration': 0.1, 'vary': [
+        {'kind': 'repeats', 'count': 40, 'key': 'effects.0.seed'}]}
+    table = table_of(sweep(definition, tmp_path / 'a'))
+    assert len(set(table['q_x'].to_pylist())) == 40
+    assert len(set(table['effects.0.seed'].to_pylist())) == 40
+    few = table_of(sweep(definition | {'vary': [{'kind': 'repeats', 'count': 40}]},
+                         tmp_path / 'b'))
+    many = simulate_many(path, [[1.0]] * 40, [[0.0]] * 40, 0.1, threads=1)
+    assert np.array_equal(np.array(few['q_x']), many.q[-1, :, 0])
+
+
+def test_samples_are_rows_and_shards_stay_small(tmp_path, monkeypatch):
+    monkeypatch.setattr('hnn_vi_ros.sweeps.plan._MOST_ROWS', 500)
+    definition = {'scene': 'exact_pendulum', 'duration': 0.2, 'every': 4, 'keep': 'samples',
+                  'vary': [BOX | {'count': 200}]}
+    folder = sweep(definition, tmp_path / 'out')
+    groups = []
+    for path in sorted(folder.glob('part-*')):
+        file = pq.ParquetFile(path)
+        assert file.num_row_groups == 1
+        groups.append(file.metadata.num_rows)
+    # A whole number of blocks of 32, of 6 samples each.
+    assert groups == [96 * 6, 96 * 6, 8 * 6] and groups[0] <= 500 + 32 * 6
+    table = table_of(folder)
+    q, p = (np.array(table[key])[::6, None] for key in STATE)
+    many = simulate_many('exact_pendulum', q, p, 0.2, samples=5, threads=1)
+    assert np.array_equal(np.array(table['q_angle']).reshape(200, 6).T, many.q[:, :, 0])
+    assert np.array_equal(np.array(table['t'])[:6], many.t)
+
+
+def test_only_one_shard_and_one_block_are_held_at_a_time(tmp_path, monkeypatch):
+    held = []
+    batch = parquet._batch
+    monkeypatch.setattr(parquet, '_batch', lambda plan, outcomes, schema: (
+        held.append(len(outcomes)), batch(plan, outcomes, schema))[1])
+    sweep(LENGTHS, tmp_path / 'out')
+    # 210 trajectories: blocks of 32, in shards of 64.
+    assert held == [32, 32] * 3 + [18]
+
+
+def test_statistics_are_those_of_the_samples(tmp_path):
+    definition = {'scene': 'pendulum', 'duration': 1.0, 'every': 5, 'vary': [
+        BOX | {'low': [-3.0, -8.0], 'high': [3.0, 8.0], 'count': 33}],
+        'statistics': ['energy_band', 'out_of_box_time']}
+    table = table_of(sweep(definition, tmp_path / 'out'))
+    q, p = (np.array(table[key])[:, None] for key in STATE)
+    many = simulate_many('pendulum', q, p, 1.0, samples=20, threads=1)
+    assert np.array_equal(np.array(table['energy_band']),
+                          many.energy.max(axis=0) - many.energy.min(axis=0))
+    (q_low, q_high), (p_low, p_high) = (
+        half[0] for half in load_scene('pendulum').create_hamiltonian().box)
+    outside = (many.q < q_low) | (many.q > q_high) | (many.p < p_low) | (many.p > p_high)
+    expected = 0.05 * outside[1:, :, 0].sum(axis=0)
+    assert np.array(table['out_of_box_time']) == pytest.approx(expected, abs=1e-12)
+    assert 0 < np.count_nonzero(expected) < 33
+    alarmed = [any('box' in kind for kind in kinds) for kinds in table['alarms'].to_pylist()]
+    assert alarmed == list(outside.any(axis=(0, 2)))
+
+
+def test_event_times_are_those_of_single_runs(tmp_path):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(EVENTS)
+    definition = {'scene': str(path), 'duration': 1.0, 'statistics': ['event_times'],
+                  'vary': [{'kind': 'values', 'key': 'initial_state.q', 'values': [[0.3], [1.0]]}]}
+    for row in table_of(sweep(definition, tmp_path / 'out')).to_pylist():
+        q = json.loads(row['initial_state.q'])
+        found = simulate(path, 1.0, initial_state=(q, [0.0]))
+        assert row['event_times'] == [event.t for event in found.events] != []
+        assert row['events'] == [event.when for event in found.events]
+        assert row['t'] == found.t[-1] and (row['t'] < 1.0) == (q == [1.0])
+        assert row['q_angle'] == found.q[-1, 0]
+
+
+def test_lyapunov_time_is_that_of_the_scene(tmp_path):
+    definition = {'scene': 'exact_double_pendulum', 'duration': 20.48, 'statistics': [
+        'lyapunov_time'], 'vary': [{'kind': 'values', 'key': 'initial_state.q',
+                                    'values': [[2.0, 2.5]]}]}
+    scene = load_scene('exact_double_pendulum').with_overrides(
+        initial_state={'q': [2.0, 2.5], 'p': [0.0, 0.0]})
+    table = table_of(sweep(definition, tmp_path / 'out'))
+    assert table['lyapunov_time'].to_pylist() == [lyapunov_time(scene, 20.48)]
+    assert 0.0 < table['lyapunov_time'][0].as_py() < 20.48
+
+
+def test_reduction_of_the_users(tmp_path, monkeypatch):
+    (tmp_path / 'mine_of_sweeps.py').write_text(
+        'def reduce(path):\n    if path.q[0, 0] > 1.0: raise RuntimeError("too far")\n'
+        '    return {"mean": path.q.mean(), "count": len(path.t)}\n')
+    (tmp_path / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.2\nevery: 4\nvary: [{kind: grid, keys: '
+        '[initial_state.q.0], low: [0], high: [2], counts: [3]}]\n'
+        'reduction: {function: "mine_of_sweeps:reduce", columns: [mean, count]}\n')
+    monkeypatch.setattr(sys, 'path', list(sys.path))
+    first, second, third = table_of(sweep(tmp_path / 'a.yaml', tmp_path / 'out')).to_pylist()
+    found = simulate_many('exact_pendulum', [[0.0], [1.0], [2.0]], [[0.0]] * 3, 0.2, samples=5,
+                          threads=1)
+    assert (first['mean'], first['count']) == (0.0, 6.0)
+    assert second['mean'] == pytest.approx(found.q[:, 1].mean(), rel=1e-13)
+    assert third['failure'] == 'mine_of_sweeps:reduce: RuntimeError: too far'
+    assert third['mean'] is None and third['q_angle'] is None
+
+
+def test_failure_of_one_trajectory_is_a_row(tmp_path, capsys):
+    # Of a length below zero there is no pendulum; an infinite momentum is no state.
+    (tmp_path / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.1\nvary:\n'
+        '- {kind: values, key: hamiltonian.length, values: [1.0, -1.0, "long", 2.0]}\n'
+        '- {kind: grid, keys: [initial_state.p.0], low: [0], high: [1e308], counts: [2]}\n')
+    assert main([str(tmp_path / 'a.yaml'), '--out', str(tmp_path / 'out'), '--jobs', '1']) == 0
+    rows = table_of(tmp_path / 'out').to_pylist()
+    assert [row['hamiltonian.length'] for row in rows] == [
+        '1.0', '1.0', '-1.0', '-1.0', 'long', 'long', '2.0', '2.0']
+    assert [row['failure'] is None for row in rows] == [True, False] + [False] * 4 + [True, False]
+    assert all('length' in row['failure'] and row['q_angle'] is None for row in rows[2:6])
+    assert '6 failed (see the column failure)' in capsys.readouterr().out
+
+
+def test_metadata_and_record_tell_what_was_run(whole):
+    record = json.loads((whole / 'sweep.json').read_text())
+    assert record['trajectories'] == 210 and record['shards'] == 4
+    metadata = pq.read_metadata(whole / 'part-000001.parquet').metadata
+    assert metadata[b'hnn_vi_ros.digest'].decode() == record['digest']
+    assert json.loads(metadata[b'hnn_vi_ros.scene']) == record['scene']
+    assert json.loads(metadata[b'hnn_vi_ros.versions'])['numpy'] == np.__version__
+
+
+def test_what_is_there_is_kept_and_what_is_damaged_is_made_anew(whole, tmp_path, monkeypatch):
+    out = tmp_path / 'out'
+    sweep(LENGTHS, out)
+    (out / 'part-000001.parquet').write_bytes((whole / 'part-000001.parquet').read_bytes()[:-9])
+    (out / 'part-000002.parquet').write_bytes((whole / 'part-000000.parquet').read_bytes())
+    (out / '.part-000002.parquet.elsewhere.1').write_bytes(b'half')
+    made = []
+    shard = trajectories.Runner.shard
+    monkeypatch.setattr('hnn_vi_ros.sweeps.trajectories.Runner.shard', lambda self, number: (
+        made.append(number), shard(self, number))[1])
+    sweep(LENGTHS, out)
+    assert made == [1, 2] and contents(out) == contents(whole)
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_killed_sweep_goes_on_where_it_stopped(whole, tmp_path, jobs):
+    path = tmp_path / 'a.yaml'
+    path.write_text(json.dumps(LENGTHS))
+    out = tmp_path / 'out'
+    # Slow enough to be killed in the middle.
+    code = ('import sys, time; from hnn_vi_ros.sweeps import folder; '
+            'put = folder.SweepFolder.put; '
+            'folder.SweepFolder.put = lambda self, *a: (time.sleep(1.0), put(self, *a)); '
+            'sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()')
+    with subprocess.Popen([sys.executable, '-c', code, str(path), '--out', str(out), '--jobs',
+                           str(jobs)], stdout=subprocess.DEVNULL) as run:
+        deadline = time.monotonic() + 120.0
+        while not list(out.glob('part-*')) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        os.kill(run.pid, signal.SIGKILL)
+    there = contents(out)
+    assert 'part-000000.parquet' in there or 'part-000001.parquet' in there
+    # What half a file would be left as.
+    (out / '.part-000003.parquet.elsewhere.1').write_bytes(b'half')
+    sweep(LENGTHS, out)
+    assert {name: data for name, data in contents(out).items() if name != 'sweep.json'} == {
+        name: data for name, data in contents(whole).items() if name != 'sweep.json'}
+
+
+def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):
+    with pytest.raises(RecordingError, match=r'holds another sweep: sweep.duration is 0.2 there'):
+        sweep(LENGTHS | {'duration': 0.3}, whole)
+    with pytest.raises(RecordingError, match=r'sweep.vary.1.count is 70 there, 71 here; give an'):
+        sweep(LENGTHS | {'vary': [LENGTHS['vary'][0], BOX | {'count': 71}]}, whole)
+    (tmp_path / 'notes').touch()
+    with pytest.raises(RecordingError, match='holds notes and no sweep.json'):
+        sweep(LENGTHS, tmp_path)
+    (tmp_path / 'sweep.json').write_text('[')
+    with pytest.raises(RecordingError, match='sweep.json: .*give another --out'):
+        sweep(LENGTHS, tmp_path)
+    for folder in (Path('/dev/null/x'), Path('/proc/x')):
+        with pytest.raises(RecordingError, match='give another --out'):
+            sweep(LENGTHS, folder)
+
+
+def test_folder_counts_what_failed_and_what_is_missing(whole):
+    plan = make_plan(LENGTHS)
+    folder = SweepFolder(whole)
+    assert folder.missing(plan, (0, 1)) == [] and folder.failures(plan) == 0
+    assert SweepFolder(whole / 'none').missing(plan, (1, 2)) == [1, 3]
