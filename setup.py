@@ -62,6 +62,8 @@ setup(
     extras_require={
         # What training and the studies take besides.
         'train': TRAIN,
+        # What `sweep --ray` takes besides.
+        'ray': ['ray>=2.40,<3'],
         'test': [*TRAIN, 'hypothesis>=6.100', 'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1',
                  'pytest-xdist>=3.5', 'rosbags>=0.10'],
     },

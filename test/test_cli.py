@@ -134,6 +134,14 @@ def test_missing_peer_is_one_line_before_anything_is_measured(hidden, tmp_path):
     assert not (tmp_path / 'out').exists()
 
 
+def test_missing_ray_is_one_line_before_anything_is_written(tmp_path):
+    result = run('sweep', 'ray', 'pendulum_lengths', '--ray', 'local', '--out',
+                 str(tmp_path / 'out'))
+    assert result.returncode == 1 and result.stderr.count('\n') == 1
+    assert 'package ray is missing' in result.stderr and '-m pip install "ray"' in result.stderr
+    assert not (tmp_path / 'out').exists()
+
+
 def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     result = run('simulator', 'rerun', '--ros-args', '-p', f'rerun_path:={tmp_path}/a.rrd',
                  '-p', 'record:=false')

@@ -49,6 +49,7 @@ HOMES = {
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'pyarrow': r'sweeps/parquet\.py',
+    'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
     'matplotlib': r'learning/\w+\.py|studies/\w+\.py',

@@ -78,6 +78,12 @@ def test_setup_names_the_packages_of_the_requirements(run_setup, name, besides):
     assert all(pin.removeprefix('==') in ranges[package] for package, pin in pins.items())
 
 
+def test_extra_of_ray_takes_what_its_requirements_pin(run_setup):
+    extra, = map(Requirement, run_setup()['extras_require']['ray'])
+    pins = {pin.name: str(pin.specifier) for pin in _requirements('ray.txt')}
+    assert extra.name == 'ray' and pins['ray'].removeprefix('==') in extra.specifier
+
+
 def _requirements(name: str) -> Iterator[Requirement]:
     """Yield the lines of a file of requirements that name a package."""
     for line in (ROOT / 'requirements' / name).read_text().splitlines():
@@ -88,10 +94,11 @@ def _requirements(name: str) -> Iterator[Requirement]:
 @pytest.mark.parametrize('python', ['3.11', '3.12', '3.13'])
 def test_constraints_pin_every_package_that_an_install_brings(python):
     pins = {canonicalize_name(pin.name): str(pin.specifier) for name in (
-        'constraints.txt', 'bench.txt') for pin in _requirements(name)}
+        'constraints.txt', 'bench.txt', 'ray.txt') for pin in _requirements(name)}
     environment = {'python_version': python, 'python_full_version': f'{python}.0'}
     pending = [requirement for name in (
-        'build.txt', 'runtime.txt', 'ros.txt', 'train.txt', 'test.txt', 'ros_test.txt')
+        'build.txt', 'runtime.txt', 'ros.txt', 'train.txt', 'test.txt', 'ros_test.txt',
+        'ray.txt')
                for requirement in _requirements(name)]
     seen: set[tuple[str, frozenset[str]]] = set()
     unpinned = set()

@@ -20,7 +20,8 @@ def sweep() -> Parser:
         'Simulate a scene for many parameters and initial states, and keep a Parquet dataset.'), [
             'ros2 run hnn_vi_ros sweep pendulum_energies',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
-            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100'], _DETAILS)
+            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100',
+            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --ray local'], _DETAILS)
     parser.add_argument('sweep', metavar='SWEEP', help=(
         'what varies: the name of a shipped sweep, or a YAML file'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
@@ -29,8 +30,12 @@ def sweep() -> Parser:
     parser.add_argument('--shard', default='0/1', metavar='I/N', help=(
         'make every N-th shard, from the I-th on, counted from 0: the share of one of N jobs '
         '(default: 0/1, all)'))
-    parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1, metavar='N', help=(
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument('--jobs', type=int, default=os.cpu_count() or 1, metavar='N', help=(
         'processes of this machine (default: one for each processor)'))
+    where.add_argument('--ray', metavar='ADDRESS', help=(
+        'spread the shards over a Ray cluster: its address, auto for the one that this machine '
+        'belongs to, or local for one of this machine alone'))
     parser.add_argument('--device', choices=('cpu',), default='cpu', help=(
         'what trajectories are computed on (default: cpu)'))
     return parser

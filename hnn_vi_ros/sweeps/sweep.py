@@ -28,8 +28,8 @@ def main(argv: list[str]) -> int:
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     try:
         begin = time.monotonic()
-        sweep(options.sweep, out, shard=options.shard, jobs=options.jobs, device=options.device,
-              progress=True)
+        sweep(options.sweep, out, shard=options.shard, jobs=options.jobs, ray=options.ray,
+              device=options.device, progress=True)
     except (ValueError, TypeError) as problem:
         raise ParameterError(str(problem)) from problem
     except KeyboardInterrupt:
@@ -42,7 +42,8 @@ def main(argv: list[str]) -> int:
 
 
 def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard: str = '0/1',
-          jobs: int = 1, device: str = 'cpu', progress: bool = False) -> Path:
+          jobs: int = 1, ray: str | None = None, device: str = 'cpu', progress: bool = False
+          ) -> Path:
     """
     Simulate a scene for many parameters and initial states, and keep a Parquet dataset.
 
@@ -60,6 +61,8 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     jobs : int, optional
         Processes. More than one are spawned: the caller's main module is imported by them, so it
         must do its work under ``if __name__ == '__main__'``.
+    ray : str, optional
+        In place of processes, the address of a Ray cluster, ``'auto'`` or ``'local'``.
     device : str, optional
         ``'cpu'``.
     progress : bool, optional
@@ -78,6 +81,9 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
         An argument that is not usable.
 
     """
+    if ray is not None:
+        # Imported here: it is an extra. First of all: it may be missing.
+        from hnn_vi_ros.sweeps.ray_cluster import make_on_ray
     check_count('jobs', jobs)
     if device != 'cpu':
         raise ValueError(f'device = {device!r} is not known; valid: cpu')
@@ -93,7 +99,9 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     job = Job(definition if isinstance(definition, Mapping) else str(definition),
               plan.record['scene'], plan.record['digest'])
     made: Iterator[int]
-    if min(jobs, len(shards)) > 1:
+    if ray is not None:
+        made = make_on_ray(job, folder, shards, ray)
+    elif min(jobs, len(shards)) > 1:
         made = make_in_processes(job, folder, shards, jobs)
     else:
         made = make_here(plan, folder, shards, line.block if line else lambda count: None)

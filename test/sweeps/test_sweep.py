@@ -12,7 +12,7 @@ import sys
 import time
 
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sweeps import parquet, trajectories
@@ -302,6 +302,46 @@ def test_killed_sweep_goes_on_where_it_stopped(whole, tmp_path, jobs):
     sweep(LENGTHS, out)
     assert {name: data for name, data in contents(out).items() if name != 'sweep.json'} == {
         name: data for name, data in contents(whole).items() if name != 'sweep.json'}
+
+
+@pytest.fixture(scope='module')
+def deadly(tmp_path_factory):
+    """Return a sweep that kills a process at its 100th trajectory, once, and its folder."""
+    folder = tmp_path_factory.mktemp('deadly')
+    (folder / 'deadly_to_sweeps.py').write_text(
+        'import os, pathlib, signal\n'
+        'def reduce(path):\n'
+        '    mark = pathlib.Path(__file__).with_name("done")\n'
+        '    if path.q[0, 0] == 1.0 and not mark.exists():\n'
+        '        mark.touch()\n'
+        '        os.kill(os.getpid(), signal.SIGKILL)\n'
+        '    return {"mean": path.q.mean()}\n')
+    (folder / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.2\nevery: 5\nshard_size: 32\n'
+        'vary: [{kind: grid, keys: [initial_state.q.0], low: [0], high: [1.5], counts: [151]}]\n'
+        'reduction: {function: "deadly_to_sweeps:reduce", columns: [mean]}\n')
+    (folder / 'done').touch()
+    before = list(sys.path)
+    sweep(folder / 'a.yaml', folder / 'whole')
+    sys.path[:] = before
+    return folder
+
+
+@pytest.mark.parametrize('way', [{'jobs': 2}, {'ray': 'local'}], ids=['processes', 'ray'])
+def test_worker_that_is_killed_is_replaced(deadly, tmp_path, way):
+    if 'ray' in way:
+        pytest.importorskip('ray', reason='ray is not installed')
+    (deadly / 'done').unlink(missing_ok=True)
+    sweep(deadly / 'a.yaml', tmp_path / 'out', **way)
+    assert (deadly / 'done').exists()
+    assert contents(tmp_path / 'out') == contents(deadly / 'whole')
+    assert len(contents(tmp_path / 'out')) == 6
+
+
+def test_ray_cluster_that_is_not_there_is_one_line(tmp_path):
+    pytest.importorskip('ray', reason='ray is not installed')
+    with pytest.raises(HnnViRosError, match='--ray auto: .*begin a cluster with: ray start'):
+        sweep(LENGTHS, tmp_path / 'out', ray='auto')
 
 
 def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):

@@ -1,0 +1,103 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Shards made on a Ray cluster: an actor on each core, whose files this process writes."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+import logging
+from typing import Any
+
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.sweeps.folder import SweepFolder
+from hnn_vi_ros.sweeps.parquet import write_shard
+from hnn_vi_ros.sweeps.workers import Job
+import ray
+from ray.exceptions import RayError
+
+# Shards that an actor has at a time: one to make, and one so that it need not wait for another.
+_AHEAD = 2
+# How often a shard is begun anew whose actor was lost with its process or its machine.
+_RETRIES = 3
+
+
+class ShardMaker:
+    """
+    Makes shards in a process of the cluster.
+
+    Parameters
+    ----------
+    job : Job
+        Of which sweep; files that it names must be found under the same paths.
+
+    """
+
+    def __init__(self, job: Job):
+        self._job, self._ready = job, None
+
+    def make(self, shard: int) -> bytes:
+        """Return the file of a shard."""
+        # Here, so that an error is that of a task: one of a constructor loses its reason.
+        if self._ready is None:
+            self._ready = self._job.prepare()
+        plan, runner = self._ready
+        return write_shard(plan, shard, runner.shard(shard))
+
+
+def make_on_ray(job: Job, folder: SweepFolder, shards: Sequence[int], address: str
+                ) -> Iterator[int]:
+    """
+    Make shards on a cluster, and yield each that is in the folder.
+
+    Parameters
+    ----------
+    job : Job
+        Of which sweep.
+    folder : SweepFolder
+        That this process writes; others need not see it.
+    shards : sequence of int
+        Which.
+    address : str
+        Of the cluster; ``'auto'`` for the one that this machine belongs to, ``'local'`` for a
+        new one of this machine alone. Where the process is connected already, that is used.
+
+    Raises
+    ------
+    HnnViRosError
+        There is no such cluster, a shard cannot be made, or its workers are lost again and again.
+
+    """
+    own = not ray.is_initialized()
+    if own:
+        try:
+            ray.init(address, log_to_driver=False, logging_level=logging.WARNING)
+        except (ConnectionError, ValueError, RuntimeError) as problem:
+            raise HnnViRosError(
+                f'--ray {address}: {one_line(problem)}; begin a cluster with: ray start --head, '
+                'or take --ray local') from problem
+    try:
+        yield from _spread(job, folder, shards)
+    except RayError as problem:
+        raise HnnViRosError(f'--ray {address}: {one_line(problem)}; what is whole stays: give the '
+                            'same command again') from problem
+    finally:
+        if own:
+            ray.shutdown()
+
+
+def _spread(job: Job, folder: SweepFolder, shards: Sequence[int]) -> Iterator[int]:
+    cores = int(ray.cluster_resources().get('CPU', 1))
+    actor = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=_RETRIES)(ShardMaker)
+    free = deque(actor.remote(job) for _ in range(min(cores, len(shards))))
+    free.extend(list(free) * (_AHEAD - 1))
+    pending, running = deque(shards), dict[Any, tuple[int, Any]]()
+    while pending or running:
+        while pending and free:
+            maker, shard = free.popleft(), pending.popleft()
+            running[maker.make.remote(shard)] = shard, maker
+        done, _ = ray.wait(list(running), num_returns=1)
+        for reference in done:
+            shard, maker = running.pop(reference)
+            folder.put(shard, ray.get(reference))
+            free.append(maker)
+            yield shard
