@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shards as Parquet: the same bytes for the same trajectories."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from io import BytesIO
 import json
 from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.sweeps.plan import as_json, Plan
-from hnn_vi_ros.sweeps.trajectories import Outcome
+from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -51,7 +51,7 @@ def _plain(value: Any, kind: pa.DataType) -> Any:
     return json.dumps(value) if kind == pa.string() and not isinstance(value, str) else value
 
 
-def write_shard(plan: Plan, shard: int, blocks: Iterable[list[Outcome]],
+def write_shard(plan: Plan, shard: int, blocks: Iterable[list[Rows]],
                 on_block: Callable[[int], None] = lambda count: None) -> bytes:
     """
     Return the file of a shard: one row group, which holds no more rows than the plan allows.
@@ -62,51 +62,52 @@ def write_shard(plan: Plan, shard: int, blocks: Iterable[list[Outcome]],
         Of the sweep.
     shard : int
         Which.
-    blocks : iterable of list of Outcome
+    blocks : iterable of list of Rows
         Its trajectories.
     on_block : callable, optional
         Called with how many trajectories have been made, after each block.
 
     """
+    parts: list[Rows] = []
+    for block in blocks:
+        parts += block
+        on_block(sum(len(part.indices) for part in block))
     schema = schema_of(plan, shard)
-    batches = []
-    for outcomes in blocks:
-        batches.append(_batch(plan, outcomes, schema))
-        on_block(len(outcomes))
-    table = pa.Table.from_batches(batches, schema)
+    table = pa.table(_columns(parts, schema, plan.keys, len(plan.names)), schema=schema)
     stream = BytesIO()
     with pq.ParquetWriter(stream, schema, compression='zstd', version='2.6') as writer:
-        writer.write_table(table, row_group_size=max(table.num_rows, 1))
+        writer.write_table(table, row_group_size=table.num_rows)
     return stream.getvalue()
 
 
-def _batch(plan: Plan, outcomes: list[Outcome], schema: pa.Schema) -> pa.RecordBatch:
-    """Return a block as a record batch: a row for each sample that is kept."""
-    rows = np.array([len(one.t) for one in outcomes])
+def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str], d: int) -> list[pa.Array]:
+    """Return the columns of a shard: a row for each sample that is kept, by index."""
+    indices = np.concatenate([part.indices for part in parts])
+    lengths = np.repeat([part.length for part in parts], [len(part.indices) for part in parts])
+    owners = np.repeat(np.arange(len(indices)), lengths)
+    order = np.argsort(indices[owners], kind='stable')
+    owners = owners[order]
 
-    def repeated(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    def of_each(values: Iterable[Any], name: str) -> pa.Array:
         """Return a value for each trajectory in each of its rows."""
-        array = pa.array(values, kind)
-        return array if rows.max() == 1 else array.take(pa.array(
-            np.repeat(np.arange(len(outcomes)), rows)))
+        return pa.array(list(values), schema.field(name).type).take(pa.array(owners))
 
-    def numbers(parts: Iterable[np.ndarray]) -> pa.Array:
+    def numbers(samples: Iterable[np.ndarray]) -> pa.Array:
         """Return numbers of all samples; NaN is none."""
-        return pa.array(np.concatenate(list(parts)), pa.float64(), from_pandas=True)
+        return pa.array(np.concatenate(list(samples))[order], from_pandas=True)
 
-    d, keys = plan.hamiltonian.dimension, plan.keys
-    columns = [repeated([one.index for one in outcomes], pa.int64())]
-    columns += [repeated([_plain(one.values[k], schema.field(key).type) for one in outcomes],
-                         schema.field(key).type) for k, key in enumerate(keys)]
-    columns.append(numbers(one.t for one in outcomes))
-    for half in 'qp':
-        columns += [numbers(getattr(one, half)[:, i] for one in outcomes) for i in range(d)]
-    columns.append(numbers(one.energy for one in outcomes))
-    columns += [repeated([one.measured.get(name) for one in outcomes], schema.field(name).type)
+    columns = [pa.array(indices[owners])]
+    columns += [of_each((_plain(row[k], schema.field(key).type) for part in parts
+                         for row in part.values), key) for k, key in enumerate(keys)]
+    columns.append(numbers(part.t for part in parts))
+    for half in ('q', 'p'):
+        columns += [numbers(getattr(part, half)[:, i] for part in parts) for i in range(d)]
+    columns.append(numbers(part.energy for part in parts))
+    columns += [of_each((part.measured.get(name) for part in parts for _ in part.indices), name)
                 for name in schema.names[len(columns):-2]]
-    columns.append(repeated([one.alarms for one in outcomes], schema.field('alarms').type))
-    columns.append(repeated([one.failure for one in outcomes], pa.string()))
-    return pa.record_batch(columns, schema=schema)
+    columns.append(of_each((own for part in parts for own in part.alarms), 'alarms'))
+    columns.append(of_each((part.failure for part in parts for _ in part.indices), 'failure'))
+    return columns
 
 
 def is_shard(path: Path, digest: str, shard: int) -> bool:

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The trajectories of a sweep: a block of neighbours at a time, each failure a row."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import HnnViRosError
@@ -14,7 +13,7 @@ from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.watch import show_many, Watch
-from hnn_vi_ros.phase_space import Trajectory
+from hnn_vi_ros.phase_space import Event, Trajectory
 from hnn_vi_ros.run.ensemble import record_one
 from hnn_vi_ros.run.recorders import recorders
 from hnn_vi_ros.simulation import Simulation
@@ -32,37 +31,39 @@ _KEPT = 4
 _State = tuple[np.ndarray, np.ndarray]
 
 
-@dataclass
-class Outcome:
+class Rows(NamedTuple):
     """
-    What became of one trajectory.
+    What became of some trajectories.
 
     Parameters
     ----------
-    index : int
-        Its number.
-    values : list
-        Of the keys that vary.
+    indices : list of int
+        Their numbers.
+    values : list of tuple
+        Of the keys that vary, for each.
+    length : int
+        Samples of each that are kept.
     t, q, p, energy : np.ndarray, shape (n,), (n, d), (n, d), (n,)
-        The samples that are kept; NaN of one that failed.
-    alarms : list of str
-        What guards found.
+        These samples, one trajectory after another; NaN of one that failed.
+    alarms : list of list of str
+        What guards found, for each.
+    measured : dict
+        Statistics, and what the reduction returned, by column, where each is a single one.
     failure : str or None
         Why there is no result.
-    measured : dict
-        Statistics, and what the reduction returned, by column.
 
     """
 
-    index: int
-    values: list[Any]
+    indices: list[int]
+    values: list[tuple[Any, ...]]
+    length: int
     t: np.ndarray
     q: np.ndarray
     p: np.ndarray
     energy: np.ndarray
-    alarms: list[str] = field(default_factory=list)
+    alarms: list[list[str]]
+    measured: dict[str, Any] = {}
     failure: str | None = None
-    measured: dict[str, Any] = field(default_factory=dict)
 
 
 class Runner:
@@ -88,6 +89,9 @@ class Runner:
     def __init__(self, plan: Plan):
         self._plan, self._made = plan, dict[str, _Made]()
         sweep = plan.sweep
+        self._of_scene = [k for k, part in enumerate(plan.parts) if part[0] != 'initial_state']
+        self._kept = slice(None) if sweep.keep == 'samples' else slice(-1, None)
+        self._measures = bool(sweep.statistics or sweep.reduction)
         self._reducer = None if sweep.reduction is None else Reducer(
             sweep.reduction, str(plan.folder.resolve()))
 
@@ -106,13 +110,13 @@ class Runner:
             columns = self._plan.values(range(index, index + 1))
             row = tuple(column[0] for column in columns)
             try:
-                _Made(self._plan, row).state(row)
+                _Made(self._plan, row).states([row])
                 return
             except _FAILURES as problem:
                 problems.append(problem)
         raise problems[0]
 
-    def shard(self, shard: int) -> Iterator[list[Outcome]]:
+    def shard(self, shard: int) -> Iterator[list[Rows]]:
         """Yield the blocks of a shard."""
         indices = self._plan.indices(shard)
         columns = self._plan.values(indices)
@@ -125,23 +129,19 @@ class Runner:
                 warnings.simplefilter('ignore')
                 yield self._block(indices[part], rows)
 
-    def _block(self, indices: range, rows: Sequence[tuple[Any, ...]]) -> list[Outcome]:
+    def _block(self, indices: range, rows: Sequence[tuple[Any, ...]]) -> list[Rows]:
         """Return what becomes of neighbours: those of one scene step together."""
         groups: dict[str, list[int]] = {}
         for k, row in enumerate(rows):
             groups.setdefault(self._scene_key(row), []).append(k)
-        found: dict[int, Outcome] = {}
-        for key, members in groups.items():
-            found.update(zip(members, self._group(
-                key, [indices[k] for k in members], [rows[k] for k in members]), strict=True))
-        return [found[k] for k in range(len(rows))]
+        return [found for key, members in groups.items() for found in self._group(
+            key, [indices[k] for k in members], [rows[k] for k in members])]
 
     def _scene_key(self, row: tuple[Any, ...]) -> str:
         """Return what tells scenes apart: all values but those of the initial state."""
-        return repr([value for part, value in zip(self._plan.parts, row, strict=True)
-                     if part[0] != 'initial_state'])
+        return repr([row[k] for k in self._of_scene]) if self._of_scene else ''
 
-    def _group(self, key: str, indices: list[int], rows: list[tuple[Any, ...]]) -> list[Outcome]:
+    def _group(self, key: str, indices: list[int], rows: list[tuple[Any, ...]]) -> list[Rows]:
         try:
             made = self._made.pop(key, None) or _Made(self._plan, rows[0])
         except _FAILURES as problem:
@@ -152,37 +152,66 @@ class Runner:
             del self._made[next(iter(self._made))]
         if made.lockstep and len(rows) > 1:
             try:
-                states = [made.state(row) for row in rows]
-                found = made.together(indices, states)
-                return [self._told(made, *one) for one in zip(indices, rows, found, strict=True)]
+                return self._together(made, indices, rows)
             except _FAILURES:
                 # Of whichever of them: each by itself.
                 made.forget()
-        outcomes = []
+        found = []
         for index, row in zip(indices, rows, strict=True):
             try:
-                outcomes.append(self._told(made, index, row, made.alone(index, made.state(row))))
+                found.append(self._told(made, index, row, made.alone(index, row)))
             except _FAILURES as problem:
                 made.forget()
-                outcomes.append(self._failed(index, row, problem))
-        return outcomes
+                found.append(self._failed(index, row, problem))
+        return found
 
-    def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: Trajectory
-              ) -> Outcome:
-        sweep = self._plan.sweep
-        measured = measure(sweep.statistics, found, made.parts, sweep.duration)
+    def _together(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
+                  ) -> list[Rows]:
+        """Return what becomes of some that step in lockstep."""
+        found = made.together(indices, rows)
+        if self._measures:
+            single = [found._replace(
+                q=found.q[:, k], p=found.p[:, k], energy=found.energy[:, k],
+                alarms=found.alarms[k]) for k in range(len(rows))]
+            return [self._try(made, *one) for one in zip(indices, rows, single, strict=True)]
+        d, kept = self._plan.hamiltonian.dimension, self._kept
+        q, p = (half[kept].swapaxes(0, 1).reshape(-1, d) for half in (found.q, found.p))
+        t = found.t[kept]
+        return [Rows(indices, rows, len(t), np.tile(t, len(rows)), q, p,
+                     found.energy[kept].T.ravel(), found.alarms)]
+
+    def _try(self, made: '_Made', index: int, row: tuple[Any, ...], found: '_Path') -> Rows:
+        try:
+            return self._told(made, index, row, found)
+        except _FAILURES as problem:
+            return self._failed(index, row, problem)
+
+    def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: '_Path') -> Rows:
+        sweep, kept = self._plan.sweep, self._kept
+        trajectory = Trajectory(found.t, found.q, found.p, found.energy, tuple(found.alarms),
+                                found.events)
+        measured = measure(sweep.statistics, trajectory, made.parts, sweep.duration)
         if self._reducer is not None:
-            measured |= self._reducer(found)
-        kept = slice(None) if sweep.keep == 'samples' else slice(-1, None)
-        return Outcome(
-            index, list(row), found.t[kept], found.q[kept], found.p[kept], found.energy[kept],
-            [alarm.kind for alarm in found.alarms], None, measured)
+            measured |= self._reducer(trajectory)
+        return Rows([index], [row], len(found.t[kept]), found.t[kept], found.q[kept],
+                    found.p[kept], found.energy[kept], [found.alarms], measured)
 
-    def _failed(self, index: int, row: tuple[Any, ...], problem: Exception) -> Outcome:
+    def _failed(self, index: int, row: tuple[Any, ...], problem: Exception) -> Rows:
         nothing = np.full((1, self._plan.hamiltonian.dimension), np.nan)
         t = np.array([getattr(problem, 't', np.nan)])
-        return Outcome(index, list(row), t, nothing, nothing, np.full(1, np.nan),
-                       failure=one_line(problem) or type(problem).__name__)
+        return Rows([index], [row], 1, t, nothing, nothing, np.full(1, np.nan), [[]],
+                    failure=one_line(problem) or type(problem).__name__)
+
+
+class _Path(NamedTuple):
+    """A trajectory, or several in lockstep, with the kinds of their alarms."""
+
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    energy: np.ndarray
+    alarms: list[Any]
+    events: tuple[Event, ...] = ()
 
 
 class _Made:
@@ -198,58 +227,62 @@ class _Made:
         system = System(hamiltonian, effects, integrator)
         self.parts = Parts(scene, hamiltonian, system.hamiltonian, integrator, effects)
         self.lockstep = system.lockstep and not scene.events
-        self._state = (np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+        self._state = {half: np.array(values) for half, values in scene.initial_state}
         steps, _ = whole_steps(plan.sweep.duration, scene.known_step_size)
         self._every = plan.sweep.every or max(steps, 1)
         if steps // self._every + 2 > 2 * plan.samples:
             raise HnnViRosError(f'step_size = {scene.known_step_size:g} s makes more than twice '
                                 'the samples of the scene as it is, for which memory is')
-        self._simulations: dict[int, Any] = {}
+        self._simulations: dict[str, Any] = {}
 
-    def state(self, row: tuple[Any, ...]) -> _State:
-        """Return q and p, shape (d,) each, as a row has them."""
-        state = {'q': self._state[0].copy(), 'p': self._state[1].copy()}
-        for part, value in zip(self._plan.parts, row, strict=True):
-            if part[0] != 'initial_state':
-                continue
-            half = str(part[1])
-            if len(part) == 3:
-                state[half][part[2]] = value
-            else:
-                state[half] = np.array(value, dtype=np.float64)
+    def states(self, rows: list[tuple[Any, ...]]) -> _State:
+        """Return q and p, shape (m, d) each, as rows have them."""
+        state = {half: np.tile(values, (len(rows), 1)) for half, values in self._state.items()}
+        for k, part in enumerate(self._plan.parts):
+            if part[0] == 'initial_state':
+                where = np.s_[:, part[2]] if len(part) == 3 else np.s_[:]
+                state[str(part[1])][where] = np.array([row[k] for row in rows], dtype=np.float64)
         return state['q'], state['p']
 
     def forget(self) -> None:
         """Drop simulations, of which one broke off."""
         self._simulations.clear()
 
-    def together(self, indices: list[int], states: list[_State]) -> list[Trajectory]:
-        """Return the trajectories of a block, in lockstep."""
-        q, p = (np.array(half) for half in zip(*states, strict=True))
-        simulation = self._begin(q, p, indices[0])
+    def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> _Path:
+        """Return trajectories in lockstep: q and p of shape (n, m, d)."""
+        q, p = self.states(rows)
+        simulation = self._begin('block', q, p, indices[0])
         watch = Watch(simulation, None, kinds=(EnergyGuard, CostGuard, RescueGuard))
         parts = [(q[None], p[None])]
         t, takers = recorders(
             simulation, self._plan.sweep.duration, self._every, None, None, watch)
         parts += [take() for take in takers]
         q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
-        alarms: list[list[Alarm]] = [list(watch.alarms) for _ in indices]
-        energy = show_many(simulation, t / simulation.step_size, q_all, p_all, alarms)
-        return [Trajectory(t, q_all[:, k], p_all[:, k], energy[:, k], tuple(own))
-                for k, own in enumerate(alarms)]
+        alarms: list[list[Alarm]] = [list(watch.alarms) for _ in rows]
+        # Of one, whose energy is looked at in place of all.
+        one = self._begin('first', q[:1], p[:1], indices[0])
+        energy = show_many(one, t / simulation.step_size, q_all, p_all, alarms)
+        return _Path(t, q_all, p_all, energy, [_kinds(own) for own in alarms])
 
-    def alone(self, index: int, state: _State) -> Trajectory:
+    def alone(self, index: int, row: tuple[Any, ...]) -> _Path:
         """Return one trajectory, with noise and events of its own."""
-        return record_one(self._begin(*state, index), self._plan.sweep.duration, self._every)
+        q, p = self.states([row])
+        found = record_one(self._begin('alone', q[0], p[0], index), self._plan.sweep.duration,
+                           self._every)
+        return _Path(found.t, found.q, found.p, found.energy, _kinds(found.alarms), found.events)
 
-    def _begin(self, q: np.ndarray, p: np.ndarray, stream: int) -> Any:
+    def _begin(self, name: str, q: np.ndarray, p: np.ndarray, stream: int) -> Any:
         """Return a simulation in an initial state; a stream of noise for each index."""
-        simulation = self._simulations.get(q.ndim)
+        simulation = self._simulations.get(name)
         if simulation is None:
             scene, hamiltonian, _, integrator, effects = self.parts
             simulation = watched(Simulation(
                 hamiltonian.copy(), integrator, scene.known_step_size, q, p, effects,
                 scene.on_failure), scene)
-            self._simulations[q.ndim] = simulation
+            self._simulations[name] = simulation
         simulation.restart(q, p, stream=stream)
         return simulation
+
+
+def _kinds(alarms: Iterable[Alarm]) -> list[str]:
+    return [alarm.kind for alarm in alarms]
