@@ -18,6 +18,8 @@ import numpy as np
 # What is drawn for so many places has one seed: as many random states as places take long.
 _DRAWN = 32
 _LARGEST_FILE = 2**28
+# Values of a key.
+Column = Sequence[Any] | np.ndarray
 
 
 class Axis(ABC):
@@ -42,7 +44,7 @@ class Axis(ABC):
         return [float] * len(self.keys)
 
     @abstractmethod
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """
         Return the values of each key at some places.
 
@@ -53,7 +55,7 @@ class Axis(ABC):
 
         Returns
         -------
-        list of sequence, of length n each
+        list of Column, of length n each
             In the order of the keys.
 
         """
@@ -65,7 +67,7 @@ class ValuesAxis(Axis):
     def __init__(self, axis: Values):
         self.keys, self.count, self._values = [axis.key], len(axis.values), axis.values
 
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
         return [[self._values[place] for place in places]]
 
@@ -85,7 +87,7 @@ class GridAxis(Axis):
         self.keys, self.count, self._shape = axis.keys, prod(axis.counts), tuple(axis.counts)
         self._bounds = list(zip(axis.low, axis.high, strict=True))
 
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
         along = np.unravel_index(places, self._shape)
         return [low + (high - low) * (k / max(count - 1, 1)) for (low, high), k, count in zip(
@@ -100,7 +102,7 @@ class BoxAxis(Axis):
         self._low, self._high = np.array(axis.low), np.array(axis.high)
         self._entropy, self._number = entropy, number
 
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
         shares = np.empty((len(places), len(self.keys)))
         for block in np.unique(places // _DRAWN):
@@ -119,7 +121,7 @@ class SobolAxis(Axis):
         self._low, self._high = np.array(axis.low), np.array(axis.high)
         self._entropy, self._number = entropy, number
 
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
         # Imported here: it takes half a second, which other sweeps need not wait.
         from scipy.stats import qmc
@@ -171,7 +173,7 @@ class FileAxis(Axis):
                             f'{self._table[tuple(bad[0])]} is not finite')
         self.count, self.digest = len(rows), sha256(raw).hexdigest()
 
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
         return list(self._table[places].T)
 
@@ -183,7 +185,7 @@ class RepeatsAxis(Axis):
         self.keys, self.count = [] if axis.key is None else [axis.key], axis.count
         self._entropy, self._number = entropy, number
 
-    def values(self, places: np.ndarray) -> list[Sequence[Any]]:
+    def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
         if not self.keys:
             return []

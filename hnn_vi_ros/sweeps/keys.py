@@ -80,5 +80,5 @@ def with_values(scene: Scene, values: Mapping[tuple[str | int, ...], Any]) -> Sc
         for part in key[:-1]:
             owner = owner[part]
         owner[key[-1]] = value
-    return scene.changed({name: data[name] for name in dict.fromkeys(key[0] for key in values)}
-                         ) if values else scene
+    changed = dict.fromkeys(str(key[0]) for key in values)
+    return scene.changed({name: data[name] for name in changed}) if changed else scene

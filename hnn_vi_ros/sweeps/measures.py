@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is told of a trajectory in place of its samples."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
@@ -27,14 +28,14 @@ class Parts(NamedTuple):
     effects: list[Effect]
 
 
-def measure(statistics: list[str], trajectory: Trajectory, parts: Parts, duration: float
+def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts, duration: float
             ) -> dict[str, Any]:
     """
     Return statistics of a trajectory, by the columns that hold them.
 
     Parameters
     ----------
-    statistics : list of str
+    statistics : sequence of str
         Which.
     trajectory : Trajectory
         With the initial state first.

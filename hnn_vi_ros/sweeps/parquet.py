@@ -22,7 +22,7 @@ _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())
 def schema_of(plan: Plan, shard: int) -> pa.Schema:
     """Return the columns of a shard, with the scene and the versions as metadata."""
     names, sweep, record = plan.names, plan.sweep, plan.record
-    measured = list(sweep.statistics)
+    measured: list[str] = list(sweep.statistics)
     if 'event_times' in measured:
         measured.append('events')
     columns = [

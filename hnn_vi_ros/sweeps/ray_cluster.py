@@ -11,6 +11,8 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
+from hnn_vi_ros.sweeps.plan import Plan
+from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import Job
 import ray
 from ray.exceptions import RayError
@@ -33,7 +35,8 @@ class ShardMaker:
     """
 
     def __init__(self, job: Job):
-        self._job, self._ready = job, None
+        self._job = job
+        self._ready: tuple[Plan, Runner] | None = None
 
     def make(self, shard: int) -> bytes:
         """Return the file of a shard."""

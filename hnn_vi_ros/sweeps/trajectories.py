@@ -240,7 +240,7 @@ class _Made:
         state = {half: np.tile(values, (len(rows), 1)) for half, values in self._state.items()}
         for k, part in enumerate(self._plan.parts):
             if part[0] == 'initial_state':
-                where = np.s_[:, part[2]] if len(part) == 3 else np.s_[:]
+                where: Any = np.s_[:, part[2]] if len(part) == 3 else np.s_[:]
                 state[str(part[1])][where] = np.array([row[k] for row in rows], dtype=np.float64)
         return state['q'], state['p']
 
