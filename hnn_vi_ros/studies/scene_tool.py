@@ -3,18 +3,17 @@
 """Check, list, explain and compile scenes, and print their JSON schema."""
 
 from collections.abc import Iterator, Sequence
-import json
 import math
 import sys
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.studies import arguments
 from pydantic import BaseModel
-from pydantic.json_schema import GenerateJsonSchema
 
 if TYPE_CHECKING:
     from hnn_vi_ros.run.effect_cost import EffectCosts
@@ -36,7 +35,7 @@ def main(argv: list[str]) -> int:
     if options.list:
         lines = list_scenes()
     elif options.schema:
-        lines = [json_schema()]
+        lines = [json_schema(Scene, 'A scene of hnn_vi_ros')]
     else:
         lines = explain(load_scene(options.explain))
     for line in lines:
@@ -85,20 +84,6 @@ def list_scenes() -> list[str]:
         mark = ' (model absent)' if _lacks_a_model(scene) else ''
         lines.append(f'{name:{width}}  {scene.description}{mark}')
     return lines
-
-
-def json_schema() -> str:
-    """Return the schema of a scene's YAML, JSON Schema draft 2020-12."""
-    schema = Scene.model_json_schema(schema_generator=_Plain)
-    schema = {'$schema': _Plain.schema_dialect, **schema, 'title': 'A scene of hnn_vi_ros'}
-    return json.dumps(schema, indent=2, ensure_ascii=False)
-
-
-class _Plain(GenerateJsonSchema):
-    """A JSON schema without a title for each key, which would only repeat its name."""
-
-    def field_title_should_be_set(self, schema: object) -> bool:
-        return False
 
 
 def explain(scene: Scene) -> Iterator[str]:

@@ -22,8 +22,11 @@ def sweep() -> Parser:
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --ray local'], _DETAILS)
-    parser.add_argument('sweep', metavar='SWEEP', help=(
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
         'what varies: the name of a shipped sweep, or a YAML file'))
+    what.add_argument('--schema', action='store_true', help=(
+        'print the JSON schema by which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
         'folder of the results, which several processes and machines may share (default: '
         'sweeps/NAME)'))

@@ -10,9 +10,11 @@ import time
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
+from hnn_vi_ros.sweeps.definition import Sweep
 from hnn_vi_ros.sweeps.folder import shards_of, SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan, Plan
 from hnn_vi_ros.sweeps.trajectories import Runner
@@ -25,6 +27,9 @@ _TERMINAL, _ELSEWHERE = 0.2, 10.0
 def main(argv: list[str]) -> int:
     """Make the shards that the command line asks for, and say what came of it."""
     options = arguments.sweep().parse_args(argv)
+    if options.schema:
+        print(json_schema(Sweep, 'A sweep of hnn_vi_ros'))
+        return 0
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     try:
         begin = time.monotonic()

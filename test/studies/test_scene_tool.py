@@ -12,14 +12,15 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.run.effect_cost import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.studies.scene_tool import json_schema, lyapunov_line, main
+from hnn_vi_ros.studies.scene_tool import lyapunov_line, main
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SCHEMA = json.loads(json_schema())
+SCHEMA = json.loads(json_schema(Scene, 'A scene of hnn_vi_ros'))
 # Those whose model is shipped.
 SCENES = [name for name in shipped_names('scene') if name != 'air_track']
 

@@ -3,7 +3,7 @@
 """What a sweep cannot be is one line that says what, where, and what is valid."""
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
 from hnn_vi_ros.sweeps.folder import shards_of
 from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import main, sweep
@@ -106,6 +106,14 @@ def test_arguments_that_cannot_be_used_are_told():
 
 @pytest.mark.parametrize('name', shipped_names('sweep'))
 def test_shipped_sweeps_can_be_run(name):
+    text = shipped_file('sweep', name).read_text(encoding='utf-8')
+    assert text.startswith('# yaml-language-server: $schema=../sweep.schema.json\n')
     plan = make_plan(name)
     assert plan.shards >= 1 and plan.sweep.description
     assert len(plan.values(plan.indices(0))) == len(plan.keys)
+
+
+def test_schema_that_is_shipped_is_that_of_the_code(capsys):
+    assert main(['--schema']) == 0
+    shipped = share_folder() / 'config' / 'sweep.schema.json'
+    assert shipped.read_text(encoding='utf-8') == capsys.readouterr().out
