@@ -275,11 +275,16 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         block = slice(first, first + size)
         # Each trajectory has noise of its own.
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
-        watch = Watch(simulation, None, kinds=(
-            CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))
+        watch = watch_of_block(simulation)
         q_block, p_block = record_samples(simulation, samples, every, watch)
         # Of a path where no work is done only its steps are left to be told; see show_many.
         watch.update(look(simulation))
         for own in alarms[block]:
             own += watch.alarms
         q_all[1:, block], p_all[1:, block] = q_block, p_block
+
+
+def watch_of_block(simulation: Simulation) -> Watch:
+    """Return the guards of what is told of all trajectories that step together; see show_many."""
+    return Watch(simulation, None, kinds=(
+        CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))

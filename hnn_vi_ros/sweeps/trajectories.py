@@ -9,12 +9,9 @@ import warnings
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.cost import CostGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.watch import show_many, Watch
+from hnn_vi_ros.guards.watch import look, show_many
 from hnn_vi_ros.phase_space import Event, Trajectory
-from hnn_vi_ros.run.ensemble import record_one
+from hnn_vi_ros.run.ensemble import record_one, watch_of_block
 from hnn_vi_ros.run.recorders import recorders
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import whole_steps
@@ -252,11 +249,12 @@ class _Made:
         """Return trajectories in lockstep: q and p of shape (n, m, d)."""
         q, p = self.states(rows)
         simulation = self._begin('block', q, p, indices[0])
-        watch = Watch(simulation, None, kinds=(EnergyGuard, CostGuard, RescueGuard))
+        watch = watch_of_block(simulation)
         parts = [(q[None], p[None])]
         t, takers = recorders(
             simulation, self._plan.sweep.duration, self._every, None, None, watch)
         parts += [take() for take in takers]
+        watch.update(look(simulation))
         q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
         alarms: list[list[Alarm]] = [list(watch.alarms) for _ in rows]
         # Of one, whose energy is looked at in place of all.
