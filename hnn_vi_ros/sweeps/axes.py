@@ -12,7 +12,8 @@ from typing import Any
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.sweeps.definition import Box, File, Grid, MOST, Repeats, Sobol, Values
+from hnn_vi_ros.sweeps.definition import (
+    AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, RepeatsChoice, SobolChoice, ValuesChoice)
 import numpy as np
 
 # What is drawn for so many places has one seed: as many random states as places take long.
@@ -62,9 +63,9 @@ class Axis(ABC):
 
 
 class ValuesAxis(Axis):
-    """See Values."""
+    """See ValuesChoice."""
 
-    def __init__(self, axis: Values):
+    def __init__(self, axis: ValuesChoice):
         self.keys, self.count, self._values = [axis.key], len(axis.values), axis.values
 
     def values(self, places: np.ndarray) -> list[Column]:
@@ -81,9 +82,9 @@ class ValuesAxis(Axis):
 
 
 class GridAxis(Axis):
-    """See Grid; the last key is the fastest."""
+    """See GridChoice; the last key is the fastest."""
 
-    def __init__(self, axis: Grid):
+    def __init__(self, axis: GridChoice):
         self.keys, self.count, self._shape = axis.keys, prod(axis.counts), tuple(axis.counts)
         self._bounds = list(zip(axis.low, axis.high, strict=True))
 
@@ -95,9 +96,9 @@ class GridAxis(Axis):
 
 
 class BoxAxis(Axis):
-    """See Box."""
+    """See BoxChoice."""
 
-    def __init__(self, axis: Box, entropy: int, number: int):
+    def __init__(self, axis: BoxChoice, entropy: int, number: int):
         self.keys, self.count = axis.keys, axis.count
         self._low, self._high = np.array(axis.low), np.array(axis.high)
         self._entropy, self._number = entropy, number
@@ -114,9 +115,9 @@ class BoxAxis(Axis):
 
 
 class SobolAxis(Axis):
-    """See Sobol."""
+    """See SobolChoice."""
 
-    def __init__(self, axis: Sobol, entropy: int, number: int):
+    def __init__(self, axis: SobolChoice, entropy: int, number: int):
         self.keys, self.count = axis.keys, axis.count
         self._low, self._high = np.array(axis.low), np.array(axis.high)
         self._entropy, self._number = entropy, number
@@ -141,9 +142,9 @@ class SobolAxis(Axis):
 
 
 class FileAxis(Axis):
-    """See File."""
+    """See FileChoice."""
 
-    def __init__(self, axis: File, folder: Path, place: str):
+    def __init__(self, axis: FileChoice, folder: Path, place: str):
         path = folder / axis.path
         try:
             if os.path.getsize(path) > _LARGEST_FILE:
@@ -179,9 +180,9 @@ class FileAxis(Axis):
 
 
 class RepeatsAxis(Axis):
-    """See Repeats."""
+    """See RepeatsChoice."""
 
-    def __init__(self, axis: Repeats, entropy: int, number: int):
+    def __init__(self, axis: RepeatsChoice, entropy: int, number: int):
         self.keys, self.count = [] if axis.key is None else [axis.key], axis.count
         self._entropy, self._number = entropy, number
 
@@ -199,14 +200,13 @@ class RepeatsAxis(Axis):
         return [int] * len(self.keys)
 
 
-def make_axis(axis: Values | Grid | Box | Sobol | File | Repeats, entropy: int, number: int,
-              folder: Path, place: str) -> Axis:
+def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: str) -> Axis:
     """
     Return what gives the values of an axis.
 
     Parameters
     ----------
-    axis
+    axis : AxisChoice
         As it is defined.
     entropy : int
         The seed of the sweep.
@@ -225,17 +225,17 @@ def make_axis(axis: Values | Grid | Box | Sobol | File | Repeats, entropy: int, 
     """
     made: Axis
     match axis:
-        case Values():
+        case ValuesChoice():
             made = ValuesAxis(axis)
-        case Grid():
+        case GridChoice():
             made = GridAxis(axis)
-        case Box():
+        case BoxChoice():
             made = BoxAxis(axis, entropy, number)
-        case Sobol():
+        case SobolChoice():
             made = SobolAxis(axis, entropy, number)
-        case File():
+        case FileChoice():
             made = FileAxis(axis, folder, place)
-        case Repeats():
+        case RepeatsChoice():
             made = RepeatsAxis(axis, entropy, number)
     if made.count > MOST:
         raise DataError(f'{place}: {made.count:.3g} points, more than {MOST}; take fewer')

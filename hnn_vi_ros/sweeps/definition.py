@@ -23,7 +23,7 @@ Keys = Annotated[list[Key], Field(min_length=1, max_length=1000)]
 Numbers = Annotated[list[float], Field(min_length=1, max_length=1000)]
 
 
-class Values(StrictModel):
+class ValuesChoice(StrictModel):
     """Values of one key, one after another."""
 
     kind: Literal['values'] = Field(description='values of one key')
@@ -51,7 +51,7 @@ class _Ranges(StrictModel):
         return self
 
 
-class Grid(_Ranges):
+class GridChoice(_Ranges):
     """All combinations of evenly spaced values, the bounds among them."""
 
     kind: Literal['grid'] = Field(description='evenly spaced values in all combinations')
@@ -66,28 +66,28 @@ class Grid(_Ranges):
         return self
 
 
-class Box(_Ranges):
+class BoxChoice(_Ranges):
     """Points that are drawn evenly from a box."""
 
     kind: Literal['box'] = Field(description='points drawn evenly from a box')
     count: int = Field(ge=1, le=MOST, description='how many points')
 
 
-class Sobol(_Ranges):
+class SobolChoice(_Ranges):
     """The points of a scrambled Sobol sequence, which fill a box more evenly than drawn ones."""
 
     kind: Literal['sobol'] = Field(description="points of Sobol's sequence in a box, scrambled")
     count: int = Field(ge=1, le=MOST, description='how many points; best a power of two')
 
 
-class File(StrictModel):
+class FileChoice(StrictModel):
     """The rows of a table of numbers."""
 
     kind: Literal['file'] = Field(description='rows of a CSV file, whose first line names keys')
     path: str = Field(min_length=1, max_length=4096, description='from the folder of this file')
 
 
-class Repeats(StrictModel):
+class RepeatsChoice(StrictModel):
     """The same again, each time with other noise; with a key, a seed is put there as well."""
 
     kind: Literal['repeats'] = Field(description='the same again, each with noise of its own')
@@ -96,7 +96,9 @@ class Repeats(StrictModel):
         'where a seed of its own goes, such as that of a function of yours; effects need none'))
 
 
-Axis = Annotated[Values | Grid | Box | Sobol | File | Repeats, Field(discriminator='kind')]
+AxisChoice = Annotated[
+    ValuesChoice | GridChoice | BoxChoice | SobolChoice | FileChoice | RepeatsChoice,
+    Field(discriminator='kind')]
 
 
 class Reduction(StrictModel):
@@ -115,7 +117,7 @@ class Sweep(StrictModel):
     scene: str = Field(min_length=1, max_length=4096, description=(
         'the name of a shipped scene, or a YAML file, looked for beside this one first'))
     duration: float = Field(gt=0.0, le=1e12, description='simulated time [s]')
-    vary: list[Axis] = Field(min_length=1, max_length=20, description=(
+    vary: list[AxisChoice] = Field(min_length=1, max_length=20, description=(
         'what varies, in all combinations; the last one fastest'))
     every: int | None = Field(None, ge=1, le=2**53, description=(
         'steps from one sample to the next, which statistics, guards and the reduction see; '

@@ -11,7 +11,7 @@ from typing import Any
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.parquet import count_failures, is_shard
-from hnn_vi_ros.sweeps.plan import as_json, Plan
+from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 
 _RECORD = 'sweep.json'
 _LARGEST = 2**26
@@ -55,7 +55,7 @@ class SweepFolder:
             raise RecordingError(f'{file}: {one_line(problem)}; give another --out, or remove it'
                                  ) from problem
 
-    def begin(self, plan: Plan) -> None:
+    def begin(self, plan: SweepPlan) -> None:
         """
         Make the folder that of a sweep, or find that it is.
 
@@ -92,7 +92,7 @@ class SweepFolder:
         """Return the file of a shard."""
         return self.path / f'part-{shard:06d}.parquet'
 
-    def missing(self, plan: Plan, share: tuple[int, int]) -> list[int]:
+    def missing(self, plan: SweepPlan, share: tuple[int, int]) -> list[int]:
         """Return the shards that are still to be made, of every n-th from the i-th on."""
         return [shard for shard in range(share[0], plan.shards, share[1])
                 if not is_shard(self.file(shard), plan.record['digest'], shard)]
@@ -109,7 +109,7 @@ class SweepFolder:
         """
         self._place(self.file(shard).name, content)
 
-    def failures(self, plan: Plan) -> int:
+    def failures(self, plan: SweepPlan) -> int:
         """Return how many trajectories have failed, in the shards that are there."""
         return sum(count_failures(self.file(shard)) for shard in range(plan.shards)
                    if self.file(shard).is_file())

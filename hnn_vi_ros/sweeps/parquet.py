@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.sweeps.plan import as_json, Plan
+from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
 import pyarrow as pa
@@ -19,7 +19,7 @@ _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string
 _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())}
 
 
-def schema_of(plan: Plan, shard: int) -> pa.Schema:
+def schema_of(plan: SweepPlan, shard: int) -> pa.Schema:
     """Return the columns of a shard, with the scene and the versions as metadata."""
     names, sweep, record = plan.names, plan.sweep, plan.record
     measured: list[str] = list(sweep.statistics)
@@ -51,14 +51,14 @@ def _plain(value: Any, kind: pa.DataType) -> Any:
     return json.dumps(value) if kind == pa.string() and not isinstance(value, str) else value
 
 
-def write_shard(plan: Plan, shard: int, blocks: Iterable[list[Rows]],
+def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
                 on_block: Callable[[int], None] = lambda count: None) -> bytes:
     """
     Return the file of a shard: one row group, which holds no more rows than the plan allows.
 
     Parameters
     ----------
-    plan : Plan
+    plan : SweepPlan
         Of the sweep.
     shard : int
         Which.

@@ -37,7 +37,7 @@ _PACKAGES = ('numba', 'numpy', 'pyarrow', 'scipy')
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """
     A sweep, its scene and its axes.
 
@@ -152,7 +152,7 @@ def as_json(data: object) -> str:
 
 
 def make_plan(definition: str | Path | Mapping[str, Any],
-              chosen: Mapping[str, Any] | None = None) -> Plan:
+              chosen: Mapping[str, Any] | None = None) -> SweepPlan:
     """
     Make a sweep ready.
 
@@ -165,7 +165,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
 
     Returns
     -------
-    Plan
+    SweepPlan
         The integrator auto is resolved, for the scene as it is.
 
     Raises
@@ -184,7 +184,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     hamiltonian = scene.create_hamiltonian()
     axes = [make_axis(axis, sweep.seed, number, folder, places.place('vary', number))
             for number, axis in enumerate(sweep.vary)]
-    plan = Plan(sweep, folder, scene, hamiltonian, axes, [])
+    plan = SweepPlan(sweep, folder, scene, hamiltonian, axes, [])
     for number, axis in enumerate(axes):
         plan.parts.extend(find_key(scene, key, plan.names, places.place('vary', number))
                           for key in axis.keys)
@@ -192,7 +192,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     return plan
 
 
-def _check(plan: Plan, where: str) -> None:
+def _check(plan: SweepPlan, where: str) -> None:
     """Raise DataError of what does not fit together."""
     sweep, keys = plan.sweep, plan.keys
     for i, part in enumerate(plan.parts):

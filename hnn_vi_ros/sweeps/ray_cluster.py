@@ -11,9 +11,9 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
-from hnn_vi_ros.sweeps.plan import Plan
+from hnn_vi_ros.sweeps.plan import SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
-from hnn_vi_ros.sweeps.workers import Job
+from hnn_vi_ros.sweeps.workers import ShardJob
 import ray
 from ray.exceptions import RayError
 
@@ -29,14 +29,14 @@ class ShardMaker:
 
     Parameters
     ----------
-    job : Job
+    job : ShardJob
         Of which sweep; files that it names must be found under the same paths.
 
     """
 
-    def __init__(self, job: Job):
+    def __init__(self, job: ShardJob):
         self._job = job
-        self._ready: tuple[Plan, Runner] | None = None
+        self._ready: tuple[SweepPlan, Runner] | None = None
 
     def make(self, shard: int) -> bytes:
         """Return the file of a shard."""
@@ -47,14 +47,14 @@ class ShardMaker:
         return write_shard(plan, shard, runner.shard(shard))
 
 
-def make_on_ray(job: Job, folder: SweepFolder, shards: Sequence[int], address: str
+def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: str
                 ) -> Iterator[int]:
     """
     Make shards on a cluster, and yield each that is in the folder.
 
     Parameters
     ----------
-    job : Job
+    job : ShardJob
         Of which sweep.
     folder : SweepFolder
         That this process writes; others need not see it.
@@ -88,7 +88,7 @@ def make_on_ray(job: Job, folder: SweepFolder, shards: Sequence[int], address: s
             ray.shutdown()
 
 
-def _spread(job: Job, folder: SweepFolder, shards: Sequence[int]) -> Iterator[int]:
+def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int]) -> Iterator[int]:
     cores = int(ray.cluster_resources().get('CPU', 1))
     actor = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=_RETRIES)(ShardMaker)
     free = deque(actor.remote(job) for _ in range(min(cores, len(shards))))

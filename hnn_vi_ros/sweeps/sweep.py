@@ -16,9 +16,9 @@ from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
 from hnn_vi_ros.sweeps.folder import shards_of, SweepFolder
-from hnn_vi_ros.sweeps.plan import make_plan, Plan
+from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
-from hnn_vi_ros.sweeps.workers import Job, make_here, make_in_processes
+from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
 
 # Wall time from one line to the next, on a terminal and elsewhere [s].
 _TERMINAL, _ELSEWHERE = 0.2, 10.0
@@ -101,8 +101,8 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     folder.begin(plan)
     shards = folder.missing(plan, share)
     line = _Progress(plan, shards, share) if progress else None
-    job = Job(definition if isinstance(definition, Mapping) else str(definition),
-              plan.record['scene'], plan.record['digest'])
+    job = ShardJob(definition if isinstance(definition, Mapping) else str(definition),
+                   plan.record['scene'], plan.record['digest'])
     made: Iterator[int]
     if ray is not None:
         made = make_on_ray(job, folder, shards, ray)
@@ -120,7 +120,7 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     return folder.path
 
 
-def _summary(plan: Plan, folder: SweepFolder, seconds: float) -> str:
+def _summary(plan: SweepPlan, folder: SweepFolder, seconds: float) -> str:
     there = plan.shards - len(folder.missing(plan, (0, 1)))
     failed = folder.failures(plan)
     return (f'{folder.path}: {there} of {plan.shards} shards of {plan.count} trajectories, '
@@ -131,7 +131,7 @@ def _summary(plan: Plan, folder: SweepFolder, seconds: float) -> str:
 class _Progress:
     """One line that tells how many trajectories of a share are made, and how long it takes."""
 
-    def __init__(self, plan: Plan, shards: list[int], share: tuple[int, int]):
+    def __init__(self, plan: SweepPlan, shards: list[int], share: tuple[int, int]):
         self._left = sum(len(plan.indices(shard)) for shard in shards)
         self._total = sum(len(plan.indices(shard)) for shard in range(
             share[0], plan.shards, share[1]))

@@ -18,7 +18,7 @@ from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.sweeps.measures import measure, Parts, Reducer
-from hnn_vi_ros.sweeps.plan import Plan
+from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
 
 # What a trajectory may fail by; anything else is a fault of this package, and ends the sweep.
@@ -73,7 +73,7 @@ class Runner:
 
     Parameters
     ----------
-    plan : Plan
+    plan : SweepPlan
         Of the sweep.
 
     Raises
@@ -83,7 +83,7 @@ class Runner:
 
     """
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: SweepPlan):
         self._plan, self._made = plan, dict[str, _Made]()
         sweep = plan.sweep
         self._of_scene = [k for k, part in enumerate(plan.parts) if part[0] != 'initial_state']
@@ -214,7 +214,7 @@ class _Path(NamedTuple):
 class _Made:
     """A scene with its values, and simulations of it."""
 
-    def __init__(self, plan: Plan, row: tuple[Any, ...]):
+    def __init__(self, plan: SweepPlan, row: tuple[Any, ...]):
         self._plan = plan
         values = dict(zip(plan.parts, row, strict=True))
         scene = plan.scene_of(

@@ -18,7 +18,7 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
-from hnn_vi_ros.sweeps.plan import make_plan, Plan
+from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 
 # Lost processes in a row, without a shard between them, after which something else is wrong.
@@ -26,7 +26,7 @@ _MOST_LOSSES = 3
 
 
 @dataclass(frozen=True)
-class Job:
+class ShardJob:
     """
     What another process needs to make shards of a sweep.
 
@@ -45,7 +45,7 @@ class Job:
     chosen: Mapping[str, Any]
     digest: str
 
-    def prepare(self) -> tuple[Plan, Runner]:
+    def prepare(self) -> tuple[SweepPlan, Runner]:
         """
         Return the plan and what makes its trajectories.
 
@@ -63,7 +63,7 @@ class Job:
         return plan, Runner(plan)
 
 
-def make_here(plan: Plan, folder: SweepFolder, shards: Sequence[int],
+def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int],
               on_block: Callable[[int], None]) -> Iterator[int]:
     """Make shards in this process, and yield each that is in the folder."""
     runner = Runner(plan)
@@ -72,7 +72,7 @@ def make_here(plan: Plan, folder: SweepFolder, shards: Sequence[int],
         yield shard
 
 
-def make_in_processes(job: Job, folder: SweepFolder, shards: Sequence[int], processes: int
+def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int], processes: int
                       ) -> Iterator[int]:
     """
     Make shards in several processes, and yield each that is in the folder.
@@ -139,10 +139,10 @@ def _heed(count: int) -> None:
         raise _Stopped
 
 
-_ready: dict[str, tuple[Plan, Runner]] = {}
+_ready: dict[str, tuple[SweepPlan, Runner]] = {}
 
 
-def _make(job: Job, path: Path, shard: int) -> None:
+def _make(job: ShardJob, path: Path, shard: int) -> None:
     if job.digest not in _ready:
         _ready[job.digest] = job.prepare()
     plan, runner = _ready[job.digest]
