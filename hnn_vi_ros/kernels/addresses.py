@@ -18,6 +18,7 @@ import re
 from types import FunctionType
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.kernels.blocks import array_at, Block, check_words, flat, load
 from hnn_vi_ros.kernels.compilation import functions_of, identify, kept
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part
@@ -27,7 +28,6 @@ from llvmlite import ir
 import numba
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
-from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 import numpy as np
 
@@ -54,7 +54,7 @@ class Target(NamedTuple):
     words: np.ndarray
 
 
-class _Memory(bytearray):
+class _Memory(Block):
     """The memory of a target's words, with what they point to."""
 
     kernel: Kernel
@@ -77,10 +77,10 @@ def by_address(kernel: Kernel) -> Kernel:
     if not kernel.compiled or isinstance(kernel.parameters, Target):
         return kernel
     # Three addresses, then the parameters; no entry is compiled before it is called.
-    words = [0, 0, 0, *_flat(kernel.parameters)]
+    words = [0, 0, 0, *flat(kernel.parameters)]
     memory = _Memory(np.array(words, dtype=np.int64).tobytes())
     memory.kernel = kernel
-    target = Target(np.frombuffer(memory, dtype=np.int64))
+    target = Target(memory.words)
     memory.late, memory.entries = [_late(memory, k) for k in range(3)], {}
     for k, call in enumerate(memory.late):
         target.words[k] = ctypes.cast(call, ctypes.c_void_p).value
@@ -104,10 +104,7 @@ def provide(kernel: Kernel, *which: int) -> None:
         if k not in memory.entries:
             function = functions_of(memory.kernel)[k]
             kind = numba.typeof(memory.kernel.parameters)
-            context = cpu_target.target_context
-            if context.get_abi_sizeof(context.get_data_type(kind)) + 24 != len(memory):
-                raise TypeError('parameters of a kernel that are no whole words: truth values '
-                                'beside each other; give them as int')
+            check_words(kind, len(target.words) - 3)
             memory.entries[k] = _entry(function, kind, _name(memory.kernel, kind, k), k)
             target.words[k] = memory.entries[k].address
 
@@ -135,8 +132,7 @@ def provide_for(kernel: Kernel, step: Callable[..., Any], options: Parameters) -
 
 
 def _memory_of(target: Target) -> _Memory:
-    base: Any = target.words.base
-    memory: Any = base.obj if isinstance(base, memoryview) else base
+    memory = Block.of(target.words)
     assert isinstance(memory, _Memory)
     return memory
 
@@ -144,8 +140,7 @@ def _memory_of(target: Target) -> _Memory:
 def _late(memory: _Memory, k: int) -> Any:
     """Return what stands in for an entry until it is called: it compiles the entry."""
     def compile_and_call(result: int, error: int, *arguments: int) -> int:
-        words = np.frombuffer(memory, dtype=np.int64)
-        provide(memory.kernel._replace(parameters=Target(words)), k)
+        provide(memory.kernel._replace(parameters=Target(memory.words)), k)
         return memory.entries[k].native(result, error, *arguments)
     return _prototype(k)(compile_and_call)
 
@@ -192,60 +187,20 @@ def _name(kernel: Kernel, kind: types.Type, k: int) -> str:
     return f'{Kernel._fields[k]}_{sha256(text.encode()).hexdigest()[:16]}'
 
 
-def _flat(value: object) -> list[int]:
-    """Return a value as words, as numba lays it out in memory; arrays without an owner."""
-    if isinstance(value, tuple):
-        return [word for part in value for word in _flat(part)]
-    if isinstance(value, np.ndarray):
-        return [0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
-    if isinstance(value, float):
-        return [int(np.float64(value).view(np.int64))]
-    # A truth value is a byte, padded to a word unless another one follows; see provide.
-    if isinstance(value, int | np.integer):
-        return [int(value)]
-    if callable(value):
-        return [0]
-    raise TypeError(f'{type(value).__name__} in the parameters of a kernel; valid: int, float, '
-                    'numpy arrays, functions, and tuples of such')
-
-
 def _energy_entry(block: int, q: int, p: int, n: int) -> float:
     # A function may return a float32 or an integer; callers read a float64.
-    return np.float64(function(_load(block, kind), _array(q, n), _array(p, n)))
+    return np.float64(function(load(block, kind), array_at(q, n), array_at(p, n)))
 
 
 def _gradient_entry(block: int, q: int, p: int, dH_dq: int, dH_dp: int, n: int) -> None:
-    function(_load(block, kind), _array(q, n), _array(p, n), _array(dH_dq, n), _array(dH_dp, n))
+    function(load(block, kind), array_at(q, n), array_at(p, n), array_at(dH_dq, n),
+             array_at(dH_dp, n))
 
 
 def _hessian_vector_entry(block: int, q: int, p: int, v_q: int, v_p: int, product_q: int,
                           product_p: int, n: int) -> None:
-    function(_load(block, kind), _array(q, n), _array(p, n), _array(v_q, n), _array(v_p, n),
-             _array(product_q, n), _array(product_p, n))
-
-
-@intrinsic
-def _load(_context: Any, block: Any, kind: Any) -> Any:
-    """Return the parameters that stand at an address."""
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
-        model = context.data_model_manager[signature.return_type]
-        pointer = builder.inttoptr(arguments[0], model.get_data_type().as_pointer())
-        return model.load_from_data_pointer(builder, pointer)
-    return kind.instance_type(block, kind), generate
-
-
-@Part
-def _array(address: int, n: int) -> np.ndarray:
-    return numba.carray(_pointer(address), (n,))
-
-
-@intrinsic
-def _pointer(_context: Any, address: Any) -> Any:
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-    return types.CPointer(types.float64)(address), generate
+    function(load(block, kind), array_at(q, n), array_at(p, n), array_at(v_q, n),
+             array_at(v_p, n), array_at(product_q, n), array_at(product_p, n))
 
 
 def _caller(k: int) -> Any:

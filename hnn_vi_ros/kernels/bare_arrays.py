@@ -34,21 +34,21 @@ def bare(value: _Value) -> _Value:
 
 @overload(bare, jit_options={'forceinline': True, **LINK_ONLY})
 def _bare(value: Any) -> Any:
-    def without_owners(value: Any) -> Any:
+    def replace_owners(value: Any) -> Any:
         return _replace_owners(value)
-    return without_owners
+    return replace_owners
 
 
 @intrinsic
 def _replace_owners(_context: Any, value: Any) -> Any:
     def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
-        return _replaced(context, builder, signature.return_type, arguments[0], ())
+        return without_owners(context, builder, signature.return_type, arguments[0])
     return value(value), generate
 
 
-def _replaced(context: BaseContext, builder: ir.IRBuilder, kind: types.Type, value: ir.Value,
-              place: tuple[int, ...]) -> ir.Value:
+def without_owners(context: BaseContext, builder: ir.IRBuilder, kind: types.Type,
+                   value: ir.Value, place: tuple[int, ...] = ()) -> ir.Value:
     """Return a value, of numba's type ``kind`` at this place in it, with null owners there."""
     if isinstance(kind, types.Array):
         model = context.data_model_manager[kind]
@@ -57,7 +57,7 @@ def _replaced(context: BaseContext, builder: ir.IRBuilder, kind: types.Type, val
             value = builder.insert_value(value, null, (*place, model.get_field_position(owner)))
     elif isinstance(kind, types.BaseTuple):
         for k, part in enumerate(kind.types):
-            value = _replaced(context, builder, part, value, (*place, k))
+            value = without_owners(context, builder, part, value, (*place, k))
     elif context.data_model_manager[kind].contains_nrt_meminfo():
         # What is no array keeps its count: the result is a reference of its own.
         context.nrt.incref(builder, kind, builder.extract_value(value, place) if place else value)
