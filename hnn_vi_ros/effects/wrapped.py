@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An integrator with an effect around its step, and the account that effects keep."""
 
+from collections.abc import Sequence
 from copy import copy
 from functools import cache
 from typing import Any, final
@@ -29,51 +30,84 @@ class Wrapped(Integrator):
     settings : tuple
         What the changed step finds in its options after those of the method.
 
+    Attributes
+    ----------
+    inner : Integrator
+        The method.
+
     """
 
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
     def __init__(self, inner: Integrator, kind: type[Wrapping], settings: Parameters):
         # An effect may take several solutions in a step, not all of them for good: any will do.
-        self._inner, self._kind, self._settings = copy(inner), kind, settings
-        self._inner.no_solution = ''
+        self.inner, self._kind, self._settings = copy(inner), kind, settings
+        self.inner.no_solution = ''
         self.order, self.compiled = inner.order, inner.compiled
         self.step = kind.wrap(kind.inner_step(inner), inner.keeps_gradient)
 
     @property
     def kernel_name(self) -> str:
         """Return the names of the effect and of the method."""
-        return f'{self._kind.__name__}({self._inner.kernel_name})'
+        return f'{self._kind.__name__}({self.inner.kernel_name})'
 
     @property
     def own(self) -> bool:
         """Return whether the effect and the method are this package's."""
-        return is_own(self._kind.__module__) and self._inner.own
+        return is_own(self._kind.__module__) and self.inner.own
+
+    @property
+    def inner_steps(self) -> tuple[Step, ...]:
+        """Return the steps that the effect takes of the method: its step, or the halves of it."""
+        return tuple(part for part in self._taken if callable(part))
+
+    def around(self, steps: Sequence[Step]) -> Step:
+        """Return the step with others in place of those that the effect takes of the method."""
+        rest = iter(steps)
+        taken = tuple(next(rest) if callable(part) else part for part in self._taken)
+        return self._kind.wrap(taken if len(taken) > 1 else taken[0], self.inner.keeps_gradient)
+
+    @property
+    def layer_name(self) -> str:
+        """Return a name that tells what ``around`` returns for the same steps from all else."""
+        flags = [part for part in self._taken if not callable(part)]
+        return (f'{self._kind.__module__}.{self._kind.__qualname__}'
+                f'({self.inner.keeps_gradient}, {flags})')
+
+    @property
+    def layer_own(self) -> bool:
+        """Return whether the effect by itself is this package's."""
+        return is_own(self._kind.__module__)
+
+    @property
+    def _taken(self) -> tuple[Any, ...]:
+        taken = self._kind.inner_step(self.inner)
+        return taken if isinstance(taken, tuple) else (taken,)
 
     def attempts(self, n: int) -> tuple[int, ...]:
         """Return the attempts of the method."""
-        return self._inner.attempts(n)
+        return self.inner.attempts(n)
 
     @property
     def usual_gradients(self) -> int:
         """Return what the method takes; 0 where the effect takes its step again and again."""
-        return 0 if getattr(self._kind, 'repeats', False) else self._inner.usual_gradients
+        return 0 if getattr(self._kind, 'repeats', False) else self.inner.usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Parameters:
         """Return the options of the method, and the settings of the effect."""
-        return (self._inner.options(attempt, dimension), *self._settings)
+        return (self.inner.options(attempt, dimension), *self._settings)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the equations of the method."""
-        return self._inner.unknowns(n)
+        return self.inner.unknowns(n)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[Any, ...]:
         """Return the workspaces of the method, then that of the effect; see Integrator."""
-        return (*self._inner.memory(n, dtype), self._kind.workspace(n, self._settings))
+        return (*self.inner.memory(n, dtype), self._kind.workspace(n, self._settings))
 
     def substep(self) -> Integrator | None:
         """Return the method that takes a failed step in parts, with the effect."""
-        inner = self._inner.substep()
+        inner = self.inner.substep()
         return None if inner is None else Wrapped(inner, self._kind, self._settings)
 
 

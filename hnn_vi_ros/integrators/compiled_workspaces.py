@@ -5,7 +5,8 @@
 from collections.abc import Callable
 from typing import Any
 
-from hnn_vi_ros.integrators.workspaces import forget
+from hnn_vi_ros.integrators.workspaces import forget, MemoryByAddress
+from hnn_vi_ros.kernels.blocks import clear
 from hnn_vi_ros.kernels.linking import LINK_ONLY
 from numba.core import types
 from numba.extending import overload
@@ -17,6 +18,12 @@ def compile_forget(memory: Any) -> Callable[[Any], None]:
         memory[0].kept.count[0] = 0
         forget(memory[1:])
 
+    def forget_by_address(memory: Any) -> None:
+        counts = memory[0].counts
+        for k in range(counts.size):
+            clear(counts[k])
+        forget(memory[1:])
+
     def forget_rest(memory: Any) -> None:
         forget(memory[1:])
 
@@ -25,6 +32,8 @@ def compile_forget(memory: Any) -> Callable[[Any], None]:
 
     if not len(memory):
         return forget_none
+    if getattr(memory[0], 'instance_class', None) is MemoryByAddress:
+        return forget_by_address
     return forget_first if _counts(memory[0]) else forget_rest
 
 

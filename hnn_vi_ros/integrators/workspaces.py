@@ -44,6 +44,23 @@ def arrays_of(name: str, group: Any) -> Iterator[tuple[str, np.ndarray]]:
             yield f'{name}.{field}', value
 
 
+class MemoryByAddress(NamedTuple):
+    """
+    The memory of a step that is called by address; for compiled code only.
+
+    Parameters
+    ----------
+    words : np.ndarray of int64
+        Its workspaces as numba lays them out.
+    counts : np.ndarray of int64, shape (K,)
+        The addresses of the counts in them that ``forget`` takes to zero.
+
+    """
+
+    words: np.ndarray
+    counts: np.ndarray
+
+
 class History(NamedTuple):
     """
     Earlier solutions of an equation of N unknowns.

@@ -16,7 +16,7 @@ _SECONDS = 0.8e-3
 # What takes less is not worth a line [s].
 _SHORT = 1.0
 _NAMES = {'advance': 'the loop over steps', 'take_substeps': 'the sub-steps',
-          '_energy_entry': 'H', '_gradient_entry': 'the gradient of H',
+          '_step_entry': 'a step', '_energy_entry': 'H', '_gradient_entry': 'the gradient of H',
           '_hessian_vector_entry': "products with H''"}
 
 

@@ -15,7 +15,17 @@ import numpy as np
 
 
 class Block(bytearray):
-    """Memory that holds a value as numba lays it out."""
+    """
+    Memory that holds a value as numba lays it out.
+
+    Attributes
+    ----------
+    held : any
+        What keeps alive what the addresses in it lead to.
+
+    """
+
+    held: Any
 
     @property
     def words(self) -> np.ndarray:
@@ -31,12 +41,29 @@ class Block(bytearray):
         return memory
 
 
+def block(value: Any, *before: int) -> np.ndarray:
+    """
+    Return the words of a value, and some before it, in memory that keeps its arrays alive.
+
+    Parameters
+    ----------
+    value : tuple
+        See flat.
+    *before : int
+        Words that precede it.
+
+    """
+    memory = Block(np.array([*before, *flat(value)], dtype=np.int64).tobytes())
+    memory.held = value
+    return memory.words
+
+
 def check_words(kind: types.Type, count: int) -> None:
     """Raise TypeError if a value of a type takes another number of words in memory."""
     context = cpu_target.target_context
     if context.get_abi_sizeof(context.get_data_type(kind)) != 8 * count:
-        raise TypeError('parameters of a kernel that are no whole words: truth values '
-                        'beside each other; give them as int')
+        raise TypeError('parameters of a kernel, or options of a step, that are no whole words: '
+                        'truth values beside each other; give them as int')
 
 
 def flat(value: object) -> list[int]:
@@ -92,3 +119,45 @@ def _pointer(_context: Any, address: Any) -> Any:
                  ) -> ir.Value:
         return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
     return types.CPointer(types.float64)(address), generate
+
+
+@intrinsic
+def address_of(_context: Any, array: Any) -> Any:
+    """Return the address of the elements of a contiguous array."""
+    if array.layout != 'C':
+        raise numba.TypingError(f'{array} by address; expected a contiguous one')
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
+                 ) -> ir.Value:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        return builder.ptrtoint(data, context.get_value_type(types.int64))
+    return types.int64(array), generate
+
+
+@intrinsic
+def clear(_context: Any, address: Any) -> Any:
+    """Write a zero of 64 bits to an address."""
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
+                 ) -> ir.Value:
+        word = context.get_value_type(types.int64)
+        builder.store(ir.Constant(word, 0), builder.inttoptr(arguments[0], word.as_pointer()))
+        return context.get_dummy_value()
+    return types.none(address), generate
+
+
+@intrinsic
+def call_entry(_context: Any, address: Any, words: Any) -> Any:
+    """Call the entry of a step with words, integers and numbers; see step_addresses."""
+    result = types.Tuple((types.int64, types.float64, types.int64))
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
+                 ) -> ir.Value:
+        kinds = signature.args[1].types
+        pointer = context.call_conv.get_function_type(result, kinds).as_pointer()
+        status, value = context.call_conv.call_function(
+            builder, builder.inttoptr(arguments[0], pointer), result, kinds,
+            [builder.extract_value(arguments[1], i) for i in range(len(kinds))])
+        with builder.if_then(status.is_error, likely=False):
+            context.call_conv.return_status_propagate(builder, status)
+        return value
+    return result(address, words), generate

@@ -10,7 +10,7 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import keep, Part, set_identity, Whole
+from hnn_vi_ros.kernels.linking import find, keep, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 import numba
@@ -77,6 +77,11 @@ def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..
     signature = tuple(numba.typeof(argument) for argument in arguments)
     function.compile(signature)
     return function.overloads[signature].entry_point
+
+
+def is_compiled(function: Callable[..., Any], *arguments: object) -> bool:
+    """Tell whether a loop is compiled for arguments of these types, in this process or on disk."""
+    return find(function, tuple(numba.typeof(argument) for argument in arguments))
 
 
 def compiled_options(options: Parameters) -> Parameters:

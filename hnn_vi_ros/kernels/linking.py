@@ -18,10 +18,11 @@ from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite.binding import Linkage
 from numba import _dynfunc
+from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_lock import require_global_compiler_lock
+from numba.core.compiler_lock import global_compiler_lock, require_global_compiler_lock
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher
@@ -216,6 +217,22 @@ class _Cache(FunctionCache):
 def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
     """Let numba know a function by a name, in place of a number that is new in each process."""
     dispatcher._set_uuid(identity)
+
+
+def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:
+    """Load what a function is compiled to for these types, if it is kept on disk; tell whether."""
+    with global_compiler_lock:
+        if signature in dispatcher.overloads:
+            return True
+        result = dispatcher._cache.load_overload(signature, dispatcher.targetctx)
+        if result is None:
+            return False
+        # As numba does before it compiles a function.
+        dispatcher._cache_hits[signature] += 1
+        dispatcher.targetctx.insert_user_function(
+            result.entry_point, result.fndesc, [result.library])
+        dispatcher.add_overload(result)
+        return True
 
 
 def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:

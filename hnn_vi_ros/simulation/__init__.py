@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene compiled into one kernel that advances the state by whole steps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import time
-from typing import Any
+from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
@@ -14,10 +14,10 @@ from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
     BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
-from hnn_vi_ros.kernels.compilation import entry_point
 from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
-from hnn_vi_ros.simulation.loops import advance, assemble
+from hnn_vi_ros.simulation.loops import advance
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -100,9 +100,14 @@ class Simulation:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
                 'from plain Python or autograd in every step, which is slower', stacklevel=2)
-        self._loops = [assemble(advance, self._kernel, method) for method in self._rescue.methods]
-        self._entries: dict[int, Callable] = {}
+        # By the method that is active: what may never be needed is not compiled before it is.
+        self._loops = {0: Loop(advance, self._kernel, self._rescue.methods[0])}
         self.restart(q, p)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled."""
+        raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
+                        'arrays; build another one, and give its restore() the snapshot() of this')
 
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0
                 ) -> None:
@@ -193,9 +198,22 @@ class Simulation:
         """Return the energy that the integrator nearly conserves [J], None if none is known."""
         return self.energies[1]
 
-    def compile(self) -> float:  # noqa: A003
-        """Compile the kernel now, not in the first step; return the wall time it took [s]."""
+    def compile(self, whole: bool | None = None) -> float:  # noqa: A003
+        """
+        Compile the kernel now, not in the first step; return the wall time it took [s].
+
+        Parameters
+        ----------
+        whole : bool, optional
+            Compile effects and method into one loop, which takes longer, and which later
+            simulations of them find: their steps are the same, and take less time. False for a
+            loop that calls them by address, as they are otherwise; see assembly.
+
+        """
         start = time.perf_counter()
+        if whole is not None:
+            self._loops[self._active] = Loop(
+                advance, self._kernel, self._rescue.methods[self._active], whole=whole)
         self.record(0, 0)
         return time.perf_counter() - start
 
@@ -320,13 +338,12 @@ class Simulation:
     def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:
         """Run the loop; return outcome, steps done, residual and gradients of the last step."""
-        loop, step, options = self._loops[self._active]
-        arguments = (step, self._kernel, self.step_size, options, done, every,
-                     self._z, self._z1, self._memories[self._active], q_out, p_out)
-        if self._active not in self._entries:
-            self._entries[self._active] = entry_point(loop, *arguments)
-        outcome, now, gradients, self.residual, spent, most, costliest = (
-            self._entries[self._active](*arguments))
+        if self._active not in self._loops:
+            self._loops[self._active] = Loop(
+                advance, self._kernel, self._rescue.methods[self._active])
+        outcome, now, gradients, self.residual, spent, most, costliest = self._loops[self._active](
+            self.step_size, done, every, self._z, self._z1, self._memories[self._active],
+            q_out, p_out)
         self._count(most, self.steps + costliest + 1 - done)
         self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
         self.rescued += (now - done) * (self._active != 0)

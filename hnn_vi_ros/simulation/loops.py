@@ -5,11 +5,9 @@
 from collections.abc import Callable
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.compiled_workspaces import compile_forget  # noqa: F401  registers
-from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.bare_arrays import bare
-from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
@@ -53,16 +51,3 @@ def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, p
         copy_point(z1, z)
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
     return True, gradients + 1
-
-
-def assemble(loop: Callable, kernel: Kernel, method: Integrator, attempt: int = 0
-             ) -> tuple[Callable, Callable, tuple]:
-    """Return a loop, the method's step and its options, compiled where possible."""
-    options = method.options(attempt, kernel.dimension - kernel.channels)
-    if not (kernel.compiled and method.compiled):
-        return loop, method.step, options
-    name = method.kernel_name
-    if isinstance(kernel.parameters, Target):
-        provide_for(kernel, method.step, options)
-    parts = compiled(method.step, name), compiled_options(options)
-    return compiled_loop(loop, kernel, name, parts, method.own), *parts

@@ -15,10 +15,10 @@ from hnn_vi_ros.integrators.base import (
     BEYOND, Integrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.workspaces import forget
-from hnn_vi_ros.kernels.compilation import entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.simulation.loops import advance, assemble, take_substeps
+from hnn_vi_ros.simulation.assembly import Loop
+from hnn_vi_ros.simulation.loops import advance, take_substeps
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
@@ -76,7 +76,7 @@ class Rescue:
         if on_failure not in ON_FAILURE:
             raise ValueError(f'on_failure = {on_failure!r}; valid: {", ".join(ON_FAILURE)}')
         self._system, self._on_failure = system, on_failure
-        self._entries: dict[tuple[int, int], tuple[Callable, Callable, tuple]] = {}
+        self._loops: dict[tuple[Callable, int, int], Loop] = {}
         self.methods = [system.integrator]
         if on_failure == 'implicit' and not system.hamiltonian.canonical:
             raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
@@ -117,7 +117,8 @@ class Rescue:
         for method, attempt, parts in self._fallbacks(active, z.q.size):
             if parts > 1 and method.usual_gradients:
                 most = _MOST_PARTS * method.usual_gradients
-            ok, gradients = self._in_parts(method, attempt, parts, most - spent, h, z, z1)
+            loop = self._loop(take_substeps, active, method, attempt)
+            ok, gradients = self._in_parts(loop, method, parts, most - spent, h, z, z1)
             spent += gradients
             if ok:
                 # What came before is no guide to the next start.
@@ -131,22 +132,22 @@ class Rescue:
     def _by_other_solvers(self, active: int, h: float, z: Point, z1: Point,
                           memory: tuple) -> 'Taken':
         """Take the step with the later attempts of the method itself."""
-        kernel, method, spent = self._system.kernel, self.methods[active], 0
-        residual, outcome = math.nan, NO_CONVERGENCE
+        method, spent, residual, outcome = self.methods[active], 0, math.nan, NO_CONVERGENCE
         for attempt in method.attempts(z.q.size)[1:]:
-            if (active, attempt) not in self._entries:
-                self._entries[active, attempt] = assemble(advance, kernel, method, attempt)
-            loop, step, options = self._entries[active, attempt]
-            q, p = np.empty((2, 1, z.q.size))
-            arguments = step, kernel, h, options, 0, 1, z, z1, memory, q, p
-            # Once; from then on it is the entry that is returned as it is.
-            entry = entry_point(loop, *arguments)
-            self._entries[active, attempt] = entry, step, options
-            outcome, _, gradients, residual, *_ = entry(*arguments)
+            loop = self._loop(advance, active, method, attempt)
+            outcome, _, gradients, residual, *_ = loop(
+                h, 0, 1, z, z1, memory, *np.empty((2, 1, z.q.size)))
             spent += gradients
             if outcome in (OK, NO_SOLUTION):
                 break
         return Taken(outcome == OK, False, spent, residual, outcome)
+
+    def _loop(self, loop: Callable, active: int, method: Integrator, attempt: int) -> Loop:
+        """Return a loop over a method, or over what takes its place, the same each time."""
+        key = loop, active, attempt
+        if key not in self._loops:
+            self._loops[key] = Loop(loop, self._system.kernel, method, attempt)
+        return self._loops[key]
 
     def _fallbacks(self, active: int, n: int) -> list[tuple[Integrator, int, int]]:
         """Return the fallbacks in their order: method, attempt, and number of parts."""
@@ -156,15 +157,13 @@ class Rescue:
         return [] if substep is None else [
             (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
 
-    def _in_parts(self, method: Integrator, attempt: int, parts: int, most: int, h: float,
+    def _in_parts(self, loop: Loop, method: Integrator, parts: int, most: int, h: float,
                   z: Point, z1: Point) -> tuple[bool, int]:
         """Take the step in equal parts; leave z and what the effects keep if one fails."""
-        kernel, state = self._system.kernel, self._system.effect_state
-        loop, step, options = assemble(take_substeps, kernel, method, attempt)
+        state = self._system.effect_state
         before = [array.copy() for array in state]
         end = Point(*[array.copy() for array in z])
-        ok, gradients = loop(step, kernel, h, options, parts, most, end, z1,
-                             method.memory(z.q.size))
+        ok, gradients = loop(h, parts, most, end, z1, method.memory(z.q.size))
         if ok:
             copy_point(end, z)
             return True, gradients

@@ -19,7 +19,8 @@ from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.loops import advance, assemble
+from hnn_vi_ros.simulation.assembly import Loop
+from hnn_vi_ros.simulation.loops import advance
 import numpy as np
 import pytest
 
@@ -134,7 +135,7 @@ class Chain:
     def __init__(self, attempt: int):
         hamiltonian = HAMILTONIANS['fput_chain'](self.pairs, 50.0)
         self.kernel, self.n = hamiltonian.kernel, hamiltonian.dimension
-        self._assembled = assemble(advance, self.kernel, self.method, attempt)
+        self._loop = Loop(advance, self.kernel, self.method, attempt)
 
     def end(self, h: float, steps: int) -> np.ndarray:
         """Return q and p after some steps of h from a state that excites all modes."""
@@ -143,12 +144,10 @@ class Chain:
             (0.5, m), (0.02, m), (1.0, 2 * m)))
         self.kernel.gradient(self.kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
         q, p = np.empty((2, 1, self.n))
-        loop, step, options = self._assembled
         size = 2 * self.n
         memory = (MidpointWork(History.empty(size), SolverWork.empty(size, largest_matrix=size),
                                *np.zeros((2, size))),)
-        outcome, done, *_ = loop(step, self.kernel, h, options, 0, steps, z, z1,
-                                 memory, q, p)
+        outcome, done, *_ = self._loop(h, 0, steps, z, z1, memory, q, p)
         assert (outcome, done) == (OK, steps)
         return np.concatenate([q[0], p[0]])
 

@@ -11,6 +11,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Point, PointWork
 from hnn_vi_ros.integrators.compiled_workspaces import compile_forget
+from hnn_vi_ros.integrators.step_addresses import memory_by_address
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.run.held_state import restore_state, state_file
 from hnn_vi_ros.simulation import Simulation
@@ -42,7 +43,16 @@ def plain(memory: tuple) -> None:
     forget(memory)
 
 
-@pytest.mark.parametrize('run', [plain, numba.njit(plain)], ids=['plain', 'compiled'])
+_forget = numba.njit(plain)
+
+
+def by_address(memory: tuple) -> None:
+    # As a step by address finds it, and one of those around it.
+    _forget((memory_by_address((memory_by_address(memory[:1]), *memory[1:])),))
+
+
+@pytest.mark.parametrize('run', [plain, _forget, by_address],
+                         ids=['plain', 'compiled', 'by address'])
 def test_forget_takes_every_count_to_zero_and_nothing_else(run):
     assert compile_forget
     for name in ('generalized_leapfrog', 'time_transformed'):

@@ -30,7 +30,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 simulation = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['explicit_euler'](), 0.1, [1.0], [0.5])
 simulation.advance(10)
-stats = simulation._loops[0][0].stats
+stats = simulation._loops[0].function.stats
 print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()), simulation.q[0].hex())
 """
 
@@ -139,8 +139,8 @@ def test_second_simulation_of_the_same_kind_compiles_nothing():
         simulation.advance(1)
         return simulation
 
-    first = simulate()._loops[0][0]
-    assert simulate()._loops[0][0] is first and len(first.overloads) == 1
+    first = simulate()._loops[0].function
+    assert simulate()._loops[0].function is first and len(first.overloads) == 1
 
 
 @pytest.mark.parametrize('method', INTEGRATORS.values(), ids=INTEGRATORS)

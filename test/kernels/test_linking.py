@@ -9,7 +9,7 @@ from types import FunctionType
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.bare_arrays import bare
-from hnn_vi_ros.kernels.compilation import compiled_loop
+from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options
 from hnn_vi_ros.kernels.linking import LinkOnly, Part, part
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.loops import advance
@@ -116,9 +116,10 @@ def test_text_beside_bare_arrays_keeps_its_owner():
 
 def run(loop: Callable) -> tuple[numba.core.event.RecordingListener, float, float]:
     """Take five steps from one state; return what was compiled for it, and the end."""
-    simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](),
-                            INTEGRATORS['implicit_midpoint'](), 0.1, [1.0], [0.5])
-    _, step, options = simulation._loops[0]
+    method = INTEGRATORS['implicit_midpoint']()
+    simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](), method, 0.1, [1.0], [0.5])
+    step = compiled(method.step, method.kernel_name)
+    options = compiled_options(method.options(0, 1))
     q, p = np.empty((2, 1, 1))
     with install_recorder('numba:compile') as recorder:
         outcome, done, *_ = loop(step, simulation._kernel, 0.1, options, 0, 5, simulation._z,

@@ -1,0 +1,168 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Steps by address: what effects put around a step is compiled once, for whichever step is inside.
+
+A step is compiled by itself into an entry, which takes addresses: of what changes from call to
+call, of its options and of its workspaces. What calls it finds that of the entry, with the
+options, in options of its own, and the workspaces as one of its own. So the step of a method is
+compiled once for all combinations of effects, and an effect once for all methods.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
+import re
+from threading import Lock
+from types import FunctionType
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.integrators.base import Point, Step
+from hnn_vi_ros.integrators.workspaces import MemoryByAddress
+from hnn_vi_ros.kernels.blocks import (
+    address_of, array_at, Block, block, call_entry, check_words, load)
+from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.linking import Part, part, Whole
+from hnn_vi_ros.kernels.sources import digest_of, reached
+import numba
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+import numpy as np
+
+# What entries find under these names is their own; see _entry.
+function: Any = None
+inside_kind: Any = None
+memory_kind: Any = None
+_ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
+# Before the options in a block: a method has a step, or two halves of one.
+_ADDRESSES = 2
+# Threads that ask for the same entry get the same one.
+_compiling = Lock()
+
+
+class StepsByAddress(NamedTuple):
+    """
+    What a step finds in its options of the steps inside of it.
+
+    Parameters
+    ----------
+    words : np.ndarray of int64
+        The addresses of their entries, of one or two, then the kernel and the options that they
+        share. The kernel is the simulation's, whatever they are called with.
+
+    """
+
+    words: np.ndarray
+
+
+def steps_by_address(steps: tuple[Step, ...], name: str, own: bool, kernel: Kernel,
+                     options: Parameters, memory: tuple[Any, ...]) -> StepsByAddress:
+    """
+    Return steps, compiled, for those that call them by address.
+
+    Parameters
+    ----------
+    steps : tuple of callable
+        One or two, which share options and workspaces.
+    name : str
+        What tells them from the steps of every other method or effect.
+    own : bool
+        Whether they are all of this package, so that they can be found again on disk.
+    kernel : Kernel
+        By address.
+    options : tuple
+        Of the steps; the functions in them compiled.
+    memory : tuple
+        Of the steps; only its type counts.
+
+    """
+    inside = kernel, options
+    kinds = numba.typeof(inside), numba.typeof(memory)
+    with _compiling:
+        entries = [_entry(step, kinds, _name(step, name, kinds, options), own) for step in steps]
+    words = block(inside, *map(_address, entries), *[0] * (_ADDRESSES - len(steps)))
+    check_words(kinds[0], words.size - _ADDRESSES)
+    Block.of(words).held = inside, entries
+    return StepsByAddress(words)
+
+
+def memory_by_address(memory: tuple[Any, ...]) -> MemoryByAddress:
+    """Return the workspaces of steps, for those that call them by address."""
+    return MemoryByAddress(block(memory), np.array(
+        [address for workspace in memory for address in _counts(workspace)], dtype=np.int64))
+
+
+def _counts(workspace: Any) -> list[int]:
+    """Return the addresses of the counts in a workspace that ``forget`` takes to zero."""
+    if isinstance(workspace, MemoryByAddress):
+        return workspace.counts.tolist()
+    kept_group: Any = getattr(workspace, 'kept', None)
+    return ([kept_group.count.ctypes.data]
+            if 'count' in getattr(kept_group, '_fields', ()) else [])
+
+
+@cache
+def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> Dispatcher:
+    """Return a step's entry, compiled."""
+    # A part of the entry and of nothing else.
+    copy = Part(step, targetoptions={'forceinline': True})
+    entry = FunctionType(_step_entry.__code__, {
+        **globals(), 'function': copy, 'inside_kind': kinds[0], 'memory_kind': kinds[1]},
+        _step_entry.__name__)
+    entry.__qualname__ = name
+    dispatcher: Any = (kept(**_ENTRY) if own else numba.njit(**_ENTRY))(entry)
+    dispatcher.compile((types.int64, types.int64, types.float64, *[types.int64] * 13))
+    return dispatcher
+
+
+def _address(entry: Dispatcher) -> int:
+    (result,) = entry.overloads.values()
+    return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+def _name(step: Step, name: str, kinds: tuple[types.Type, ...], options: Parameters) -> str:
+    """Return a name for all that an entry is compiled from, the same in every process."""
+    # Numba keeps a function by its name and code: what it finds under global names is not seen.
+    parts = reached(step, options)
+    sources = digest_of(frozenset(part.__module__ for part in parts))
+    names = sorted(f'{part.__module__}.{part.__qualname__}' for part in parts)
+    layout = re.sub(r' at 0x\w+', '', str(kinds))
+    # A method's step and its halves have one name, and come from the same sources.
+    text = f'{name}/{step.__module__}.{step.__qualname__}/{layout}/{names}/{sources}'
+    return f'step_{sha256(text.encode()).hexdigest()[:16]}'
+
+
+def _step_entry(inside: int, memory: int, h: float, n: int, q: int, p: int, q_carry: int,
+                p_carry: int, dH_dq: int, dH_dp: int, q1: int, p1: int, q1_carry: int,
+                p1_carry: int, dH_dq1: int, dH_dp1: int) -> tuple[int, float, int]:
+    kernel, options = load(inside, inside_kind)
+    z = Point(array_at(q, n), array_at(p, n), array_at(q_carry, n), array_at(p_carry, n),
+              array_at(dH_dq, n), array_at(dH_dp, n))
+    z1 = Point(array_at(q1, n), array_at(p1, n), array_at(q1_carry, n), array_at(p1_carry, n),
+               array_at(dH_dq1, n), array_at(dH_dp1, n))
+    outcome, residual, spent = function(kernel, h, options, z, z1, load(memory, memory_kind))
+    return outcome, residual, spent
+
+
+@part(forceinline=True)
+def _addresses_of(z: Point) -> tuple[int, ...]:
+    return (address_of(z.q), address_of(z.p), address_of(z.q_carry), address_of(z.p_carry),
+            address_of(z.dH_dq), address_of(z.dH_dp))
+
+
+def _caller(k: int) -> Part:
+    """Return the step that calls the k-th of the steps by address which it finds."""
+    @part(forceinline=True)
+    def step_by_address(kernel: Kernel, h: float, options: StepsByAddress, z: Point, z1: Point,
+                        memory: tuple[MemoryByAddress]) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        inside = address_of(options.words) + 8 * _ADDRESSES
+        return call_entry(options.words[k], (
+            inside, address_of(memory[0].words), h, z.q.size,
+            *_addresses_of(z), *_addresses_of(z1)))
+    return step_by_address
+
+
+# Steps for compiled code only, in place of one or two that they call.
+CALLERS: tuple[Callable[..., Any], ...] = tuple(_caller(k) for k in range(_ADDRESSES))

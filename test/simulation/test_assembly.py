@@ -1,0 +1,202 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects around steps by address: the bits of steps that are inlined, and what is compiled."""
+
+from concurrent.futures import ThreadPoolExecutor
+import copy
+import gc
+import os
+from pathlib import Path
+import pickle
+import shutil
+import subprocess
+import sys
+
+from effect_table import create_effect
+from hnn_vi_ros.effects.base import StepEffect
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+DAMPING = ('damping', {'rate': 0.4})
+DRIVE = ('periodic_drive', {'coordinate': 'angle', 'amplitude': 3.0, 'frequency': 0.8})
+BATH = ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1})
+WALL = ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7})
+SYSTEMS = {
+    'a keeping step': ('stormer_verlet', 'pendulum', (), [1.0], [0.0], [DAMPING, DRIVE]),
+    'halves': ('stormer_verlet', 'pendulum', (), [1.0], [0.0], [BATH, DAMPING, WALL]),
+    'an equation': ('implicit_midpoint', 'pendulum', (), [1.0], [0.0], [DAMPING]),
+    'many together': ('stormer_verlet', 'pendulum', (), [[1.0], [0.5], [2.0]],
+                      [[0.0], [0.2], [0.1]], [DAMPING]),
+    'a rod': ('stormer_verlet', 'free_particle', (1.0, ('x', 'z')), [0.6, 0.8], [0.8, -0.6], [
+        ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
+        ('damping', {'rate': [0.5, 1.0]})]),
+}
+
+
+def simulation(name: str, folder: Path) -> Simulation:
+    method, system, arguments, q, p, effects = SYSTEMS[name]
+    return Simulation(HAMILTONIANS[system](*arguments), INTEGRATORS[method](), 0.05, q, p,
+                      [create_effect(kind, parameters, folder) for kind, parameters in effects])
+
+
+@pytest.mark.parametrize('name', SYSTEMS)
+def test_steps_by_address_have_the_bits_of_steps_as_a_whole(name, tmp_path):
+    ways = [simulation(name, tmp_path) for _ in range(2)]
+    for way, whole in zip(ways, (False, True), strict=True):
+        way.compile(whole=whole)
+        # Back and forth: what is forgotten or put back is in the arrays that steps work on.
+        way.advance(3)
+        state = way.snapshot()
+        way.advance(2)
+        way.restore(state)
+        way.advance(40)
+        assert way._loops[0].whole == whole
+    here, there = ways
+    assert np.abs(here.p).max() > 0.0
+    for part in ('q', 'p', 'dH_dq', 'dH_dp', 'gradients', 'works', 'residual'):
+        np.testing.assert_array_equal(getattr(here, part), getattr(there, part))
+
+
+RUN = """
+import sys
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
+from hnn_vi_ros.simulation import Simulation
+from numba.core.event import install_recorder
+
+ALL = {'damping': {'rate': 0.4},
+       'periodic_drive': {'coordinate': 'angle', 'amplitude': 3.0, 'frequency': 0.8},
+       'thermostat': {'temperature': 0.5, 'rate': 2.0, 'seed': 1}}
+for kinds in sys.argv[1:]:
+    with install_recorder('numba:compile') as recorder:
+        simulation = Simulation(
+            HAMILTONIANS['pendulum'](), INTEGRATORS['stormer_verlet'](), 0.05, [1.0], [0.0],
+            [EFFECTS[kind](**ALL[kind]) for kind in kinds.split(',')])
+        simulation.advance(10)
+    names = [event.data['dispatcher'].py_func.__name__ for _, event in recorder.buffer
+             if event.is_end]
+    print(names.count('_step_entry'), names.count('advance'), simulation.q[0].hex())
+"""
+
+
+def run(cache: Path, *kinds: str) -> list[list[str]]:
+    """Run simulations in a new process; return steps and loops compiled, and q, of each."""
+    lines = subprocess.run(
+        [sys.executable, '-c', RUN, *kinds], env=os.environ | {'NUMBA_CACHE_DIR': str(cache)},
+        capture_output=True, text=True, timeout=300, check=True).stdout.splitlines()
+    return [line.split() for line in lines]
+
+
+def test_second_set_of_effects_compiles_neither_the_method_nor_the_loop(tmp_path):
+    first, forced, bathed = run(
+        tmp_path, 'damping', 'damping,periodic_drive', 'thermostat,damping')
+    # The method's step and the damping's; then nothing; then the two halves, and the bath.
+    assert [line[:2] for line in (first, forced, bathed)] == [
+        ['2', '1'], ['0', '0'], ['3', '0']]
+    assert len({line[2] for line in (first, forced, bathed)}) == 3
+    # Other processes find all of it, whatever was compiled first.
+    assert run(tmp_path, 'thermostat,damping', 'damping') == [
+        ['0', '0', bathed[2]], ['0', '0', first[2]]]
+    assert len([*tmp_path.rglob('loops.advance_*.nbi')]) == 1
+
+
+WAYS = """
+import sys
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+from numba.core.event import install_recorder
+
+with install_recorder('numba:compile') as recorder:
+    simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['stormer_verlet'](), 0.05,
+                            [1.0], [0.0], [EFFECTS['damping'](0.4)])
+    for whole in sys.argv[1:]:
+        simulation.compile(whole == 'whole')
+    simulation.advance(10)
+names = [event.data['dispatcher'].py_func.__name__ for _, event in recorder.buffer if event.is_end]
+print(simulation._loops[0].whole, names.count('_step_entry'), names.count('advance'),
+      simulation.q[0].hex())
+"""
+
+
+def test_whole_is_found_until_a_source_changes_and_parts_that_did_not_change_then(tmp_path):
+    shutil.copytree(Path(__file__).parents[2] / 'hnn_vi_ros', tmp_path / 'hnn_vi_ros',
+                    ignore=shutil.ignore_patterns('__pycache__', 'resource*'))
+
+    def ways(*arguments: str) -> list[str]:
+        return subprocess.run(
+            [sys.executable, '-c', WAYS, *arguments], cwd=tmp_path, capture_output=True, text=True,
+            env=os.environ | {'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path / 'c')},
+            timeout=300, check=True).stdout.split()
+
+    # A method's step, an effect's, and two loops.
+    *compiled, q = ways('parts', 'whole')
+    assert compiled == ['True', '2', '2']
+    assert ways() == ['True', '0', '0', q]
+    for changed in ('integrators/stormer_verlet.py', 'effects/damping.py'):
+        with (tmp_path / 'hnn_vi_ros' / changed).open('a') as stream:
+            stream.write('# changed\n')
+        assert ways() == ['False', '1', '0', q], changed
+
+
+def test_threads_compile_each_part_once_and_end_alike(tmp_path):
+    def end(_: int) -> tuple[float, float]:
+        here = simulation('halves', tmp_path)
+        here.compile(whole=False)
+        here.advance(20)
+        return here.q[0], here.p[0]
+
+    step_addresses._entry.cache_clear()
+    with ThreadPoolExecutor(4) as pool:
+        assert len(set(pool.map(end, range(8)))) == 1
+    # The two halves, the bath, the damping, and the wall.
+    assert step_addresses._entry.cache_info().misses == 5
+
+
+def test_simulation_keeps_what_its_addresses_lead_to(tmp_path):
+    ends = []
+    for alone in (False, True):
+        here = simulation('a keeping step', tmp_path)
+        here.compile(whole=False)
+        if alone:
+            step_addresses._entry.cache_clear()
+            gc.collect()
+            _ = [np.full(n, np.nan) for n in range(1, 400)]
+        here.advance(20)
+        ends.append((here.q[0], here.p[0], here.works))
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize('duplicate', [copy.copy, copy.deepcopy, pickle.dumps])
+def test_simulation_refuses_to_be_copied(duplicate, tmp_path):
+    with pytest.raises(TypeError, match=r'cannot be copied.*snapshot'):
+        duplicate(simulation('a keeping step', tmp_path))
+
+
+class Inverse(StepEffect):
+    """What divides by the coordinate after each step."""
+
+    def resolve(self, coordinates, state):
+        """Return nothing."""
+        return ()
+
+    @staticmethod
+    def wrap(step, keeps_gradient):
+        """Return the step and a division."""
+        def divided(kernel, h, options, z, z1, memory):
+            outcome, residual, gradients = step(kernel, h, options[0], z, z1, memory[:-1])
+            z1.p[0] += 0.0 * (1.0 / z1.q[0])
+            return outcome, residual, gradients
+        return divided
+
+
+def test_error_in_an_effect_by_address_reaches_python():
+    simulation = Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['stormer_verlet'](), 0.5,
+                            [0.0], [0.0], [Inverse()], 'stop')
+    with pytest.raises(ZeroDivisionError):
+        simulation.advance(1)
