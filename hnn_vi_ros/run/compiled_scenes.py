@@ -4,16 +4,19 @@
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 import os
 import time
+from typing import Any
 import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.run.ensemble import simulate
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.build import build
 
 # Processes, of 0.3 GB each: of more of them several would compile the same.
 _MOST = 8
@@ -67,7 +70,24 @@ def _compile(name: str) -> CompiledScene:
         with warnings.catch_warnings():
             # Of the motion; nothing is simulated here.
             warnings.simplefilter('ignore')
-            simulate(resolve(load_scene(name))[0], 0.0)
+            scene = resolve(load_scene(name))[0]
+            simulate(scene, 0.0)
+            simulation = build(scene)
+            if scene.effects:
+                simulation.compile(whole=True)
+            # And what other effects will share, by address.
+            simulation.compile(whole=False)
+            for effect in _around(scene):
+                with suppress(HnnViRosError):
+                    simulate(scene, 0.0, effects=[effect])
     except HnnViRosError as error:
         problem = str(error)
     return CompiledScene(name, time.perf_counter() - begin, problem)
+
+
+def _around(scene: Scene) -> list[dict[str, Any]]:
+    """Return effects of each kind that takes the method's step, or halves of it, by address."""
+    first = scene.create_hamiltonian().coordinates[0].name
+    return [{'kind': 'damping', 'rate': 0.1},
+            {'kind': 'thermostat', 'temperature': 0.1, 'rate': 0.1},
+            {'kind': 'impact', 'coordinate': first, 'position': scene.initial_state.q[0] - 1.0}]

@@ -77,7 +77,7 @@ def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -
 
 def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
     """Compile, and return a number of steps that takes about the given time [s]."""
-    simulation.compile()
+    simulation.compile(whole=True)
     steps, seconds = 1, 0.0
     while seconds < 0.5 * batch_time:
         steps *= 2
@@ -89,6 +89,7 @@ def _try_to_run(variant: Scene, steps: int) -> Simulation | None:
     """Build and warm up a part of the scene; None where it cannot do without the rest."""
     try:
         simulation = build(variant)
+        simulation.compile(whole=True)
         _run(simulation, variant, steps)
     except HnnViRosError:
         return None

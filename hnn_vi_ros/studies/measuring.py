@@ -129,7 +129,7 @@ class OwnRun(MethodRun):
         self.label, self.step_size = label, simulation.step_size
         self._simulation, self._hamiltonian = simulation, hamiltonian
         self._start = simulation.q.copy(), simulation.p.copy()
-        simulation.compile()
+        simulation.compile(whole=True)
 
     def measure(self, horizon: float) -> MeasuredPath:
         """See MethodRun."""

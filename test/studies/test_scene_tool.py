@@ -201,11 +201,20 @@ def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
     cold = run(start)
     assert re.search(r'compiling the loop over steps, once: about \d+ s\n', cold)
     assert 'advance' in cold.splitlines()[-1]
+    # The same with an effect, as a whole.
+    damped = tmp_path / 'damped.yaml'
+    damped.write_text(scene.read_text(encoding='utf-8')
+                      + 'effects: [{kind: damping, rate: 0.4}]\n', encoding='utf-8')
     code = ('import sys; from hnn_vi_ros.studies.scene_tool import main\n'
-            f"sys.exit(main(['--compile', {str(scene)!r}]))")
+            f"sys.exit(main(['--compile', {str(scene)!r}, {str(damped)!r}]))")
     shutil.rmtree(tmp_path / 'cache')
-    assert re.fullmatch(r'.+: compiled in [\d.]+ s\n', run(code))
+    assert re.fullmatch(r'(.+: compiled in [\d.]+ s\n){2}', run(code))
     assert run(start) == '\n'
+    assert run(start.replace(str(scene), str(damped))) == '\n'
+    assert run('from hnn_vi_ros.scene import load_scene\n'
+               'from hnn_vi_ros.simulation.build import build\n'
+               f'simulation = build(load_scene({str(damped)!r}))\n'
+               'simulation.compile()\nprint(simulation._loops[0].whole)') == 'True\n'
 
 
 def test_compile_says_what_is_wrong_with_a_scene_and_compiles_the_others(capsys):
