@@ -12,6 +12,7 @@ from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_logs import LogMotions
+from hnn_vi_ros.learning.window_steps import MethodName
 from hnn_vi_ros.models.mechanical_card import check_row, Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from hnn_vi_ros.models.planar_chain import ChainName, check_chain
@@ -139,6 +140,9 @@ class Trajectory(StrictModel):
     windows: list[Stage] = Field(
         [Stage(duration=0.1, steps=600), Stage(duration=0.25, steps=400)],
         description='what follows, in this order')
+    method: MethodName = Field('implicit_midpoint', description=(
+        'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
+        'nothing'))
     batch: int = Field(256, ge=1, description='windows in each of their steps')
     time_scale: float = Field(0.1, gt=0.0, description=(
         'an error of q counts as one of v does that makes it in this time [s]'))

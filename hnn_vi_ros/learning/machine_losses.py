@@ -3,12 +3,14 @@
 """What a network of a machine is fitted by: samples of motions, and losses at them."""
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import count, islice
 import math
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.window_steps import first_node, MethodName, Solutions, STEPS
 import numpy as np
 import torch
 
@@ -22,6 +24,7 @@ class Network(Protocol):
     """What is fitted."""
 
     scales: MotionScales
+    has_masses: bool
 
     def parameters(self) -> Iterator[torch.nn.Parameter]:
         """Return what is changed."""
@@ -163,24 +166,63 @@ def balanced_step(motions: Sequence[Motion]) -> float:
     return max(1, round(step / spacing)) * spacing
 
 
-def window_loss(network: Network, samples: Samples, starts: torch.Tensor, count: int,
-                time_scale: float) -> torch.Tensor:
-    """Return the soft size of the errors of windows of ``count`` steps from these samples."""
-    return _soft(window_errors(network, samples, starts, count, time_scale))
+class Windows(NamedTuple):
+    """
+    Windows of motions that are simulated.
+
+    Parameters
+    ----------
+    count : int
+        Steps in each.
+    method : str
+        Of their steps.
+    time_scale : float
+        An error of q counts as one of v does that makes it in this time [s].
+
+    """
+
+    count: int
+    method: MethodName
+    time_scale: float
 
 
-def window_errors(network: Network, samples: Samples, starts: torch.Tensor, count: int,
-                  time_scale: float) -> torch.Tensor:
-    """Return the errors of q and v after each step of windows, shape (2 count, N, d)."""
-    unit = _USUAL_ERROR * torch.tensor(network.scales.v)
-    q, v, errors = samples.q[starts], samples.v[starts], []
-    for k in range(count):
+def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows
+                ) -> torch.Tensor:
+    """Return the soft size of the errors of windows from these samples."""
+    return _soft(window_errors(network, samples, starts, windows))
+
+
+def window_errors(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
+                  solutions: Solutions | None = None) -> torch.Tensor:
+    """
+    Return the errors of q and v after each step of windows, shape (2 count, N, d).
+
+    ``solutions`` are those of the equations, if they are to be used again.
+    """
+    unit, errors = _USUAL_ERROR * torch.tensor(network.scales.v), []
+    # What has no masses has no momenta, which a variational method steps.
+    method = windows.method if network.has_masses else 'rk4'
+    steps = _steps(network, method, samples, starts, solutions or Solutions())
+    for k, (q, v) in enumerate(islice(steps, windows.count), 1):
         at = starts + k * samples.every
-        q, v = runge_kutta(network.accelerations, q, v, samples.mean_tau[at],
-                           samples.step_size)
-        at = at + samples.every
-        errors += [(q - samples.q[at]) / (time_scale * unit), (v - samples.v[at]) / unit]
+        errors += [(q - samples.q[at]) / (windows.time_scale * unit), (v - samples.v[at]) / unit]
     return torch.stack(errors)
+
+
+def _steps(network: Any, method: MethodName, samples: Samples, starts: torch.Tensor,
+           solutions: Solutions) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """Yield q and v after each step, with the mean of the measured forces over it."""
+    h, q, v = samples.step_size, samples.q[starts], samples.v[starts]
+    forces = (samples.mean_tau[starts + k * samples.every] for k in count())
+    if method == 'rk4':
+        for tau in forces:
+            q, v = runge_kutta(network.accelerations, q, v, tau, h)
+            yield q, v
+    else:
+        node = first_node(network, q, v)
+        for tau in forces:
+            node = STEPS[method](solutions, network, node, network.joint_forces(tau), h)
+            yield node.q, node.v
 
 
 def _soft(z: torch.Tensor) -> torch.Tensor:

@@ -18,10 +18,10 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
 from hnn_vi_ros.learning.machine_config import (
-    Discrete, Forward, Inverse, MachineConfig, Trajectory)
+    Discrete, Forward, Inverse, MachineConfig, Stage, Trajectory)
 from hnn_vi_ros.learning.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, force_loss, Network, Samples, samples_of,
-    window_loss)
+    window_loss, Windows)
 from hnn_vi_ros.learning.motions import Motion, run_of
 import numpy as np
 import torch
@@ -175,6 +175,16 @@ def _regress(network: Network, config: MachineConfig, loss: Forward | Inverse | 
     return losses
 
 
+def windows_of(loss: Trajectory, stage: Stage, samples: Samples) -> tuple[Windows, torch.Tensor]:
+    """Return the windows of a stage, and the samples that they can begin at, or DataError."""
+    count = round(stage.duration / samples.step_size)
+    starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
+    if count < 1 or not len(starts):
+        raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
+                        'every motion lasts')
+    return Windows(count, loss.method, loss.time_scale), starts
+
+
 def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samples: Samples,
                  generator: torch.Generator,
                  penalty: Callable[[torch.Generator], torch.Tensor] | None) -> dict[str, float]:
@@ -187,18 +197,15 @@ def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samp
         losses['forward'] = _descend(network, forward, loss.forward_steps, config.learning_rate,
                                      'accelerations')
     for stage in loss.windows:
-        count = round(stage.duration / samples.step_size)
-        starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
-        if count < 1 or not len(starts):
-            raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
-                            'every motion lasts')
+        windows, starts = windows_of(loss, stage, samples)
 
-        def windows(starts: torch.Tensor = starts, count: int = count) -> torch.Tensor:
+        def errors_of_windows(windows: Windows = windows, starts: torch.Tensor = starts
+                              ) -> torch.Tensor:
             chosen = starts[torch.randint(len(starts), (loss.batch,), generator=generator)]
-            errors = window_loss(network, samples, chosen, count, loss.time_scale)
+            errors = window_loss(network, samples, chosen, windows)
             return errors if penalty is None else errors + penalty(generator)
         losses[f'windows_{stage.duration:g}'] = _descend(
-            network, windows, stage.steps, 0.2 * config.learning_rate,
+            network, errors_of_windows, stage.steps, 0.2 * config.learning_rate,
             f'windows of {stage.duration:g} s')
     return losses
 

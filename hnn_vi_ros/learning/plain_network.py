@@ -38,6 +38,8 @@ class PlainNetwork(torch.nn.Module):
 
     """
 
+    has_masses = False
+
     def __init__(self, kinds: Sequence[Kind], hidden: Sequence[int], scales: MotionScales,
                  seed: int):
         super().__init__()

@@ -10,14 +10,14 @@ form of the Levenberg-Marquardt method.
 
 from collections.abc import Callable, Sequence
 
-from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.machine_config import Trajectory
 from hnn_vi_ros.learning.machine_losses import (
-    acceleration_errors, Samples, samples_of, window_errors)
-from hnn_vi_ros.learning.machine_training import scales_of
+    acceleration_errors, Samples, samples_of, window_errors, Windows)
+from hnn_vi_ros.learning.machine_training import scales_of, windows_of
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.window_steps import Solutions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np
@@ -58,17 +58,14 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
     losses = {}
     found, losses['rigid_body_forward'] = _least_squares(
-        physical, found, lambda: acceleration_errors(network, samples, rows))
+        physical, found, lambda _: acceleration_errors(network, samples, rows))
     for stage in loss.windows:
-        count = round(stage.duration / samples.step_size)
-        starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
-        if count < 1 or not len(starts):
-            raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
-                            'every motion lasts')
+        windows, starts = windows_of(loss, stage, samples)
         chosen = _spread(starts, _WINDOWS)
 
-        def errors(chosen: torch.Tensor = chosen, count: int = count) -> torch.Tensor:
-            return window_errors(network, samples, chosen, count, loss.time_scale)
+        def errors(solutions: Solutions, windows: Windows = windows,
+                   chosen: torch.Tensor = chosen) -> torch.Tensor:
+            return window_errors(network, samples, chosen, windows, solutions)
         found, losses[f'rigid_body_{stage.duration:g}'] = _least_squares(physical, found, errors)
     physical.give(found)
     return losses
@@ -184,23 +181,26 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     return np.append(values, np.maximum(found[n:], _LEAST * physical.scale[n:]))
 
 
-def _least_squares(physical: _Physical, start: np.ndarray, errors: Callable[[], torch.Tensor]
-                   ) -> tuple[np.ndarray, float]:
+def _least_squares(physical: _Physical, start: np.ndarray,
+                   errors: Callable[[Solutions], torch.Tensor]) -> tuple[np.ndarray, float]:
     """Return the parameters of the least soft size of errors, and that size."""
     module, scale = _Errors(physical.network, errors), torch.tensor(physical.scale)
 
-    def residuals(x: torch.Tensor) -> torch.Tensor:
+    def residuals(x: torch.Tensor, solutions: Solutions) -> torch.Tensor:
         parts = {f'network.{name}': part for name, part in physical.raw(x * scale).items()}
-        return torch.func.functional_call(module, parts, ()).reshape(-1)
+        return torch.func.functional_call(module, parts, (solutions,)).reshape(-1)
 
     def values(x: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             # Infinite where M would not be positive, and where a window is thrown far.
-            return np.nan_to_num(residuals(torch.tensor(x)).numpy(), nan=np.inf)
+            return np.nan_to_num(residuals(torch.tensor(x), Solutions()).numpy(), nan=np.inf)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
+        at, solutions = torch.tensor(x), Solutions()
         with torch.no_grad():
-            return torch.func.jacfwd(residuals)(torch.tensor(x)).numpy()
+            residuals(at, solutions)
+            return torch.func.jacfwd(
+                lambda x: residuals(x, solutions.again()))(at).numpy()
     if not np.isfinite(values(start / physical.scale)).all():
         return start, np.inf
     found = least_squares(values, start / physical.scale, jacobian, (physical.least, np.inf),
@@ -212,10 +212,10 @@ def _least_squares(physical: _Physical, start: np.ndarray, errors: Callable[[], 
 class _Errors(torch.nn.Module):
     """Errors of a network, as a module whose parameters can be replaced."""
 
-    def __init__(self, network: MechanicalNetwork, errors: Callable[[], torch.Tensor]):
+    def __init__(self, network: MechanicalNetwork, errors: Callable[[Solutions], torch.Tensor]):
         super().__init__()
         self.network, self.errors = network, errors
 
-    def forward(self) -> torch.Tensor:
+    def forward(self, solutions: Solutions) -> torch.Tensor:
         """Return them."""
-        return self.errors()
+        return self.errors(solutions)

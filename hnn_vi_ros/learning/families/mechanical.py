@@ -42,6 +42,8 @@ class MechanicalNetwork(torch.nn.Module):
 
     """
 
+    has_masses = True
+
     def __init__(self, structure: Structure, hidden: Sequence[int], scales: MotionScales,
                  seed: int):
         super().__init__()
