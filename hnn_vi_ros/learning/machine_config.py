@@ -13,9 +13,10 @@ from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_logs import LogMotions
 from hnn_vi_ros.learning.window_steps import MethodName
-from hnn_vi_ros.models.mechanical_card import check_row, Kind
+from hnn_vi_ros.models.exact_prior import exact_systems
+from hnn_vi_ros.models.mechanical_card import check_prior, check_row, Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
-from hnn_vi_ros.models.planar_chain import ChainName, check_chain
+from hnn_vi_ros.models.planar_chain import CHAINS
 from pydantic import Field, model_validator
 
 # A term of a linear combination: sign, number, name.
@@ -84,9 +85,10 @@ class MechanicalChoice(StrictModel):
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
         'each joint has a force of its own in the data; or the forces are of motors, at most as '
         'many as joints, and a constant matrix of what they do to the joints is learned'))
-    prior: ChainName | None = Field(None, description=(
-        'a rigid body whose parameters are fitted, to which the networks are added; its links '
-        'turn by the angles that are the features'))
+    prior: str | None = Field(None, description=(
+        'what is fitted, and the networks are added to: pendulum or double_pendulum, rigid links '
+        'that turn by the angles that are the features; or another exact system, by its name in '
+        'scenes, of the coordinates in their order'))
     residual: bool = Field(True, description='whether there are networks beside a prior')
     residual_weight: float = Field(1e-3, ge=0.0, description=(
         'of the size of the networks beside a prior, at random states, in the loss'))
@@ -215,23 +217,24 @@ class MachineConfig(StrictModel):
     def _check_map(self) -> None:
         if self.family.input_map == 'identity':
             return
-        if self.family.prior is not None:
-            raise ValueError('input_map: a prior is fitted with the forces on its joints; take '
-                             'input_map: identity')
+        prior = self.family.prior
+        if prior is not None and prior not in CHAINS:
+            raise ValueError(f'input_map: {prior} has its own scale of energy, which the norm of '
+                             'the map would fix again; take input_map: identity')
         if isinstance(self.loss, Inverse):
             raise ValueError('input_map: the loss inverse would make the forces on a joint small '
                              'by a small input map; take forward, discrete or trajectory')
 
     def _check_prior(self, features: list[list[float]]) -> None:
-        family, d = self.family, len(self.coordinates)
+        family = self.family
         if family.prior is None:
             if not family.residual:
                 raise ValueError('residual: without a prior there is nothing but the networks')
             return
-        if any(coordinate.kind == 'prismatic' for coordinate in self.coordinates):
-            raise ValueError(f'prior: the links of a {family.prior} turn; a prismatic '
-                             'coordinate does not')
-        check_chain(family.prior, features, d)
+        if family.prior not in CHAINS and family.prior not in exact_systems():
+            raise ValueError(f'prior: {family.prior!r} is no system of the form p . M(q)^-1 p / 2 '
+                             f'+ V(q); valid: {", ".join(sorted({*CHAINS, *exact_systems()}))}')
+        check_prior(family.prior, [coordinate.kind for coordinate in self.coordinates], features)
         if not isinstance(self.loss, Trajectory | None):
             raise ValueError(f'loss: {self.loss.kind} fits no prior; take trajectory')
         if family.friction.network and not family.residual:

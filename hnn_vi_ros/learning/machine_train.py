@@ -27,6 +27,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.models.planar_chain import CHAINS
 from hnn_vi_ros.version import __version__
 import numpy as np
 import torch
@@ -72,7 +73,10 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     begun = time.perf_counter()
     network, losses = learn(config, train)
     seconds = time.perf_counter() - begun
-    if not any(motion.tau.any() for motion in train):
+    own_scale = config.family.prior is not None and config.family.prior not in CHAINS
+    if own_scale:
+        description += f'; the scale of energy is that of {config.family.prior}'
+    elif not any(motion.tau.any() for motion in train):
         fix_scale(network, train)
         description += ('; no forces, which leaves the scale of energy open: the mean inertia of '
                         f'{config.coordinates[0].name} is 1')
@@ -167,9 +171,10 @@ def learn(config: MachineConfig, motions: list[Motion]
                               config.hidden, scales, config.seed)
     losses = fit_rigid_body(rigid, config.windows, motions)
     if not np.isfinite([*losses.values()]).all():
-        raise DataError(f'prior: no {structure.prior} follows these motions; look at the '
-                        'features, which must be the angles of its links from the vertical, and '
-                        'for outliers in the data')
+        looked = 'features, which must be the angles of its links from the vertical,' \
+            if structure.prior in CHAINS else 'coordinates, which must be those of the system,'
+        raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
+                        'and for outliers in the data')
     if not structure.residual:
         return rigid, losses
     network.begin_with(rigid)

@@ -54,7 +54,8 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     """
     samples = samples_of(motions, loss.step_size)
     physical = _Physical(network)
-    found = _regression(physical, samples)
+    # The forces are linear in the parameters of rigid links.
+    found = _regression(physical, samples) if physical.prior.linear else physical.now()
     rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
     losses = {}
     found, losses['rigid_body_forward'] = _least_squares(
@@ -115,26 +116,38 @@ class _Physical:
         assert prior is not None
         d, n = network.d, structure.coulomb + structure.stribeck
         self.network, self.prior = network, prior
-        self.sizes = [len(prior.names), structure.viscous * d, n * d]
-        free = np.array([name.startswith(('coupling', 'gravity')) for name in prior.names])
-        unit = float(prior.unit)
+        motors = network.raw_map.numel() if network.scales.input_map is not None else 0
+        self.sizes = [len(prior.names), structure.viscous * d, n * d, motors]
+        free = [name.startswith(('coupling', 'gravity')) for name in prior.names]
         self.scale = np.concatenate([
-            np.full(len(free), unit), network.friction.viscous_unit.numpy()[:self.sizes[1]],
-            np.tile(network.friction.force_unit.numpy(), n)])
+            prior.scale().numpy(), network.friction.viscous_unit.numpy()[:self.sizes[1]],
+            np.tile(network.friction.force_unit.numpy(), n), np.ones(motors)])
         # Inertia and friction are positive.
-        self.least = np.where(np.append(free, np.zeros(sum(self.sizes[1:]), bool)), -np.inf, 0.0)
+        free += [False] * sum(self.sizes[1:3]) + [True] * motors
+        self.least = np.where(free, -np.inf, 0.0)
 
     def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network."""
         friction = self.network.friction
-        values, viscous, forces = x.split(self.sizes)
+        values, viscous, forces, input_map = x.split(self.sizes)
         forces = forces.reshape(-1, self.network.d)
         found = {'prior.raw': self.prior.raw_of(values)}
         if len(viscous):
             found['friction.raw_viscous'] = _inverse_softplus(viscous / friction.viscous_unit)
         if len(forces):
             found['friction.raw_force'] = _inverse_softplus(forces / friction.force_unit)
+        if len(input_map):
+            found['raw_map'] = input_map.reshape(self.network.d, -1)
         return found
+
+    def now(self) -> np.ndarray:
+        """Return the parameters that the network has."""
+        network = self.network
+        b, c, *_ = network.friction.coefficients()
+        parts = [self.prior.values(), b[:self.sizes[1]], c.flatten()]
+        if self.sizes[3]:
+            parts.append(network.raw_map.flatten())
+        return torch.cat(parts).detach().numpy()
 
     def give(self, x: np.ndarray) -> None:
         """Give the network these parameters."""
@@ -162,23 +175,27 @@ def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
 
 
 def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
-    """Return the parameters that explain the forces best."""
+    """Return the parameters that explain the forces best, by the input map that there is."""
     rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
     q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
+    with torch.no_grad():
+        tau = physical.network.joint_forces(tau)
     # Each joint in units of its own force.
     scales = physical.network.scales
     unit = torch.tensor(scales.inertia * scales.a)
     matrix = (physical.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
-    right = (tau / unit).flatten().numpy()
+    right, least = (tau / unit).flatten().numpy(), physical.least[:matrix.shape[1]]
     if right.any():
-        found = lsq_linear(matrix, right, (physical.least, np.inf)).x
+        found = lsq_linear(matrix, right, (least, np.inf)).x
     else:
         # Without forces all is known up to a common factor: the first inertia is one.
         found = np.append(1.0, lsq_linear(
-            matrix[:, 1:], -matrix[:, 0], (physical.least[1:], np.inf)).x)
+            matrix[:, 1:], -matrix[:, 0], (least[1:], np.inf)).x)
     n = physical.sizes[0]
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
-    return np.append(values, np.maximum(found[n:], _LEAST * physical.scale[n:]))
+    end = n + sum(physical.sizes[1:3])
+    return np.concatenate([values, np.maximum(found[n:], _LEAST * physical.scale[n:end]),
+                           physical.now()[end:]])
 
 
 def _least_squares(physical: _Physical, start: np.ndarray,

@@ -15,10 +15,7 @@ from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.outputs import (
     evaluate_outputs, output_tangents, pack_layers, PackedOutputs, part_gradient, weigh)
-from hnn_vi_ros.models.planar_chain import Terms
-from hnn_vi_ros.models.prior_terms import (
-    add_mass, add_prior_slope, add_prior_slope_change, prior_gradient, prior_potential,
-    subtract_turned_mass)
+from hnn_vi_ros.models.priors import added, Prior, prior_of
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
@@ -99,7 +96,7 @@ class MechanicalParameters(NamedTuple):
 
     mass: MassNetwork
     potential: PotentialNetwork
-    prior: Terms
+    prior: Prior
     work: MechanicalWork
 
 
@@ -114,8 +111,8 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         H_p = v = M^-1 p,    H_q = V' - sum_ij u_i w_j L_ij',
 
     since v . M v = |w|^2 + floor |u|^2: one forward and one backward pass through each network.
-    Its friction is the effect learned_friction. A prior of the card, such as the double pendulum,
-    adds its M and V of fitted parameters, and the networks are what it lacks.
+    Its friction is the effect learned_friction. A prior of the card, rigid links or an exact
+    system, adds its M and V of fitted parameters, and the networks are what it lacks.
 
     Parameters
     ----------
@@ -145,14 +142,14 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         potential = PotentialNetwork(
             pack(*even_layers(networks['potential']), card.activation),
             pack_features(mechanical, mechanical.features))
-        parameters = MechanicalParameters(mass, potential, mechanical.terms,
+        parameters = MechanicalParameters(mass, potential, prior_of(mechanical),
                                           MechanicalWork.empty(len(mechanical.entries), d))
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True)
 
     def masses(self, q: np.ndarray) -> np.ndarray:
         """Return M(q), shape (m, d, d), at q of shape (m, d), in extended precision."""
-        return self._roots(q)[0] + prior_gradient(self._mechanical.terms, q, np.zeros(q.shape))[0]
+        return self._roots(q)[0] + added(self._mechanical, q, np.zeros(q.shape))[0]
 
     def _roots(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return M without the prior's, L, and the derivatives of L, shape (m, d, d, d)."""
@@ -184,18 +181,18 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         x, x_q = inputs_of(card, card.features, q)
         slope = (self._evaluated('potential', x)[1] @ x_q)[:, 0]
         kinetic = (L_q * (u[:, :, None] * w[:, None, :])[..., None]).sum(axis=(1, 2))
-        return np.hstack([slope - kinetic + prior_gradient(card.terms, q, v)[1], v])
+        return np.hstack([slope - kinetic + added(card, q, v)[1], v])
 
 
 @kept(error_model='numpy')
 def _energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> float:
-    potential, v = parameters.potential, parameters.work.v
+    potential, prior, v = parameters.potential, parameters.prior, parameters.work.v
     _solve(parameters, q, p)
     see(potential.seen, q)
     x = potential.seen.inputs
     half = x.size // 2
     energy = (perceptron.energy(potential.network, x[:half], x[half:])
-              + prior_potential(parameters.prior, q))
+              + prior.potential(prior.own, q))
     for i in range(p.size):
         energy += 0.5 * p[i] * v[i]
     return energy
@@ -205,7 +202,7 @@ def _energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> f
 def _gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     mass, potential, work = parameters.mass, parameters.potential, parameters.work
-    v = work.v
+    prior, v = parameters.prior, work.v
     d = mass.scale.size
     for a in range(0, q.size, d):
         b = a + d
@@ -219,7 +216,7 @@ def _gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
             dH_dq[a + i], dH_dp[a + i] = 0.0, v[i]
         add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq[a:b])
         add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq[a:b])
-        add_prior_slope(parameters.prior, q[a:b], v, dH_dq[a:b])
+        prior.add_slope(prior.own, q[a:b], v, dH_dq[a:b])
 
 
 @kept(error_model='numpy')
@@ -227,7 +224,7 @@ def _hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarr
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
-    d = parameters.mass.scale.size
+    d, prior = parameters.mass.scale.size, parameters.prior
     for a in range(0, q.size, d):
         b = a + d
         product_q[a:b] = 0.0
@@ -236,7 +233,7 @@ def _hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarr
         _differentiate_mass(parameters, q[a:b], v_q[a:b], v_p[a:b], product_q[a:b],
                             product_p[a:b])
         _differentiate_potential(parameters.potential, q[a:b], v_q[a:b], product_q[a:b])
-        add_prior_slope_change(parameters.prior, q[a:b], parameters.work.v, v_q[a:b],
+        prior.add_slope_change(prior.own, q[a:b], parameters.work.v, v_q[a:b],
                                product_p[a:b], product_q[a:b])
 
 
@@ -274,7 +271,7 @@ def _differentiate_potential(potential: PotentialNetwork, q: np.ndarray, v_q: np
 def _differentiate_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
                         v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the change of v, and add that of -sum_ij u_i w_j L_ij'; after _weigh_entries."""
-    mass, work = parameters.mass, parameters.work
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
     outputs, seen, places, scale = mass.outputs, mass.seen, mass.places, mass.scale
     y, y_v, c_v = work.y, work.y_v, work.c_v
     L, L_v, turned = work.L, work.L_v, work.turned
@@ -300,7 +297,7 @@ def _differentiate_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np
         u_v[i] = v_p[i] / scale[i]
         for j in range(i + 1):
             u_v[i] -= L_v[i, j] * w[j] + L[i, j] * turned[j]
-    subtract_turned_mass(parameters.prior, q, v_q, work.v, scale, u_v)
+    prior.subtract_turned_mass(prior.own, q, v_q, work.v, scale, u_v)
     solve_lower(work.factor, u_v)
     solve_upper(work.factor, u_v)
     for j in range(d):
@@ -322,7 +319,7 @@ def _differentiate_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np
 @part(error_model='numpy')
 def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill y, L, the Cholesky factor of L L^T + floor, and v, u, w; NaN where there is none."""
-    mass, work = parameters.mass, parameters.work
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
     seen, places, scale = mass.seen, mass.places, mass.scale
     L, factor, y, v, u, w = work.L, work.factor, work.y, work.v, work.u, work.w
     d = scale.size
@@ -342,7 +339,7 @@ def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> No
             factor[i, j] = mass.floor if i == j else 0.0
             for k in range(j + 1):
                 factor[i, j] += L[i, k] * L[j, k]
-    add_mass(parameters.prior, q, scale, factor)
+    prior.add_mass(prior.own, q, scale, factor)
     if not factorise(factor):
         u[:] = np.nan
     solve_lower(factor, u)

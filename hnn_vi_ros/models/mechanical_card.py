@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.planar_chain import (
-    chain_terms, ChainName, check_chain, no_terms, parameter_names, Terms)
+    chain_terms, CHAINS, check_chain, no_terms, parameter_names, Terms)
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -58,8 +60,15 @@ class Quantity(StrictModel):
 class PriorCard(StrictModel):
     """A parametric system; M and V of the networks are added to its own."""
 
-    kind: ChainName = Field(description='whose links turn by the angles that are the features')
+    kind: str = Field(description=(
+        'rigid links that turn by the angles that are the features, or an exact system of the '
+        'coordinates as they are'))
     parameters: dict[str, Quantity] = Field(description='as they were fitted')
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Return the parameters without their units."""
+        return {name: quantity.value for name, quantity in self.parameters.items()}
 
 
 def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
@@ -77,6 +86,21 @@ def check_row(kinds: Sequence[Kind], row: Sequence[float]) -> None:
         raise ValueError(f'features: {row} mixes a continuous coordinate with others, or takes '
                          'a part of it, which has no period of 2 pi; take whole multiples of '
                          'continuous coordinates')
+
+
+def check_prior(kind: str, kinds: Sequence[Kind], features: Sequence[Sequence[float]]) -> None:
+    """Raise ValueError for a prior that there is not, or not of these coordinates."""
+    d = len(kinds)
+    if kind in CHAINS:
+        if 'prismatic' in kinds:
+            raise ValueError(f'prior: the links of a {kind} turn; a prismatic coordinate does not')
+        check_chain(kind, features, d)
+        return
+    if kind not in HAMILTONIANS:
+        raise ValueError(f'prior: no exact system {kind!r}; valid: {", ".join(HAMILTONIANS)}')
+    dimension = HAMILTONIANS[kind]().dimension
+    if dimension != d:
+        raise ValueError(f'prior: {kind} has {dimension} coordinates, not {d}')
 
 
 class MechanicalCard(StrictModel):
@@ -127,10 +151,10 @@ class MechanicalCard(StrictModel):
             if not self.floor:
                 raise ValueError('floor must be positive without a prior')
             return
-        if 'prismatic' in self.kinds:
-            raise ValueError(f'prior: the links of a {prior.kind} turn; a prismatic coordinate '
-                             'does not')
-        check_chain(prior.kind, self.features, len(self.kinds))
+        check_prior(prior.kind, self.kinds, self.features)
+        if prior.kind not in CHAINS:
+            create(prior.kind, prior.values)
+            return
         names = parameter_names(self.features)
         if sorted(prior.parameters) != sorted(names):
             raise ValueError(f'prior: parameters {", ".join(prior.parameters)}, expected '
@@ -144,11 +168,10 @@ class MechanicalCard(StrictModel):
 
     @property
     def terms(self) -> Terms:
-        """Return M and V of the prior, which are zero if there is none."""
+        """Return M and V of rigid links, which are zero if there is no prior."""
         if self.prior is None:
             return no_terms(len(self.kinds))
-        return chain_terms(self.features, {
-            name: quantity.value for name, quantity in self.prior.parameters.items()})
+        return chain_terms(self.features, self.prior.values)
 
     @property
     def networks(self) -> dict[str, tuple[list[list[float]], int]]:

@@ -16,13 +16,12 @@ All of it is linear in these parameters. G_i < 0 where zero is upright.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-ChainName = Literal['pendulum', 'double_pendulum']
 # How many links they have.
-CHAINS: dict[ChainName, int] = {'pendulum': 1, 'double_pendulum': 2}
+CHAINS = {'pendulum': 1, 'double_pendulum': 2}
 
 
 class Terms(NamedTuple):
@@ -53,7 +52,7 @@ def no_terms(d: int) -> Terms:
     return Terms(np.zeros((0, d)), np.zeros((0, d, d)), np.zeros((0, d)), np.zeros(0))
 
 
-def check_chain(kind: ChainName, features: Sequence[Sequence[float]], d: int) -> None:
+def check_chain(kind: str, features: Sequence[Sequence[float]], d: int) -> None:
     """Raise ValueError if these cannot be the angles of the links of a chain."""
     links = CHAINS[kind]
     if d != links:

@@ -25,7 +25,6 @@ from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
-from hnn_vi_ros.models.planar_chain import ChainName
 import numpy as np
 from tqdm import tqdm
 
@@ -75,7 +74,7 @@ class Case:
     measure: Measure
     references: dict[str, list[float]]
     goals: dict[str, Measures]
-    prior: ChainName | None = None
+    prior: str | None = None
     steps: int = 1
     longer: bool = False
 

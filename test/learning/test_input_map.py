@@ -123,6 +123,23 @@ def test_map_of_one_motor_on_two_joints_is_learned():
     assert np.abs(masses - MASS).max() < 0.05
 
 
+def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
+    """Of a pendulum of 1 kg and 1 m under commands of half of its torques."""
+    t = 0.01 * np.arange(400)
+    z = solve_ivp(lambda t, z: [z[1], 4.0 * np.sin(2.0 * t) - 9.81 * np.sin(z[0])],
+                  (0.0, t[-1]), [0.5, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    motion = smoothed('run', t, z[:, :1], z[:, 1:], -2.0 * np.sin(2.0 * t)[:, None], 40.0)
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': 'a', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
+        'family': {'kind': 'mechanical', 'prior': 'pendulum', 'residual': False,
+                   'input_map': 'learned', 'friction': {'coulomb': 0}}})
+    network, _ = learn(config, [motion])
+    with torch.no_grad():
+        assert network.input_map().tolist() == [[-1.0]]
+        # In units of twice the torque. The midpoint rule at 10 ms is off by (0.01 omega)^2 / 12.
+        assert network.prior.values().numpy() == pytest.approx([0.5, 0.5 * 9.81], rel=5e-3)
+
+
 def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, capsys):
     arrays = {}
     for seed in (1, 2, 3):
@@ -164,7 +181,7 @@ def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, ca
 
 
 @pytest.mark.parametrize('changes, message', [
-    ({'prior': 'double_pendulum'}, 'fitted with the forces on its joints'),
+    ({'prior': 'henon_heiles'}, 'has its own scale of energy'),
     ({'input_map': 'network'}, "'identity' or 'learned'"),
 ])
 def test_configuration_refuses_maps_that_cannot_be_learned(changes, message):

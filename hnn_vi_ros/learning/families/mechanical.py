@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 import math
 
+from hnn_vi_ros.learning.families.exact_prior import ExactPrior
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
 from hnn_vi_ros.learning.families.planar_chain import PlanarChain
 from hnn_vi_ros.learning.families.seen import Seen
@@ -12,6 +13,7 @@ from hnn_vi_ros.learning.families.structure import MotionScales, Structure
 from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
+from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np
 import torch
 
@@ -54,8 +56,7 @@ class MechanicalNetwork(torch.nn.Module):
             self.raw_map = torch.nn.Parameter(torch.tensor(scales.input_map))
         # M of a prior is positive definite by itself.
         self.floor = _FLOOR if structure.prior is None else 0.0
-        self.prior = PlanarChain(structure.features, float(scales.inertia.mean())) \
-            if structure.prior is not None else None
+        self.prior = _prior(structure, float(scales.inertia.mean()))
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
@@ -97,7 +98,7 @@ class MechanicalNetwork(torch.nn.Module):
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
-                if name.startswith(('prior.', 'friction.raw_')):
+                if name.startswith(('prior.', 'friction.raw_', 'raw_map')):
                     parameter.copy_(known[name])
             self.friction.raise_to_least()
             states = self.random_states(256, torch.Generator().manual_seed(0))
@@ -221,7 +222,7 @@ class MechanicalNetwork(torch.nn.Module):
         self.root_inertia *= math.sqrt(factor)
         self.friction.scale(factor)
         self.potential.output_scale *= factor
-        if self.prior is not None:
+        if isinstance(self.prior, PlanarChain):
             self.prior.unit *= factor
 
     def networks(self) -> dict[str, Layers]:
@@ -251,6 +252,13 @@ class MechanicalNetwork(torch.nn.Module):
         if self.prior is None or self.structure.prior is None:
             return None
         return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit))
+
+
+def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | None:
+    if structure.prior is None:
+        return None
+    return PlanarChain(structure.features, inertia) if structure.prior in CHAINS else \
+        ExactPrior(structure.prior)
 
 
 def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor

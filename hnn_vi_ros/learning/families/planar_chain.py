@@ -32,6 +32,8 @@ class PlanarChain(torch.nn.Module):
 
     """
 
+    linear = True
+
     def __init__(self, features: Sequence[Sequence[float]], inertia: float):
         super().__init__()
         self.names = parameter_names(features)
@@ -57,6 +59,10 @@ class PlanarChain(torch.nn.Module):
             else:
                 found[name] = self.unit * (x if name.startswith('gravity') else torch.exp(x))
         return torch.stack([*found.values()])
+
+    def scale(self) -> torch.Tensor:
+        """Return the usual sizes of the parameters, shape (k,)."""
+        return self.unit.expand(len(self.names))
 
     def quantities(self, p_unit: str) -> dict[str, Quantity]:
         """Return the parameters with their units, for momenta in this one and angles in rad."""

@@ -5,7 +5,6 @@
 from dataclasses import dataclass
 
 from hnn_vi_ros.models.mechanical_card import Kind
-from hnn_vi_ros.models.planar_chain import ChainName
 import numpy as np
 
 
@@ -44,7 +43,7 @@ class Structure:
     viscous: bool = True
     coulomb: int = 2
     stribeck: int = 0
-    prior: ChainName | None = None
+    prior: str | None = None
     residual: bool = True
     friction_features: list[list[float]] | None = None
 

@@ -1,0 +1,152 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+An exact system whose M and V are added to learned ones: all of it comes from its own kernel.
+
+H = p . M^-1 p / 2 + V gives M as the inverse of H_pp, and with the momentum pi = M v
+
+    V_q - (v . M v)_q / 2 = H_q(q, pi),    M' v = -M H_pq(q, pi) q'
+
+for the change M' of M along q', since H_p(q, M v) = v does not change with q.
+"""
+
+from functools import cache
+import inspect
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.kernel import Functions
+import numpy as np
+
+# Random states at which a system is looked at, and by how much p . M^-1 p may seem not to be one.
+_STATES, _ROUNDING = 5, 1e-9
+
+
+class ExactSystem(NamedTuple):
+    """
+    A system by name, as far as it can be fitted.
+
+    Parameters
+    ----------
+    kind : str
+        Its name.
+    defaults : dict of str to float
+        Its parameters, all positive.
+    dimension : int
+        How many coordinates it has.
+    places : list of int
+        Where those stand among what its kernel's functions take first.
+    others : tuple
+        All that they take first.
+
+    """
+
+    kind: str
+    defaults: dict[str, float]
+    dimension: int
+    places: list[int]
+    others: tuple[Any, ...]
+
+
+def create(kind: str, parameters: dict[str, float]) -> Hamiltonian:
+    """Return a system with these parameters; ValueError for any that it does not take."""
+    names = [*parameters_of(kind)]
+    if sorted(parameters) != sorted(names):
+        raise ValueError(f'prior: parameters {", ".join(parameters) or "none"}, expected '
+                         f'{", ".join(names) or "none"}')
+    found: Hamiltonian = HAMILTONIANS[kind](**parameters)
+    return found
+
+
+def parameters_of(kind: str) -> dict[str, float]:
+    """Return the numbers that a system takes, and their defaults; counts and names stay."""
+    signature = inspect.signature(HAMILTONIANS[kind])
+    return {name: parameter.default for name, parameter in signature.parameters.items()
+            if isinstance(parameter.default, float)}
+
+
+def functions_of(hamiltonian: Hamiltonian) -> Functions:
+    """Return energy, gradient and Hessian-vector product of an exact system in plain Python."""
+    kernel: Any = hamiltonian.kernel
+    return kernel.energy.py_func, kernel.gradient.py_func, kernel.hessian_vector.py_func
+
+
+@cache
+def exact_system(kind: str) -> ExactSystem:
+    """
+    Return what there is to fit of a system.
+
+    Raises
+    ------
+    ValueError
+        H is not p . M(q)^-1 p / 2 + V(q), or its functions do not take its parameters as they are.
+
+    """
+    defaults = parameters_of(kind)
+    # Numbers that no other parameter has by chance.
+    probes = {name: value * (1.0 + 0.1 * k) for k, (name, value) in enumerate(defaults.items(), 1)}
+    hamiltonian: Hamiltonian = HAMILTONIANS[kind](**probes)
+    kernel = hamiltonian.kernel
+    if not all(value in kernel.parameters for value in probes.values()):
+        raise ValueError(f'prior: {kind}: what its functions take is not {", ".join(defaults)}')
+    if not _is_mechanical(hamiltonian):
+        raise ValueError(f'prior: {kind} is not of the form p . M(q)^-1 p / 2 + V(q)')
+    return ExactSystem(kind, defaults, hamiltonian.dimension,
+                       [kernel.parameters.index(value) for value in probes.values()],
+                       kernel.parameters)
+
+
+def exact_systems() -> list[str]:
+    """Return the names of all systems that can be fitted."""
+    found = []
+    for kind in HAMILTONIANS:
+        try:
+            exact_system(kind)
+        except ValueError:
+            continue
+        found.append(kind)
+    return found
+
+
+def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
+    """Tell whether H_p is linear in p, at random states."""
+    if hamiltonian.gauge is not None or not hamiltonian.canonical:
+        return False
+    _, gradient, _ = functions_of(hamiltonian)
+    rng, d = np.random.default_rng(0), hamiltonian.dimension
+
+    def rate(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        slopes = np.empty((2, d))
+        gradient(hamiltonian.kernel.parameters, q, p, *slopes)
+        return slopes[1]
+    for q, p, other in rng.uniform(0.5, 1.5, (_STATES, 3, d)):
+        both = rate(q, p + 2.0 * other)
+        error = both - rate(q, p) - 2.0 * rate(q, other)
+        if not np.abs(error).max() <= _ROUNDING * np.abs(both).max():
+            return False
+    return True
+
+
+def exact_gradient(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray
+                   ) -> tuple[np.ndarray, np.ndarray]:
+    """Return M, shape (m, d, d), and V_q - (v . M v)_q / 2 of (m, d), in extended precision."""
+    _, gradient, _ = functions_of(hamiltonian)
+    m, d = q.shape
+    masses, slopes = np.empty((m, d, d), np.longdouble), np.empty((m, d), np.longdouble)
+    space, unit = np.empty((2, d), np.longdouble), np.eye(d, dtype=np.longdouble)
+    for i, at in enumerate(q.astype(np.longdouble)):
+        inverse = np.empty((d, d), np.longdouble)
+        for j in range(d):
+            gradient(hamiltonian.kernel.parameters, at, unit[j], *space)
+            inverse[:, j] = space[1]
+        masses[i] = _inverted(inverse)
+        gradient(hamiltonian.kernel.parameters, at, masses[i] @ v[i], *space)
+        slopes[i] = space[0]
+    return masses, slopes
+
+
+def _inverted(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse in extended precision, which numpy's has not: by a step of Newton's."""
+    inverse = np.linalg.inv(matrix.astype(np.float64)).astype(np.longdouble)
+    return inverse @ (2.0 * np.eye(len(matrix)) - matrix @ inverse)
