@@ -2,11 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """States and trajectories in the phase space of (q, p)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+# Columns that a coordinate of each kind has in q and in p, by what follows their name.
+_COLUMNS = {
+    'scalar': (('',), ('',)),
+    'rotation': (('_qx', '_qy', '_qz', '_qw'), ('_rx', '_ry', '_rz')),
+    'pose': (('_x', '_y', '_z', '_qx', '_qy', '_qz', '_qw'),
+             ('_x', '_y', '_z', '_rx', '_ry', '_rz')),
+}
+# A quaternion whose norm is further from 1 is no attitude that was written with too few digits.
+_NORM_ERROR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -19,13 +31,38 @@ class Coordinate:
     name : str
         The name that topics, logs and plots carry.
     q_unit, p_unit : str
-        Units of the coordinate and of the momentum.
+        Units of the coordinate and of the momentum; of a pose those of its position.
+    kind : str
+        ``'scalar'``, one number; ``'rotation'``, an attitude: a unit quaternion (x, y, z, w) that
+        takes vectors of the body to space, with the angular momentum in the frame of the body,
+        three numbers; or ``'pose'``: a position and its momentum, both in space, each followed by
+        that of a rotation.
 
     """
 
     name: str
     q_unit: str = '1'
     p_unit: str = '1'
+    kind: Literal['scalar', 'rotation', 'pose'] = 'scalar'
+
+
+def columns(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
+    """Return a name for each column of q and of p."""
+    names: tuple[list[str], list[str]] = [], []
+    for coordinate in coordinates:
+        for target, endings in zip(names, _COLUMNS[coordinate.kind], strict=True):
+            target.extend(coordinate.name + ending for ending in endings)
+    return names
+
+
+def rotations(coordinates: Sequence[Coordinate]) -> tuple[int, ...]:
+    """Return the columns of q in which unit quaternions begin."""
+    places, column = [], 0
+    for coordinate in coordinates:
+        column += len(_COLUMNS[coordinate.kind][0])
+        if coordinate.kind != 'scalar':
+            places.append(column - 4)
+    return tuple(places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +127,7 @@ class Trajectory:
     events: tuple[Event, ...] = ()
 
 
-def check_state(q: ArrayLike, p: ArrayLike, dimension: int
+def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[int] = ()
                 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return fresh float64 arrays of a state, or of several, in the shape given, or raise.
@@ -98,25 +135,42 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int
     Parameters
     ----------
     q, p : array_like, shape (d,) or (m, d)
-        Generalised coordinates and conjugate momenta.
+        Generalised coordinates and conjugate momenta; of p one column less for each rotation.
     dimension : int
-        The number d of degrees of freedom that the Hamiltonian has.
+        The number d of columns of q.
+    turning : sequence of int
+        The columns in which quaternions begin; they are returned with norm 1.
 
     Raises
     ------
     ValueError
-        A wrong length, or a value that is not a finite number.
+        A wrong length, a value that is not a finite number, or a quaternion whose norm is not 1.
 
     """
     arrays = []
-    for name, values in (('q', q), ('p', p)):
+    for name, values, width in (('q', q, dimension), ('p', p, dimension - len(turning))):
         array = np.array(values, dtype=np.float64)
-        if array.ndim not in (1, 2) or array.shape[-1] != dimension:
-            raise ValueError(f'{name} has shape {array.shape}, expected ({dimension},): '
-                             'one value for each coordinate')
+        if array.ndim not in (1, 2) or array.shape[-1] != width:
+            each = ('one value for each coordinate' if not turning else
+                    'four for each quaternion' if name == 'q' else 'three for each rotation')
+            raise ValueError(f'{name} has shape {array.shape}, expected ({width},): {each}')
         if not np.isfinite(array).all():
             raise ValueError(f'{name} = {array.tolist()} is not finite')
         arrays.append(array)
-    if arrays[0].shape != arrays[1].shape:
+    if arrays[0].shape[:-1] != arrays[1].shape[:-1]:
         raise ValueError(f'q and p have different shapes, {arrays[0].shape}, {arrays[1].shape}')
+    for column in turning:
+        _normalise(arrays[0][..., column:column + 4], column)
     return arrays[0], arrays[1]
+
+
+def _normalise(quaternions: np.ndarray, column: int) -> None:
+    """Make quaternions of shape (..., 4) unit ones, or raise ValueError."""
+    norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    if (abs(norms - 1.0) > _NORM_ERROR).any():
+        raise ValueError(f'q, from column {column} on, is a quaternion of norm '
+                         f'{float(norms.flat[abs(norms - 1.0).argmax()]):.9g}; expected a unit '
+                         'quaternion x, y, z, w: divide it by its norm')
+    # One that has norm 1 but for rounding is that of a state that is gone on from.
+    inexact = abs(norms - 1.0) > 4.0 * np.finfo(np.float64).eps
+    quaternions /= np.where(inexact, norms, 1.0)

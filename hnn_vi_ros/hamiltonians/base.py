@@ -10,13 +10,17 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
 
 class Hamiltonian(ABC):
     """
     A function H(q, p) of d coordinates and their momenta, with q' = H_p, p' = -H_q.
+
+    Of coordinates that turn (see Coordinate) d is the number of columns of q, of which p has one
+    less for each rotation; H_p holds angular velocities in the frame of the body, and H_q the
+    derivatives by each column of a quaternion.
 
     A subclass gives its coordinates and its kernel, and says whether H(q, p) = T(p) + V(q). Where
     (q, p) is not ``canonical`` but some other 2 d coordinates u, H_p stands for the first half of
@@ -66,8 +70,13 @@ class Hamiltonian(ABC):
 
     @property
     def dimension(self) -> int:
-        """Return the number d of degrees of freedom."""
-        return len(self.coordinates)
+        """Return the number d of columns of q: without rotations, of degrees of freedom."""
+        return len(self.coordinates) if self.rotations == () else len(columns(self.coordinates)[0])
+
+    @cached_property
+    def rotations(self) -> tuple[int, ...]:
+        """Return the columns of q in which unit quaternions begin."""
+        return rotations(self.coordinates)
 
     @cached_property
     @abstractmethod
@@ -98,7 +107,7 @@ class Hamiltonian(ABC):
             The last axis is not d long.
 
         """
-        flat_q, flat_p = self._flat(q, p)
+        flat_q, flat_p = self._flat(q, self._padded(p))
         energies, kernel = np.empty(flat_q.size // self.dimension), self._called
         if kernel.compiled:
             from hnn_vi_ros.kernels.addresses import fill_energies
@@ -120,10 +129,10 @@ class Hamiltonian(ABC):
             The last axis is not d long.
 
         """
-        flat_q, flat_p = self._flat(q, p)
+        flat_q, flat_p = self._flat(q, self._padded(p))
         dH_dq, dH_dp = np.empty_like(flat_q), np.empty_like(flat_p)
         self._called.gradient(self._called.parameters, flat_q, flat_p, dH_dq, dH_dp)
-        return dH_dq.reshape(np.shape(q)), dH_dp.reshape(np.shape(q))
+        return dH_dq.reshape(np.shape(q)), self._unpadded(dH_dp.reshape(np.shape(q)))
 
     def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
                        ) -> tuple[np.ndarray, np.ndarray]:
@@ -136,10 +145,19 @@ class Hamiltonian(ABC):
             The last axis is not d long.
 
         """
-        flat = (*self._flat(q, p), *self._flat(v_q, v_p))
+        flat = (*self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p)))
         product_q, product_p = np.empty_like(flat[0]), np.empty_like(flat[0])
         self._called.hessian_vector(self._called.parameters, *flat, product_q, product_p)
-        return product_q.reshape(np.shape(q)), product_p.reshape(np.shape(q))
+        return product_q.reshape(np.shape(q)), self._unpadded(product_p.reshape(np.shape(q)))
+
+    def _padded(self, p: np.ndarray) -> np.ndarray:
+        """Return momenta with the columns that stay zero, as kernels take them."""
+        if not self.rotations:
+            return p
+        return np.append(p, np.zeros((*np.shape(p)[:-1], len(self.rotations))), axis=-1)
+
+    def _unpadded(self, p: np.ndarray) -> np.ndarray:
+        return p[..., :self.dimension - len(self.rotations)]
 
     def _flat(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if np.shape(q) != np.shape(p) or np.shape(q)[-1:] != (self.dimension,):
@@ -150,7 +168,8 @@ class Hamiltonian(ABC):
 
 
 def compiled_kernel(functions: Functions, parameters: Parameters,
-                    dimension: int, gradient_scale: tuple[float, float] = (0.0, 0.0)) -> Kernel:
+                    dimension: int, gradient_scale: tuple[float, float] = (0.0, 0.0),
+                    rotations: tuple[int, ...] = ()) -> Kernel:
     """
     Return the kernel of an exact system.
 
@@ -165,10 +184,12 @@ def compiled_kernel(functions: Functions, parameters: Parameters,
         d.
     gradient_scale : tuple of float
         See Kernel.
+    rotations : tuple of int
+        See Kernel.
 
     """
     # Imported here: who only reads a scene compiles nothing.
     from hnn_vi_ros.kernels.compilation import dispatcher
     energy, gradient, hessian_vector = functions
     return Kernel(dispatcher(energy), dispatcher(gradient), dispatcher(hessian_vector), parameters,
-                  dimension, gradient_scale, compiled=True)
+                  dimension, gradient_scale, compiled=True, rotations=rotations)

@@ -22,7 +22,8 @@ class Requirements:
     coordinates : str
         ``'canonical'`` if it needs (q, p) that are; ``'any'`` if it is as good for a field
         u' = f(u) in any coordinates; ``'other'`` if it is made for those that are not canonical,
-        on which no effect acts.
+        on which no effect acts; ``'group'`` if it is made for those that turn. No other method
+        takes such.
     hamiltonian : bool
         False if the map is made of something else than the kernel's H, which no effect can join.
     forces : bool
@@ -36,7 +37,7 @@ class Requirements:
     symmetric: bool
     symplectic: bool
     separable: bool = False
-    coordinates: Literal['canonical', 'any', 'other'] = 'canonical'
+    coordinates: Literal['canonical', 'any', 'other', 'group'] = 'canonical'
     hamiltonian: bool = True
     forces: bool = True
     from_state: bool = True
@@ -47,6 +48,13 @@ class Requirements:
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Return why a Hamiltonian cannot be integrated, to follow the method's name, or ''."""
+        turning = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates
+                            if coordinate.kind != 'scalar')
+        if turning and self.coordinates != 'group':
+            return (f'adds to coordinates, which would take a rotation ({turning}) off its '
+                    'group')
+        if not turning and self.coordinates == 'group':
+            return 'is made for rotations and poses, of which this H has none'
         if not hamiltonian.canonical and self.coordinates == 'canonical':
             names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
             return (f'needs canonical coordinates, which those of this model ({names}) are not: '

@@ -46,6 +46,11 @@ class Kernel(NamedTuple):
         integrals over it; implicit equations are not solved for the integrals' sake.
     energy_scale : float
         Rounding error of H in units of the unit round-off, where it exceeds that of its value.
+    rotations : tuple of int
+        The columns of q at which unit quaternions (x, y, z, w) begin, in order; H is smooth around
+        norm 1 as well, and dH_dq is its derivative by each of the four. The momentum of a
+        rotation has three columns: those after it follow at once, and as many columns as there
+        are rotations stay zero at the end of p and of dH_dp.
 
     """
 
@@ -58,3 +63,4 @@ class Kernel(NamedTuple):
     compiled: bool
     channels: int = 0
     energy_scale: float = 0.0
+    rotations: tuple[int, ...] = ()

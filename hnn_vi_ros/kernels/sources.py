@@ -21,7 +21,7 @@ _IMPORT = re.compile(rf'^[ \t]*from ({_PACKAGE}[\w.]*) import (\([^)]*\)|[^\n]*)
 @cache
 def sources() -> str:
     """Return a digest of all sources that a step of any simulation may come from."""
-    return _digest(path for room in _ROOMS for path in (_ROOT / room).glob('*.py'))
+    return _digest(path for room in _ROOMS for path in (_ROOT / room).rglob('*.py'))
 
 
 def digest_of(modules: frozenset[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
@@ -37,13 +37,14 @@ class Simulation:
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Of d degrees of freedom.
+        Of d degrees of freedom; d columns of q where some are rotations.
     integrator : Integrator
         The one-step map.
     step_size : float
         h > 0 [s].
     q, p : sequence of float, shape (d,) or (m, d)
-        Initial state, or those of m trajectories that step together.
+        Initial state, or those of m trajectories that step together; of p and all that belongs to
+        it one column less for each rotation.
     effects : sequence of Effect
         What acts on the system beside H.
     on_failure : str
@@ -112,7 +113,8 @@ class Simulation:
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0
                 ) -> None:
         """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
-        q, p = check_state(q, p, self.hamiltonian.dimension)
+        turning = self.hamiltonian.rotations
+        q, p = check_state(q, p, self.hamiltonian.dimension, turning)
         self._system.check_state(q.ravel(), p.ravel())
         self._system.effect_state.reset(stream)
         self._system.effect_state.clock[0] = step * self.step_size
@@ -123,11 +125,13 @@ class Simulation:
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
         self._shape = q.shape
-        self.q, self.p = self._state(self._z.q), self._state(self._z.p)
+        self._momenta = self.hamiltonian.dimension - len(turning)
+        self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
         self.q[:], self.p[:] = q, p
         # Not the point's own: what a step finds there must not depend on when it was looked at.
         self._dH_dq, self._dH_dp = np.empty((2, n))
-        self.dH_dq, self.dH_dp = self._state(self._dH_dq), self._state(self._dH_dp)
+        self.dH_dq = self._state(self._dH_dq)
+        self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
         self._evaluate_gradient()
         if not is_finite(self._z):
             raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
@@ -294,7 +298,18 @@ class Simulation:
         self.record(1, n)
 
     def dense_step(self) -> DenseStep:
-        """Take one step, and return it with the states inside of it, or raise StepFailure."""
+        """
+        Take one step, and return it with the states inside of it, or raise StepFailure.
+
+        Raises
+        ------
+        UnsupportedSystem
+            There are rotations, between which no polynomial leads.
+
+        """
+        if self.hamiltonian.rotations:
+            raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
+                                    'events out, and look at whole steps')
         return DenseStep(self, self._system.integrator is self.integrator
                          and self._kernel.channels == 0, lambda: self._system.cuts)
 
@@ -333,7 +348,7 @@ class Simulation:
         if failure is not None:
             raise failure
         return (np.ascontiguousarray(self._state(q_out)),
-                np.ascontiguousarray(self._state(p_out)))
+                np.ascontiguousarray(self._state(p_out)[..., :self._momenta]))
 
     def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:

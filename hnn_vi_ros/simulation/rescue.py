@@ -78,8 +78,9 @@ class Rescue:
         self._system, self._on_failure = system, on_failure
         self._loops: dict[tuple[Callable, int, int], Loop] = {}
         self.methods = [system.integrator]
-        if on_failure == 'implicit' and not system.hamiltonian.canonical:
-            raise UnsupportedSystem('on_failure: implicit_midpoint needs canonical coordinates; '
+        problem = ImplicitMidpoint.requirements.refusal(system.hamiltonian)
+        if on_failure == 'implicit' and problem:
+            raise UnsupportedSystem(f'on_failure: implicit_midpoint {problem}; '
                                     'use on_failure: substep or stop')
         if on_failure == 'implicit':
             self._implicit = system.around(ImplicitMidpoint())

@@ -139,7 +139,7 @@ class System:
                              if not effect.lockstep]
         if not integrator.requirements.from_state:
             self._single_file.append(method_name(integrator))
-        if not hamiltonian.canonical:
+        if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
         self._check_together()
@@ -233,6 +233,9 @@ class System:
         check_method(integrator, hamiltonian)
         if self._effects:
             names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
+            if hamiltonian.rotations:
+                raise EffectError(0, f'{self.labels[0]} acts on scalar coordinates, which those '
+                                     f'of this H ({names}) are not all; leave all effects out')
             raise EffectError(0, f'{self.labels[0]} acts on canonical momenta, which those of '
                                  f'this model ({names}) have not; leave all effects out, or '
                                  'simulate a model of another family')
