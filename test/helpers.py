@@ -14,6 +14,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.gauss import Gauss, Tableau
+from hnn_vi_ros.integrators.lie.equations import LieOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -156,6 +157,8 @@ def exact_options(integrator: Integrator) -> tuple:
     if isinstance(options, solvers.SolverOptions):
         # So many digits take many iterations, whichever solution it is.
         return options._replace(connected=False)
+    if isinstance(options, LieOptions):
+        return options._replace(solver=options.solver._replace(connected=False))
     if not isinstance(integrator, Gauss):
         return options
     return Tableau(*exact_tableau(integrator.stages), options.solver)

@@ -31,6 +31,8 @@ FLOORS = (
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
         'the method that takes the sub-steps of others is one of those that have such',
+    ('integrators.lie.base', 'integrators.lie.lie_leapfrog'):
+        'the same, on a group',
     ('effects.base', 'effects.kernels'):
         'a potential joins H in functions that are composed of its own',
     ('simulation.dense_step', 'simulation'):

@@ -12,12 +12,14 @@ from hnn_vi_ros.kernels.marks import is_own
 import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.
-OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT, IN_DOUBT, NO_SOLUTION = range(8)
+(OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT, IN_DOUBT, NO_SOLUTION,
+ TURNED) = range(9)
 REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            BEYOND: 'beyond the limit of stability',
            NO_MASS: 'H_pp is not positive definite, so that there are no masses',
            REDUNDANT: 'it depends on the constraints before it; leave it out',
-           NO_SOLUTION: 'no solution is connected to h = 0'}
+           NO_SOLUTION: 'no solution is connected to h = 0',
+           TURNED: 'a body would turn by nearly pi or more in one step'}
 # What may be done about a step that fails; see Rescue.
 ON_FAILURE = ('substep', 'implicit', 'stop')
 

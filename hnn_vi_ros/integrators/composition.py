@@ -9,6 +9,7 @@ from typing import ClassVar
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
@@ -19,6 +20,7 @@ import numpy as np
 BASES = {
     'generalized_leapfrog': GeneralizedLeapfrog,
     'implicit_midpoint': ImplicitMidpoint,
+    'lie_leapfrog': LieLeapfrog,
     'stormer_verlet': StormerVerlet,
 }
 
@@ -32,7 +34,8 @@ class Composition(Integrator):
     Parameters
     ----------
     base : str
-        ``'generalized_leapfrog'``, ``'implicit_midpoint'`` or ``'stormer_verlet'``.
+        ``'generalized_leapfrog'``, ``'implicit_midpoint'``, ``'lie_leapfrog'``, which is for
+        rotations, or ``'stormer_verlet'``.
 
     Raises
     ------

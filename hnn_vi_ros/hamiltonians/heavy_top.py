@@ -1,0 +1,70 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A heavy symmetric top, on a point that does not move."""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
+from hnn_vi_ros.hamiltonians.turning_body import (
+    check_inertia, spatial_momentum, turning_body_kernel)
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class HeavyTop(Hamiltonian):
+    """
+    A rigid body on a fixed point, with its weight on its third axis.
+
+    H = sum of p_i^2 / (2 I_i) + m g l cos(theta), with p the angular momentum in the frame of the
+    body, theta between its third axis and the vertical. With I_1 = I_2, Lagrange's top, it
+    conserves p_3 beside H and the vertical part of the angular momentum in space. It sleeps
+    upright while p_3^2 > 4 m g l I_1.
+
+    Parameters
+    ----------
+    inertia : list of float
+        Moments of inertia I_1, I_2, I_3 about the axes of the body through the point [kg m^2].
+    mass : float
+        m > 0 [kg].
+    length : float
+        l, from the point to the centre of mass; below zero it hangs [m].
+    gravity : float
+        g > 0 [m/s^2].
+
+    Raises
+    ------
+    ValueError
+        A constant out of its range, or moments that no body has.
+
+    References
+    ----------
+    H. Goldstein, Classical Mechanics, section 5.7.
+
+    """
+
+    coordinates = (Coordinate('attitude', '1', 'kg m^2/s', 'rotation'),)
+
+    def __init__(self, inertia: Sequence[float] = (1.0, 1.0, 0.5), mass: float = 1.0,
+                 length: float = 0.5, gravity: float = 9.81):
+        check_inertia(inertia)
+        check_positive(mass=mass, gravity=gravity)
+        check_finite(length=length)
+        self.inertia = tuple(float(value) for value in inertia)
+        self.moment = float(mass) * float(gravity) * float(length)
+
+    @property
+    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+        """Return the vertical angular momentum [kg m^2/s]; and the spin of a symmetric top."""
+        known: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {
+            'vertical_momentum': lambda q, p: float(spatial_momentum(q, p)[2])}
+        if self.inertia[0] == self.inertia[1]:
+            known['spin'] = lambda q, p: float(p[2])
+        return known
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions that simulations compile."""
+        return turning_body_kernel(self.inertia, self.moment)

@@ -1,0 +1,356 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The two implicit equations of the methods on a group: for the momenta inside a step, and for turns.
+
+Both stand for scalar coordinates as well, where they are those of the symplectic Euler method and
+of its adjoint. Arrays are laid out as Kernel says: the momentum of a rotation is three columns
+where its quaternion is four, and what remains at the end stays zero.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hnn_vi_ros.integrators.arithmetic import plus
+from hnn_vi_ros.integrators.base import OK, Point, TURNED
+from hnn_vi_ros.integrators.equations import set_scale
+from hnn_vi_ros.integrators.lie.rotations import cross, dot, trivialised, turn
+from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.workspaces import History, SolverWork
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import called, inlined
+import numpy as np
+
+# |h omega| beyond which a step is refused: nearly half a turn, where the shortest way to the next
+# attitude changes sides.
+LARGEST_TURN = 3.0
+
+
+class LieOptions(NamedTuple):
+    """
+    How a step on a group is made.
+
+    Parameters
+    ----------
+    solver : SolverOptions
+        How its equations are solved.
+    retraction : callable
+        One of RETRACTIONS.
+
+    """
+
+    solver: SolverOptions
+    retraction: Callable
+
+
+class GroupWork(NamedTuple):
+    """
+    The workspace of one of the equations; arrays of shape (n,).
+
+    Parameters
+    ----------
+    kept : History
+        Its earlier solutions.
+    solver : SolverWork
+        What its solvers work on.
+    origin, slope : np.ndarray
+        What earlier solutions are relative to, and how fast the unknowns change as far as known.
+    x : np.ndarray
+        The changes of coordinates over the step, of rotations the vectors that tau takes.
+    momenta, change : np.ndarray
+        The momenta inside the step; and what changes the momenta beside forces: of their equation
+        what does not depend on them, then all of it.
+    ahead, behind : np.ndarray
+        Points of differences.
+
+    """
+
+    kept: History
+    solver: SolverWork
+    origin: np.ndarray
+    slope: np.ndarray
+    x: np.ndarray
+    momenta: np.ndarray
+    change: np.ndarray
+    ahead: np.ndarray
+    behind: np.ndarray
+
+    @classmethod
+    def empty(cls, n: int, dtype: type = np.float64) -> 'GroupWork':
+        """Return the workspace of an equation of n unknowns."""
+        return cls(History.empty(n, dtype), SolverWork.empty(n, dtype), *np.zeros((7, n), dtype))
+
+
+class _Problem(NamedTuple):
+    """One of the equations: from z, over h, at g; it fills z1. ``difference`` reads the last."""
+
+    kernel: Kernel
+    h: float
+    retraction: Callable
+    g: np.ndarray
+    z: Point
+    z1: Point
+    work: GroupWork
+    scale: np.ndarray
+    ahead: np.ndarray
+    behind: np.ndarray
+
+
+@inlined
+def is_rotation(kernel: Kernel, i: int, passed: int) -> bool:
+    """Tell whether a quaternion begins in column i of q, after some that were passed."""
+    return passed < len(kernel.rotations) and i == kernel.rotations[passed]
+
+
+@inlined
+def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.ndarray, z: Point,
+                         z1: Point, work: GroupWork) -> tuple[int, float, int]:
+    """
+    Solve (dtau^-1_(h xi))^* mu = pi - h g^* H_g(g, mu) with xi = H_mu(g, mu).
+
+    Parameters
+    ----------
+    kernel, h, options
+        See Integrator.
+    g : np.ndarray, shape (n,)
+        The coordinates, that of z or others.
+    z : Point
+        The momenta pi, and the gradient at z.q as far as it is known, for the first start.
+    z1 : Point
+        Of it the gradient at (g, mu) is filled.
+    work : GroupWork
+        Its ``change`` is added to the right-hand side. It is left with mu in ``momenta``, with
+        x = h xi, and with g^* H_g in ``slope``.
+
+    Returns
+    -------
+    tuple of (int, float, int)
+        Outcome, relative residual [1], gradients.
+
+    """
+    iterates, mu = work.solver.iterates, work.momenta
+    fill_forces(kernel, z.q, z.dH_dq, work.slope)
+    for i in range(mu.size):
+        mu[i] = z.p[i] - h * work.slope[i]
+    set_scale(iterates.scale, iterates.own_scale, z.p, work.slope, h, kernel, 0)
+    if options.solver.extrapolate:
+        extrapolate(work.kept, z.p, mu)
+    problem = _Problem(kernel, h, options.retraction, g, z, z1, work, iterates.scale,
+                       work.ahead, work.behind)
+    outcome, residual, gradients = options.solver.solve(
+        _inside_equation, _inside_tangent, problem, mu, work.solver,
+        options.solver.max_iterations)
+    if outcome == OK:
+        remember(work.kept, z.p, mu)
+    return outcome, residual, gradients
+
+
+@inlined
+def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+                work: GroupWork) -> tuple[int, float, int]:
+    """
+    Solve x = h H_mu(g tau(x), mu) with mu = dtau_x^* pi; leave g tau(x) in z1.q.
+
+    Parameters
+    ----------
+    kernel, h, options
+        See Integrator.
+    z : Point
+        g and pi, and H_mu as far as it is known, for the first start.
+    z1 : Point
+        Filled: q, and the gradient at (q, mu).
+    work : GroupWork
+        It is left with x, with mu in ``momenta``, and with g^* H_g there in ``slope``.
+
+    Returns
+    -------
+    tuple of (int, float, int)
+        Outcome, relative residual [1], gradients.
+
+    """
+    iterates, x = work.solver.iterates, work.x
+    for i in range(x.size):
+        x[i] = h * z.dH_dp[i]
+    _set_turn_scale(kernel, h, z, x, iterates.scale, iterates.own_scale)
+    if is_too_far(kernel, x):
+        return TURNED, np.inf, 0
+    if options.solver.extrapolate:
+        extrapolate(work.kept, work.origin, x)
+    problem = _Problem(kernel, h, options.retraction, z.q, z, z1, work, iterates.scale,
+                       work.ahead, work.behind)
+    outcome, residual, gradients = options.solver.solve(
+        _turn_equation, _turn_tangent, problem, x, work.solver, options.solver.max_iterations)
+    if outcome == OK:
+        remember(work.kept, work.origin, x)
+    fill_forces(kernel, z1.q, z1.dH_dq, work.slope)
+    return check_turns(kernel, options.retraction, x, outcome), residual, gradients
+
+
+@called
+def is_too_far(kernel: Kernel, x: np.ndarray) -> bool:
+    """Tell whether an angular velocity times h is too large for one step."""
+    for start in range(0, x.size, kernel.dimension):
+        for k in range(len(kernel.rotations)):
+            at = start + kernel.rotations[k] - k
+            if dot(x, x, at) > LARGEST_TURN * LARGEST_TURN:
+                return True
+    return False
+
+
+@called
+def check_turns(kernel: Kernel, retraction: Callable, x: np.ndarray, outcome: int) -> int:
+    """
+    Return the outcome, or TURNED where the momentum that led to x asks for too large a turn.
+
+    pi = (dtau^-1_x)^* mu is along mu where x is, and longer by this factor: by the Cayley map a
+    body turns less than its momentum asks for, and ever less the more it should.
+    """
+    for start in range(0, x.size, kernel.dimension):
+        for k in range(len(kernel.rotations)):
+            squared = dot(x, x, start + kernel.rotations[k] - k)
+            tau = retraction(0.25 * squared)
+            longer = 1.0 + (tau.along - tau.squared) * squared
+            if squared * longer * longer > LARGEST_TURN * LARGEST_TURN:
+                return TURNED
+    return outcome
+
+
+@called
+def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Point) -> None:
+    """Fill z1.q with what is x beyond z.q: g tau(x) of a rotation, a sum of all else."""
+    d = kernel.dimension
+    for start in range(0, x.size, d):
+        i, passed = 0, 0
+        while i < d:
+            at = start + i - passed
+            if is_rotation(kernel, i, passed):
+                turn(z.q, z.q_carry, start + i, x, at, retraction(0.25 * dot(x, x, at)),
+                     z1.q, z1.q_carry)
+                i, passed = i + 4, passed + 1
+            else:
+                z1.q[start + i], z1.q_carry[start + i] = plus(
+                    z.q[start + i], z.q_carry[start + i], x[at])
+                i += 1
+
+
+@called
+def transport(kernel: Kernel, h: float, z: Point, work: GroupWork, z1: Point) -> None:
+    """
+    Fill z1.p with pi1 = (dtau^-1_(-x))^* mu, from pi, x, mu and g^* H_g in ``slope``.
+
+    Whether it is (dtau^-1_x)^* mu = pi - h g^* H_g or pi1 that is less by h g^* H_g: what is even
+    in x cancels, and pi1 = pi - h g^* H_g - x cross mu.
+    """
+    x, mu, change, d = work.x, work.momenta, work.change, kernel.dimension
+    for i in range(x.size):
+        change[i] = -h * work.slope[i]
+    for start in range(0, x.size, d):
+        for k in range(len(kernel.rotations)):
+            at = start + kernel.rotations[k] - k
+            bend = cross(x, mu, at)
+            for j in range(3):
+                change[at + j] -= bend[j]
+    for i in range(x.size):
+        z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], change[i])
+
+
+@inlined
+def clear(array: np.ndarray) -> None:
+    """Fill with zeros."""
+    for i in range(array.size):
+        array[i] = 0.0
+
+
+@called
+def add_bend(kernel: Kernel, retraction: Callable, x: np.ndarray, mu: np.ndarray, side: float,
+             result: np.ndarray) -> None:
+    """Add what (dtau^-1_(side x))^* mu is more than mu, less in sum where side is negative."""
+    d = kernel.dimension
+    for start in range(0, x.size, d):
+        for k in range(len(kernel.rotations)):
+            at = start + kernel.rotations[k] - k
+            squared, along = dot(x, x, at), dot(x, mu, at)
+            tau, bend = retraction(0.25 * squared), cross(x, mu, at)
+            for j in range(3):
+                result[at + j] += (0.5 * side * bend[j] + tau.along * along * x[at + j]
+                                   - tau.squared * squared * mu[at + j])
+
+
+@called
+def fill_forces(kernel: Kernel, q: np.ndarray, dH_dq: np.ndarray, forces: np.ndarray) -> None:
+    """Fill the left-trivialised derivative of H in the layout of the momenta."""
+    d = kernel.dimension
+    for start in range(0, q.size, d):
+        i, passed = 0, 0
+        while i < d:
+            at = start + i - passed
+            if is_rotation(kernel, i, passed):
+                forces[at], forces[at + 1], forces[at + 2] = trivialised(q, dH_dq, start + i)
+                i, passed = i + 4, passed + 1
+            else:
+                forces[at] = dH_dq[start + i]
+                i += 1
+        for j in range(start + d - passed, start + d):
+            forces[j] = 0.0
+
+
+@called
+def _set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.ndarray,
+                    own_scale: np.ndarray) -> None:
+    """Set the scale of each change: that of the coordinates, 1 for a quaternion, and its own."""
+    d = kernel.dimension
+    for i in range(x.size):
+        own_scale[i] = max(abs(x[i]), abs(h) * kernel.gradient_scale[1])
+    for start in range(0, x.size, d):
+        # Of a unit quaternion the largest column says little less.
+        size = 1.0
+        for i in range(start, start + d):
+            size = max(size, abs(z.q[i]))
+        for j in range(start, start + d):
+            scale[j] = size
+
+
+@inlined
+def _inside_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+    """Fill value with pi - h g^* H_g(g, x) less what (dtau^-1)^* x is more than x."""
+    kernel, h, z, z1, work = problem.kernel, problem.h, problem.z, problem.z1, problem.work
+    kernel.gradient(kernel.parameters, problem.g, x, z1.dH_dq, z1.dH_dp)
+    fill_forces(kernel, problem.g, z1.dH_dq, work.slope)
+    for i in range(x.size):
+        work.x[i], value[i] = h * z1.dH_dp[i], 0.0
+    add_bend(kernel, problem.retraction, work.x, x, 1.0, value)
+    for i in range(x.size):
+        value[i] = plus(z.p[i], z.p_carry[i], work.change[i] - h * work.slope[i] - value[i])[0]
+
+
+@inlined
+def _inside_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray
+                    ) -> None:
+    difference(_inside_equation, problem, x, v, product)
+
+
+@inlined
+def _turn_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+    """Fill value with h H_mu(g tau(x), dtau_x^* pi)."""
+    kernel, z, z1, mu = problem.kernel, problem.z, problem.z1, problem.work.momenta
+    d = kernel.dimension
+    move(kernel, problem.retraction, z, x, z1)
+    for i in range(x.size):
+        mu[i] = z.p[i]
+    for start in range(0, x.size, d):
+        for k in range(len(kernel.rotations)):
+            at = start + kernel.rotations[k] - k
+            tau = problem.retraction(0.25 * dot(x, x, at))
+            bend, along = cross(x, z.p, at), dot(x, z.p, at)
+            for j in range(3):
+                mu[at + j] = (tau.own * z.p[at + j] - tau.cross * bend[j]
+                              + tau.line * along * x[at + j])
+    kernel.gradient(kernel.parameters, z1.q, mu, z1.dH_dq, z1.dH_dp)
+    for i in range(x.size):
+        value[i] = problem.h * z1.dH_dp[i]
+
+
+@inlined
+def _turn_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+    difference(_turn_equation, problem, x, v, product)

@@ -1,0 +1,314 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Variational integrators for bodies that turn: order, structure, invariants, and failures."""
+
+from collections.abc import Callable
+
+from helpers import exact, python_step, Uncompiled
+from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
+from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
+from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
+from hnn_vi_ros.integrators import check_method, INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
+from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
+from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
+from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
+from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
+from hnn_vi_ros.simulation import Simulation
+from mpmath import mpf
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import ellipj
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not')
+
+Q = np.array([0.3, 0.1, -0.2, 0.9]) / np.linalg.norm([0.3, 0.1, -0.2, 0.9])
+P = np.array([0.4, -0.7, 3.0])
+# A top without symmetry, which is not integrable.
+TOP = HeavyTop([1.0, 1.4, 0.8], 1.0, 0.5, 9.81)
+CANONICAL = {'lie_symplectic_euler': LieSymplecticEuler,
+             'lie_symplectic_euler_adjoint': LieSymplecticEulerAdjoint,
+             'lie_leapfrog': LieLeapfrog}
+METHODS = {**CANONICAL, 'lie_variational_euler': LieVariationalEuler}
+
+
+def simulation(method: Integrator, h: float, hamiltonian: Hamiltonian = TOP,
+               state: tuple = (Q, P), **options: str) -> Simulation:
+    return Simulation(Uncompiled(hamiltonian), method, h, *state, **options)
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the product of two quaternions (x, y, z, w)."""
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    return np.array([*vector, a[3] * b[3] - a[:3].dot(b[:3])])
+
+
+def euler_poisson(t: float, z: np.ndarray) -> np.ndarray:
+    """Return q' and p' of the top, from Euler's equations with the torque of its weight."""
+    q, p = z[:4] / np.linalg.norm(z[:4]), z[4:]
+    omega = p / np.array(TOP.inertia)
+    vertical = spatial_momentum(np.array([*-q[:3], q[3]]), np.array([0.0, 0.0, 1.0]))
+    torque = TOP.moment * np.cross(vertical, [0.0, 0.0, 1.0])
+    return np.array([*(0.5 * product(q, np.array([*omega, 0.0]))),
+                     *(np.cross(p, omega) + torque)])
+
+
+@pytest.fixture(scope='module')
+def reference() -> np.ndarray:
+    """Return the state of the top at t = 1, of another method of another form."""
+    return solve_ivp(euler_poisson, (0.0, 1.0), [*Q, *P], 'DOP853', rtol=1e-13, atol=1e-13
+                     ).y[:, -1]
+
+
+@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('name', METHODS)
+def test_method_on_a_group_converges_with_its_order(name: str, retraction: str,
+                                                    reference: np.ndarray, measured):
+    method = METHODS[name](retraction)
+    check_order(name, method, [40, 80, 160], reference, measured)
+
+
+@pytest.mark.parametrize('kind', [Yoshida4, Suzuki4])
+def test_composition_of_the_leapfrog_converges_with_order_4(kind: type, reference: np.ndarray,
+                                                            measured):
+    check_order(kind.__name__, kind('lie_leapfrog'), [20, 40, 80], reference, measured)
+
+
+def check_order(name: str, method: Integrator, steps: list[int], reference: np.ndarray,
+                measured: Callable) -> None:
+    errors = []
+    for n in steps:
+        run = simulation(method, 1.0 / n)
+        run.advance(n)
+        errors.append(np.linalg.norm([*run.q, *run.p] - reference))
+    slope = np.log(errors[0] / errors[-1]) / np.log(steps[-1] / steps[0])
+    measured('order on the heavy top', name, slope, f'{method.order} +- 0.25')
+    # The next term of the error is h times the first one.
+    assert abs(slope - method.order) < 0.25
+
+
+def step(method: Integrator, h: mpf, z: np.ndarray) -> np.ndarray:
+    """Take one step in 60 digits, of (q, p) in 7 numbers."""
+    end = python_step(method, TOP, h, np.append(z, mpf(0)))
+    assert end[7] == 0
+    return end[:7]
+
+
+def start() -> np.ndarray:
+    q, p = exact(['0.3', '0.1', '-0.2', '0.9']), exact(['0.4', '-0.7', '3'])
+    return np.append(q / np.sqrt(q.dot(q)), p)
+
+
+def moved(z: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return the state turned by a small vector in the body's frame, with its momentum changed."""
+    small = np.array([*(change[:3] / 2), mpf(1)])
+    return np.append(product(z[:4], small / np.sqrt(small.dot(small))), z[4:] + change[3:])
+
+
+def trivialised_jacobian(function: Callable, z: np.ndarray) -> np.ndarray:
+    """Return the derivative of a map in left-trivialised variables, shape (6, 6); see jacobian."""
+    spacing, there, result = mpf(10) ** -20, function(z), []
+    inverse = np.array([*-there[:3], there[3]])
+    for i in range(6):
+        ends = []
+        for sign in (1, -1):
+            change = np.array([mpf(0)] * 6)
+            change[i] = sign * spacing
+            end = function(moved(z, change))
+            turned = product(inverse, end[:4])
+            ends.append(np.append(2 * turned[:3] / turned[3], end[4:] - there[4:]))
+        result.append((ends[0] - ends[1]) / (2 * spacing))
+    return np.array(result).T
+
+
+def two_form(p: np.ndarray) -> np.ndarray:
+    """Return the canonical 2-form of T*SO(3) in left-trivialised variables."""
+    hat = np.array([[0 * p[0], -p[2], p[1]], [p[2], 0 * p[0], -p[0]], [-p[1], p[0], 0 * p[0]]])
+    unit, zero = np.eye(3, dtype=int), np.zeros((3, 3), dtype=int)
+    return np.block([[-hat, unit], [-unit, zero]])
+
+
+def defect(derivative: np.ndarray, z: np.ndarray, end: np.ndarray) -> float:
+    return float(abs(derivative.T.dot(two_form(end[4:])).dot(derivative) - two_form(z[4:])).max())
+
+
+@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('name', CANONICAL)
+def test_method_on_a_group_is_symplectic_in_left_trivialised_form(name: str, retraction: str,
+                                                                  measured):
+    method, h, z = METHODS[name](retraction), mpf('0.1'), start()
+    derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
+    found = defect(derivative, z, step(method, h, z))
+    measured('symplectic defect on SO(3), 60 digits', f'{name}, {retraction}', found, '<= 1e-25')
+    assert found <= 1e-25
+
+
+def test_composition_of_the_leapfrog_is_symplectic_in_left_trivialised_form():
+    method, h, z = Yoshida4('lie_leapfrog'), mpf('0.1'), start()
+    derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
+    assert defect(derivative, z, step(method, h, z)) <= 1e-25
+
+
+@pytest.mark.parametrize('retraction', RETRACTIONS)
+def test_lie_variational_euler_is_symplectic_in_the_staggered_momentum(retraction: str):
+    method, h, z = LieVariationalEuler(retraction), mpf('0.1'), start()
+    staggered = LieSymplecticEuler(retraction)
+
+    def carried(z: np.ndarray) -> np.ndarray:
+        """Map (g_k, mu_k) to (g_(k+1), pi_(k+1)), which no equation is solved for."""
+        x = h * z[4:] / np.array([mpf(value) for value in TOP.inertia])
+        tau, along = RETRACTIONS[retraction](x.dot(x) / 4), x.dot(z[4:])
+        p = (z[4:] - np.cross(x, z[4:]) / 2 + tau.along * along * x
+             - tau.squared * x.dot(x) * z[4:])
+        turned = product(z[:4], np.array([*(tau.vector * x), 1 + tau.less_one]))
+        return np.append(turned, p)
+    # Eq. (6), then to the staggered pair; or to it at once, and a step of symplectic Euler.
+    there, other = carried(step(method, h, z)), step(staggered, h, carried(z))
+    assert abs(there - other).max() < mpf(10) ** -50
+    derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
+    assert defect(derivative, z, step(method, h, z)) > 1e-4
+
+
+@pytest.mark.parametrize('retraction', RETRACTIONS)
+def test_lie_leapfrog_is_symmetric(retraction: str, measured):
+    method, h, z = LieLeapfrog(retraction), mpf('0.1'), start()
+    found = float(abs(step(method, -h, step(method, h, z)) - z).max())
+    measured('back by -h, 60 digits', f'lie_leapfrog, {retraction}', found, '<= 1e-45')
+    assert found <= 1e-45
+
+
+@pytest.mark.parametrize('retraction', RETRACTIONS)
+def test_lie_symplectic_euler_adjoint_is_the_adjoint(retraction: str):
+    h, z = mpf('0.1'), start()
+    there = step(LieSymplecticEuler(retraction), h, z)
+    back = step(LieSymplecticEulerAdjoint(retraction), -h, there)
+    assert abs(back - z).max() < mpf(10) ** -45
+    assert abs(step(LieSymplecticEuler(retraction), -h, there) - z).max() > 1e-4
+
+
+def test_lie_leapfrog_keeps_energy_momentum_and_norm_over_a_million_steps(measured):
+    top = HeavyTop()
+    run, n = Simulation(top, LieLeapfrog(), 0.01, Q, P), 1_000_000
+    q, p = run.record(n // 10, 10)
+    energies, vertical = top.energy(q, p) - top.energy(Q, P), spatial_momentum(q, p)[:, 2]
+    norms = abs(np.sum(q * q, axis=-1) - 1.0).max()
+    drift = abs(vertical - spatial_momentum(Q, P)[2]).max()
+    spin = abs(p[:, 2] - P[2]).max()
+    for what, value in (('norm of R^T R - I', norms), ('vertical momentum', drift),
+                        ('spin of a symmetric top', spin)):
+        measured(f'{what}, 1e6 steps', 'lie_leapfrog, heavy_top', value, '<= 1e-12')
+        assert value <= 1e-12
+    first, last = energies[:n // 100], energies[-n // 100:]
+    # A band, that of the first tenth; 1e-2 of it is what the phase of samples makes of it.
+    band = first.max() - first.min()
+    measured('energy band [J], 1e6 steps', 'lie_leapfrog, heavy_top', band, 'that of the start')
+    assert abs(last.max() - first.max()) < 1e-2 * band
+    assert abs(last.min() - first.min()) < 1e-2 * band
+    # The same machine code, another H: what tumbles near its middle axis.
+    body, p0 = FreeRigidBody(), np.array([1e-3, 2.0, 1e-3])
+    run = Simulation(body, LieLeapfrog(), 0.02, Q, p0)
+    q, p = run.record(n // 100, 100)
+    drift = abs(spatial_momentum(q, p) - spatial_momentum(Q, p0)).max()
+    measured('spatial momentum, 1e6 steps', 'lie_leapfrog, free_rigid_body', drift, '<= 1e-12')
+    assert drift <= 1e-12
+    assert p[:, 1].min() < -1.9, 'it did not turn over'
+
+
+def test_free_rigid_body_follows_jacobi_elliptic_functions(measured):
+    body = FreeRigidBody([1.0, 2.0, 2.5])
+    I1, I2, I3 = body.inertia
+    # omega_2 = 0 at the start and |p|^2 > 2 E I2: Landau and Lifshitz, eq. (37.10).
+    omega1, omega3 = 0.5, 1.0
+    p = np.array([omega1 * I1, 0.0, omega3 * I3])
+    energy, squared = 0.5 * np.sum(p * p / body.inertia), np.sum(p * p)
+    assert squared > 2.0 * energy * I2
+    rate = np.sqrt((I3 - I2) * (squared - 2.0 * energy * I1) / (I1 * I2 * I3))
+    modulus = ((I2 - I1) * (2.0 * energy * I3 - squared)
+               / ((I3 - I2) * (squared - 2.0 * energy * I1)))
+    swing = np.sqrt((2.0 * energy * I3 - squared) / (I2 * (I3 - I2)))
+
+    def error(n: int) -> float:
+        run = simulation(Suzuki4('lie_leapfrog'), 4.0 / n, body, (Q, p))
+        _, found = run.record(n, 1)
+        sn, cn, dn, _ = ellipj(rate * 4.0 / n * np.arange(1, n + 1), modulus)
+        true = np.stack([omega1 * cn, swing * sn, omega3 * dn], axis=-1)
+        return float(abs(found / body.inertia - true).max())
+    coarse, fine = error(40), error(80)
+    measured('order against Jacobi elliptic functions', 'suzuki4 over lie_leapfrog',
+             np.log2(coarse / fine), '4 +- 0.3')
+    assert abs(np.log2(coarse / fine) - 4.0) < 0.3
+    assert fine < 1e-5
+
+
+@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('name', METHODS)
+def test_turn_of_nearly_pi_in_one_step_fails(name: str, retraction: str):
+    body, fast = FreeRigidBody([1.0, 1.0, 1.0]), (Q, [0.0, 0.0, 3.1])
+    half = 2.0 if name == 'lie_leapfrog' else 1.0
+    run = simulation(METHODS[name](retraction), half, body, fast, on_failure='stop')
+    with pytest.raises(StepFailure, match='turn by nearly pi'):
+        run.advance(1)
+    assert run.steps == 0 and (run.q == Q).all()
+    rescued = simulation(METHODS[name](retraction), half, body, fast)
+    rescued.advance(1)
+    assert rescued.rescued == 1
+    # Sub-steps about a fixed axis: the norm of the momentum is kept.
+    assert np.allclose(rescued.p, [0.0, 0.0, 3.1], rtol=0.0, atol=1e-13)
+
+
+def test_newton_solves_what_the_first_solver_does_not():
+    exactly, poorly = (simulation(LieLeapfrog(max_iterations=n), 0.1) for n in (100, 2))
+    for run in (exactly, poorly):
+        run.advance(5)
+    assert poorly.rescued == 0 and poorly.gradients > exactly.gradients
+    assert np.allclose(poorly.q, exactly.q, rtol=0.0, atol=1e-13)
+    assert np.allclose(poorly.p, exactly.p, rtol=0.0, atol=1e-13)
+
+
+def test_several_bodies_step_together_as_each_alone():
+    states = [(Q, P), (product(Q, Q), 0.5 * P)]
+    together = simulation(LieLeapfrog(), 0.05, state=tuple(np.array(part) for part in
+                                                           zip(*states, strict=True)))
+    assert together.q.shape == (2, 4) and together.p.shape == (2, 3)
+    together.advance(10)
+    for i, state in enumerate(states):
+        alone = simulation(LieLeapfrog(), 0.05, state=state)
+        alone.advance(10)
+        # Solved together to round-off of the larger of them.
+        assert np.allclose(together.q[i], alone.q, rtol=0.0, atol=1e-13)
+        assert np.allclose(together.p[i], alone.p, rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize('name', INTEGRATORS)
+def test_method_for_flat_coordinates_refuses_rotations_by_name(name: str):
+    if INTEGRATORS[name].requirements.coordinates == 'group' or (
+            not INTEGRATORS[name].requirements.hamiltonian):
+        return
+    with pytest.raises(UnsupportedSystem, match=r'adds to .* \(attitude\)'):
+        check_method(INTEGRATORS[name](), TOP)
+
+
+@pytest.mark.parametrize('name', METHODS)
+def test_method_on_a_group_refuses_an_h_without_rotations(name: str):
+    with pytest.raises(UnsupportedSystem, match='rotations and poses.* none'):
+        check_method(METHODS[name](), HAMILTONIANS['pendulum']())
+
+
+def test_state_of_a_rotation_is_checked():
+    with pytest.raises(ValueError, match=r'expected \(3,\): three for each rotation'):
+        simulation(LieLeapfrog(), 0.1, state=(Q, [*P, 0.0]))
+    with pytest.raises(ValueError, match='norm 1.1.* unit quaternion'):
+        simulation(LieLeapfrog(), 0.1, state=(1.1 * Q, P))
+    run = simulation(LieLeapfrog(), 0.1, state=(np.round(Q, 7), P))
+    assert abs(run.q @ run.q - 1.0) < 1e-15
+
+
+def test_unknown_retraction_is_refused():
+    with pytest.raises(ValueError, match='valid: cayley, exponential'):
+        LieLeapfrog('exp')
