@@ -55,6 +55,12 @@ def columns(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
     return names
 
 
+def angle_columns(coordinates: Sequence[Coordinate]) -> np.ndarray:
+    """Return for each column of q whether it is an angle, which is the same a turn further."""
+    return np.array([coordinate.q_unit == 'rad' for coordinate in coordinates
+                     for _ in _COLUMNS[coordinate.kind][0]])
+
+
 def rotations(coordinates: Sequence[Coordinate]) -> tuple[int, ...]:
     """Return the columns of q in which unit quaternions begin."""
     places, column = [], 0

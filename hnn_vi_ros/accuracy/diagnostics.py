@@ -10,6 +10,7 @@ from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.phase_space import angle_columns
 import numpy as np
 
 BLOCKS = 100
@@ -225,9 +226,9 @@ def state_scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.n
     if hamiltonian.box is not None:
         return 0.5 * np.ptp(np.concatenate(hamiltonian.box), axis=1)
     # An angle that has turned over many times is no larger for that.
-    angles = np.array([c.q_unit == 'rad' for c in hamiltonian.coordinates])
+    angles = angle_columns(hamiltonian.coordinates)
     sizes = [float(np.abs(x).max()) or 1.0 for x in (np.where(angles, np.clip(q, -1, 1), q), p)]
-    return np.repeat(sizes, q.size)
+    return np.repeat(sizes, (q.size, p.size))
 
 
 def _difference(step: Callable[[np.ndarray], np.ndarray], z: np.ndarray, i: int, spacing: float

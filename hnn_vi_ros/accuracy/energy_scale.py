@@ -5,6 +5,7 @@
 import math
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import angle_columns
 import numpy as np
 
 # Of the state, over which H is differenced where (q, p) is not canonical: truncation and rounding
@@ -58,7 +59,7 @@ class EnergyScale:
         self._hamiltonian, self.value = hamiltonian, 0.0
         box = hamiltonian.box
         middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
-        angles = np.array([c.q_unit == 'rad' for c in hamiltonian.coordinates])
+        angles = angle_columns(hamiltonian.coordinates)
         # What costs nothing where there is nothing to do.
         self._middle = middle if middle.any() else None
         self._angles = angles if angles.any() else None

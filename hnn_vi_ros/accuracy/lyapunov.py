@@ -116,7 +116,7 @@ class _Pair:
             raise ValueError('thermostat, impact, holonomic_constraint and time_transformed take '
                              'one motion at a time: their Lyapunov time cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)
-        direction = np.random.default_rng(0).normal(size=2 * q.size)
+        direction = np.random.default_rng(0).normal(size=q.size + p.size)
         self._offset = _DISTANCE * direction / np.linalg.norm(direction)
         self._simulation = Simulation(
             hamiltonian, integrator, h, *self._states(q, p), effects, on_failure)

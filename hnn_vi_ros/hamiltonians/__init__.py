@@ -5,7 +5,9 @@
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
+from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
+from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
@@ -16,7 +18,9 @@ HAMILTONIANS = {
     'double_pendulum': DoublePendulum,
     'fput_chain': FputChain,
     'free_particle': FreeParticle,
+    'free_rigid_body': FreeRigidBody,
     'harmonic_oscillator': HarmonicOscillator,
+    'heavy_top': HeavyTop,
     'henon_heiles': HenonHeiles,
     'kepler': Kepler,
     'pendulum': Pendulum,

@@ -15,6 +15,10 @@ from hnn_vi_ros.integrators.explicit_euler import ExplicitEuler
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
+from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
+from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
 from hnn_vi_ros.integrators.rk4 import RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
@@ -37,6 +41,10 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     'discrete_euler_lagrange': DiscreteEulerLagrange,
     'discrete_gradient': DiscreteGradient,
     'variational_midpoint': VariationalMidpoint,
+    'lie_variational_euler': LieVariationalEuler,
+    'lie_symplectic_euler': LieSymplecticEuler,
+    'lie_symplectic_euler_adjoint': LieSymplecticEulerAdjoint,
+    'lie_leapfrog': LieLeapfrog,
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,
     'dop853': DOP853,

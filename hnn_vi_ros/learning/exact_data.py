@@ -35,7 +35,8 @@ class ExactHamiltonian(StrictModel):
         unknown = sorted(set(self.__pydantic_extra__) - set(valid))
         if unknown:
             raise ValueError(f'unknown key {unknown[0]}; valid keys: {", ".join(valid) or "none"}')
-        self.create()
+        if self.create().rotations:
+            raise ValueError(f'{self.kind} turns: no family of models has rotations; take another')
         return self
 
     def create(self) -> Hamiltonian:

@@ -16,6 +16,7 @@ from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.guards.watch import energies_of, look, show_many, tell, tell_many, Watch
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state, Trajectory
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.scene import load_scene, Scene
@@ -159,15 +160,19 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
             for name, part in zip(('q', 'p'), state, strict=True)}
 
 
-def _initial_states(q: Sequence[Sequence[float]], p: Sequence[Sequence[float]], d: int
-                    ) -> list[np.ndarray]:
+def _initial_states(q: Sequence[Sequence[float]], p: Sequence[Sequence[float]],
+                    hamiltonian: Hamiltonian) -> list[np.ndarray]:
     """Return q and p of initial states, of shape (m, d), or say what is wrong with them."""
-    states = check_numbers('q', q), check_numbers('p', p)
-    for name, part in zip('qp', states, strict=True):
-        if part.ndim == 1 and part.size != d:
-            raise ValueError(f'{name} has shape {part.shape}, expected (m, {d}): a row for each '
-                             'trajectory, a number in it for each coordinate')
-    checked = [part.reshape(-1, d) for part in check_state(*states, d)]
+    states, d, turning = (
+        (check_numbers('q', q), check_numbers('p', p)), hamiltonian.dimension,
+        hamiltonian.rotations)
+    widths = d, d - len(turning)
+    for name, part, width in zip('qp', states, widths, strict=True):
+        if part.ndim == 1 and part.size != width:
+            raise ValueError(f'{name} has shape {part.shape}, expected (m, {width}): a row for '
+                             'each trajectory, a number in it for each coordinate')
+    checked = [part.reshape(-1, width) for part, width in zip(
+        check_state(*states, d, turning), widths, strict=True)]
     if checked[0].size == 0:
         raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
     return checked
@@ -237,8 +242,8 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
     effects = scene.create_effects()
     system = System(hamiltonian, effects, integrator)
-    d, size = hamiltonian.dimension, BLOCK if system.lockstep else 1
-    q0, p0 = _initial_states(q, p, d)
+    size = BLOCK if system.lockstep else 1
+    q0, p0 = _initial_states(q, p, hamiltonian)
     if q0.size * samples > MOST_NUMBERS:
         raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
                          'holds; take fewer at a time')
@@ -251,7 +256,7 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
                           effects, scene.on_failure)
 
     workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))
-    q_all, p_all = np.empty((2, samples + 1, len(q0), d))
+    q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
     alarms: list[list[Alarm]] = [[] for _ in q0]
     q_all[0], p_all[0] = q0, p0
     with ThreadPoolExecutor(workers) as pool:

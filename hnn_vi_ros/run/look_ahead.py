@@ -62,14 +62,13 @@ def look_ahead(simulation: Simulation, seconds: float) -> LookAhead:
         left, batch = left - n, 2 * batch
     simulation.restart(q0, p0, step=step)
     extremes = np.vstack(met)
-    return LookAhead(_widened(extremes.min(axis=0), extremes.max(axis=0)), fastest)
+    bounds = _widened(extremes.min(axis=0), extremes.max(axis=0))
+    return LookAhead((bounds[:q0.size], bounds[q0.size:]), fastest)
 
 
-def _widened(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _widened(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     extent = high - low
     # What stays where it is, but for rounding, is shown with one unit on either side.
     moves = extent > 1e-9 * np.maximum(1.0, np.maximum(abs(low), abs(high)))
     margin = np.where(moves, _MARGIN * extent, 1.0)
-    bounds = np.stack([low - margin, high + margin], axis=-1)
-    d = low.size // 2
-    return bounds[:d], bounds[d:]
+    return np.stack([low - margin, high + margin], axis=-1)

@@ -22,6 +22,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
 from hnn_vi_ros.models.checkpoint import file_digest
+from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (
     AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
 from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
@@ -175,7 +176,7 @@ class Scene(StrictModel):
                                        self._origin.code_folder)
         else:
             hamiltonian = self._construct(_EXACT, choice, 'hamiltonian')
-        self._check_dimension([coordinate.name for coordinate in hamiltonian.coordinates])
+        self._check_dimension(hamiltonian.coordinates)
         state = np.array(self.initial_state.q), np.array(self.initial_state.p)
         hamiltonian.invariants = invariants_of(
             self.invariants, hamiltonian, not self.effects, state, self.place,
@@ -203,12 +204,16 @@ class Scene(StrictModel):
         """Return the SHA-256 of each model file; of one that is changed later, what it was."""
         return {name: file_digest(file) for name, file in self.model_files().items()}
 
-    def _check_dimension(self, names: list[str]) -> None:
-        for key, values in self.initial_state:
-            if len(values) != len(names):
+    def _check_dimension(self, coordinates: Sequence[Coordinate]) -> None:
+        names, momenta = columns(coordinates)
+        for (key, values), own in zip(self.initial_state, (names, momenta), strict=True):
+            if len(values) != len(own):
                 raise SceneError(
                     f'{self.place("initial_state", key)}: {len(values)} values, expected '
-                    f'{len(names)}, one for each coordinate: {", ".join(names)}')
+                    f'{len(own)}, one for each coordinate: {", ".join(own)}')
+        if self.events and len(names) != len(momenta):
+            raise SceneError(f'{self.place("events")}: no states inside of a step of rotations '
+                             'are known, at which an event could come; leave events out')
         if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
             numbers = [str(number) for number in COORDINATES[self.mechanism]]
             if len(numbers) > 3:

@@ -8,6 +8,7 @@ import operator
 from typing import Any
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import columns
 import numpy as np
 
 _LONGEST = 200
@@ -60,8 +61,8 @@ class Condition:
 
     def check(self, hamiltonian: Hamiltonian) -> None:
         """Raise ValueError if it names what the system does not have, with what it has."""
-        names = [c.name for c in hamiltonian.coordinates]
-        valid = [*names, *(f'{kind}_{name}' for kind in 'pv' for name in names), 'H']
+        names, momenta = columns(hamiltonian.coordinates)
+        valid = [*names, *(f'{kind}_{name}' for kind in 'pv' for name in momenta), 'H']
         unknown = sorted(self._names - set(valid))
         if unknown:
             raise ValueError(f'{self.text!r}: no quantity {unknown[0]!r}; valid: '
@@ -80,13 +81,13 @@ class Condition:
 
         """
         values: dict[str, np.ndarray] = {}
-        names = [c.name for c in hamiltonian.coordinates]
+        names, momenta = columns(hamiltonian.coordinates)
         if 'H' in self._names:
             values['H'] = hamiltonian.energy(q, p)
-        if any(f'v_{name}' in self._names for name in names):
+        if any(f'v_{name}' in self._names for name in momenta):
             _, velocity = hamiltonian.gradient(q, p)
-            values |= {f'v_{name}': velocity[..., i] for i, name in enumerate(names)}
-        for i, name in enumerate(names):
+            values |= {f'v_{name}': velocity[..., i] for i, name in enumerate(momenta)}
+        for i, name in enumerate(momenta):
             values[f'p_{name}'] = p[..., i]
         # Last of all: a coordinate may be named as another's momentum.
         values |= {name: q[..., i] for i, name in enumerate(names)}

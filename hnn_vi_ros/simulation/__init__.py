@@ -309,7 +309,7 @@ class Simulation:
         """
         if self.hamiltonian.rotations:
             raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
-                                    'events out, and look at whole steps')
+                                    'events out, and ask for times that are whole steps')
         return DenseStep(self, self._system.integrator is self.integrator
                          and self._kernel.channels == 0, lambda: self._system.cuts)
 

@@ -224,7 +224,7 @@ class System:
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
                 able = methods_that(lambda method: (
-                    method.requirements.coordinates != 'other'
+                    method.requirements.coordinates in ('canonical', 'any')
                     and effect.accepts(method)))  # noqa: B023  called at once
                 raise UnsupportedSystem(f'{method_name(integrator)} cannot take the effect '
                                         f'{label}; methods that can: {able}')

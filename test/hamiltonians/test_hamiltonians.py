@@ -31,6 +31,8 @@ UNEVEN = {
     'tao': {},
 }
 STATES = 20
+# Those that turn have other columns in p than in q: test_rigid_bodies.py.
+FLAT = [name for name in HAMILTONIANS if name not in ('free_rigid_body', 'heavy_top')]
 
 
 def uneven(name: str) -> Hamiltonian:
@@ -61,7 +63,7 @@ def gradient_at(hamiltonian: Hamiltonian, z: np.ndarray) -> np.ndarray:
     return gradient
 
 
-@pytest.mark.parametrize('name', HAMILTONIANS)
+@pytest.mark.parametrize('name', FLAT)
 def test_hamiltonian_gradient_is_the_derivative_of_its_energy(name: str):
     hamiltonian = uneven(name)
     kernel, d = hamiltonian.kernel, hamiltonian.dimension
@@ -72,7 +74,7 @@ def test_hamiltonian_gradient_is_the_derivative_of_its_energy(name: str):
         np.testing.assert_allclose(row, exact, rtol=1e-12, atol=1e-12 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize('name', HAMILTONIANS)
+@pytest.mark.parametrize('name', FLAT)
 def test_hamiltonian_hessian_vector_is_the_derivative_of_its_gradient(name: str):
     hamiltonian = uneven(name)
     q, p = states(hamiltonian)
@@ -83,7 +85,7 @@ def test_hamiltonian_hessian_vector_is_the_derivative_of_its_gradient(name: str)
         np.testing.assert_allclose(row, exact, rtol=1e-12, atol=1e-12 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize('name', HAMILTONIANS)
+@pytest.mark.parametrize('name', FLAT)
 def test_hamiltonian_is_separable_where_it_says_so(name: str):
     """H = T(p) + V(q) exactly where every mixed derivative H_qp is zero."""
     hamiltonian = uneven(name)
@@ -95,7 +97,7 @@ def test_hamiltonian_is_separable_where_it_says_so(name: str):
     assert (largest == 0.0) == hamiltonian.separable
 
 
-@pytest.mark.parametrize('name', HAMILTONIANS)
+@pytest.mark.parametrize('name', FLAT)
 def test_hamiltonian_names_each_coordinate_once(name: str):
     hamiltonian = uneven(name)
     assert len({coordinate.name for coordinate in hamiltonian.coordinates}) \

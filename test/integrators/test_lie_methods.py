@@ -5,7 +5,8 @@
 from collections.abc import Callable
 
 from helpers import exact, python_step, Uncompiled
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros import simulate
+from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
@@ -312,3 +313,18 @@ def test_state_of_a_rotation_is_checked():
 def test_unknown_retraction_is_refused():
     with pytest.raises(ValueError, match='valid: cayley, exponential'):
         LieLeapfrog('exp')
+
+
+def test_scene_of_a_body_that_turns_is_simulated_and_refuses_what_it_cannot_take():
+    path = simulate('free_rigid_body', 10.0, every=100)
+    assert path.q.shape == (6, 4) and path.p.shape == (6, 3) and not path.alarms
+    momenta = spatial_momentum(path.q, path.p)
+    assert abs(momenta - momenta[0]).max() < 1e-13
+    for changes, expected in (
+            ({'integrator': 'rk4'}, r'rk4 adds to .* methods that can: lie_variational_euler, '),
+            ({'effects': [{'kind': 'damping', 'rate': 0.1}]}, 'leave all effects out'),
+            ({'duration': 0.03}, 'inside of a step of rotations'),
+            ({'initial_state': ([0.0, 0.0, 0.0, 1.0], [0.0] * 4)}, 'attitude_rx, attitude_ry'),
+            ({'initial_state': ([0.0, 0.0, 0.0, 2.0], [0.0] * 3)}, 'unit quaternion')):
+        with pytest.raises(HnnViRosError, match=expected):
+            simulate('free_rigid_body', **{'duration': 0.2, **changes})

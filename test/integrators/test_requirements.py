@@ -19,6 +19,7 @@ class Elsewhere(Uncompiled):
 
 SYSTEMS = {'separable': Uncompiled(HAMILTONIANS['pendulum']()),
            'not separable': Uncompiled(HAMILTONIANS['tao']()),
+           'turning': Uncompiled(HAMILTONIANS['heavy_top']()),
            'not canonical': Elsewhere(HAMILTONIANS['pendulum']())}
 # DiscreteEulerLagrange is no method for H, but for a discrete Lagrangian that it is given.
 METHODS = {name: method() for name, method in INTEGRATORS.items()

@@ -1,0 +1,98 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies that turn: their H, its derivatives, what they conserve, and how states are laid out."""
+
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
+from hnn_vi_ros.phase_space import angle_columns, columns, Coordinate, rotations
+from hnn_vi_ros.scene.conditions import Condition
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+BODIES = {'free_rigid_body': HAMILTONIANS['free_rigid_body']([1.0, 1.4, 0.8]),
+          'heavy_top': HAMILTONIANS['heavy_top']([1.0, 1.4, 0.8], 0.7, 0.6, 3.7)}
+
+
+def states(count: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Return random attitudes, shape (count, 4), and momenta, shape (count, 3)."""
+    rng = np.random.default_rng(7)
+    q = rng.normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True), rng.normal(size=(count, 3))
+
+
+@pytest.mark.parametrize('name', BODIES)
+def test_body_has_the_energy_of_its_rotation_matrix(name: str):
+    body, (q, p) = BODIES[name], states()
+    expected = np.sum(p * p / (2.0 * np.array([1.0, 1.4, 0.8])), axis=1)
+    if name == 'heavy_top':
+        expected += 0.7 * 0.6 * 3.7 * Rotation.from_quat(q).as_matrix()[:, 2, 2]
+    np.testing.assert_allclose(body.energy(q, p), expected, rtol=1e-14)
+    np.testing.assert_allclose(spatial_momentum(q, p), Rotation.from_quat(q).apply(p), rtol=1e-13)
+
+
+@pytest.mark.parametrize('name', BODIES)
+def test_body_has_the_derivatives_of_its_energy(name: str):
+    body, (q, p) = BODIES[name], states()
+    v_q, v_p = np.random.default_rng(8).normal(size=(2, 5, 4))
+    spacing, v_p = 1e-6, v_p[:, :3]
+    dH_dq, dH_dp = body.gradient(q, p)
+    assert dH_dq.shape == q.shape and dH_dp.shape == p.shape
+    slope = (body.energy(q + spacing * v_q, p + spacing * v_p)
+             - body.energy(q - spacing * v_q, p - spacing * v_p)) / (2.0 * spacing)
+    # H is quadratic: a central difference has no error but rounding, 1e-16 / 1e-6.
+    assert np.allclose(np.sum(dH_dq * v_q, axis=1) + np.sum(dH_dp * v_p, axis=1), slope,
+                       rtol=0.0, atol=1e-8)
+    ahead, behind = (body.gradient(q + s * v_q, p + s * v_p) for s in (0.5, -0.5))
+    for product, plus, minus in zip(body.hessian_vector(q, p, v_q, v_p), ahead, behind,
+                                    strict=True):
+        assert np.allclose(product, plus - minus, rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize('arguments, expected', [
+    ({'inertia': [1.0, 1.0]}, 'inertia has 2 values, expected 3'),
+    ({'inertia': [1.0, 0.0, 1.0]}, r'inertia\[1\] = 0.0 must be a positive number'),
+    ({'inertia': [1.0, 1.0, 2.5]}, 'no body has a moment of inertia larger than the sum')])
+@pytest.mark.parametrize('name', BODIES)
+def test_body_refuses_what_is_no_inertia(name: str, arguments: dict, expected: str):
+    with pytest.raises(ValueError, match=expected):
+        HAMILTONIANS[name](**arguments)
+
+
+@pytest.mark.parametrize('name', ['mass', 'length', 'gravity'])
+def test_heavy_top_refuses_a_constant_out_of_range(name: str):
+    with pytest.raises(ValueError, match=f'{name} = nan must be a .*number'):
+        HAMILTONIANS['heavy_top'](**{name: float('nan')})
+
+
+def test_known_invariants_are_momenta_in_space_and_the_spin_of_a_symmetric_top():
+    (q, *_), (p, *_) = states()
+    space = Rotation.from_quat(q).apply(p)
+    free = BODIES['free_rigid_body'].known_invariants
+    assert list(free) == ['momentum_x', 'momentum_y', 'momentum_z']
+    np.testing.assert_allclose([function(q, p) for function in free.values()], space, rtol=1e-13)
+    assert list(BODIES['heavy_top'].known_invariants) == ['vertical_momentum']
+    top = HAMILTONIANS['heavy_top']().known_invariants
+    assert top['vertical_momentum'](q, p) == pytest.approx(space[2], rel=1e-13)
+    assert top['spin'](q, p) == p[2]
+
+
+def test_coordinates_of_every_kind_have_their_columns():
+    mixed = [Coordinate('x', 'm'), Coordinate('body', kind='pose'), Coordinate('angle', 'rad'),
+             Coordinate('wheel', kind='rotation')]
+    q, p = columns(mixed)
+    assert q == ['x', 'body_x', 'body_y', 'body_z', 'body_qx', 'body_qy', 'body_qz', 'body_qw',
+                 'angle', 'wheel_qx', 'wheel_qy', 'wheel_qz', 'wheel_qw']
+    assert p == ['x', 'body_x', 'body_y', 'body_z', 'body_rx', 'body_ry', 'body_rz', 'angle',
+                 'wheel_rx', 'wheel_ry', 'wheel_rz']
+    assert rotations(mixed) == (4, 9)
+    assert np.flatnonzero(angle_columns(mixed)).tolist() == [8]
+
+
+def test_condition_names_the_columns_of_a_rotation():
+    top, (q, p) = HAMILTONIANS['heavy_top'](), states()
+    condition = Condition('attitude_qw + p_attitude_rz = v_attitude_rx')
+    condition.check(top)
+    np.testing.assert_array_equal(condition.values(top, q, p), q[:, 3] + p[:, 2] - p[:, 0])
+    with pytest.raises(ValueError, match='no quantity .p_attitude_qx.; valid: attitude_qx'):
+        Condition('p_attitude_qx = 0').check(top)
