@@ -133,6 +133,36 @@ class Trajectory:
     events: tuple[Event, ...] = ()
 
 
+def momentum_rates(turning: Sequence[int], q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                   dH_dp: np.ndarray) -> np.ndarray:
+    """
+    Return p' of a state: -H_q, and of a rotation p x omega - g^* H_g, in the frame of the body.
+
+    Parameters
+    ----------
+    turning : sequence of int
+        The columns of q in which quaternions begin.
+    q, p : np.ndarray
+        The state, one column less in p for each rotation.
+    dH_dq, dH_dp : np.ndarray
+        The gradient of H, of their shapes.
+
+    """
+    if not turning:
+        return np.negative(dH_dq)
+    rates, start = [], 0
+    for passed, column in enumerate(turning):
+        rates.append(-dH_dq[start:column])
+        (*vector, scalar), (*slope, last) = q[column:column + 4], dH_dq[column:column + 4]
+        place = slice(column - passed, column - passed + 3)
+        # q' = q (omega, 0) / 2: half of the transposed map of H_q.
+        torque = 0.5 * (scalar * np.array(slope) - np.cross(vector, slope)
+                        - last * np.array(vector))
+        rates.append(np.cross(p[place], dH_dp[place]) - torque)
+        start = column + 4
+    return np.concatenate([*rates, -dH_dq[start:]])
+
+
 def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[int] = ()
                 ) -> tuple[np.ndarray, np.ndarray]:
     """

@@ -22,7 +22,7 @@ class State(NamedTuple):
     stamp : int
         Simulated time [ns].
     q, p, dp_dt : np.ndarray, shape (d,)
-        Coordinates, momenta, and their rates.
+        Coordinates, momenta, and their rates; these have fewer columns where q has quaternions.
     energy, work : float
         H(q, p) and what the effects have done on the system since the start [J].
 
@@ -36,18 +36,30 @@ class State(NamedTuple):
     work: float
 
 
-def state_names(names: Sequence[str]) -> list[str]:
+def state_names(names: Sequence[str], momenta: Sequence[str] | None = None) -> list[str]:
     """Return what ~/state names its numbers: q, p, dp/dt of the coordinates, H and the work."""
-    return [*names, *(MOMENTUM + name for name in names), *(RATE + name for name in names),
+    momenta = names if momenta is None else momenta
+    return [*names, *(MOMENTUM + name for name in momenta), *(RATE + name for name in momenta),
             *_SCALARS]
 
 
 def decode_state(data: bytes) -> State:
     """Return the sample in a serialised message of ~/state; ValueError if it is none."""
     joints = decode_joint_state(data)
-    d = (len(joints.names) - len(_SCALARS)) // 3
-    if list(joints.names) != state_names(joints.names[:d]) or \
-            len(joints.position) != len(joints.names):
+    names, count = list(joints.names), len(joints.names) - len(_SCALARS)
+    d = _momenta(names, count)
+    if d is None or len(joints.position) != len(names):
         raise ValueError('it names other numbers than ~/state')
-    return State(joints.stamp, *joints.position[:3 * d].reshape(3, d),
-                 *joints.position[3 * d:].tolist())
+    q, p, dp_dt = np.split(joints.position[:count], [count - 2 * d, count - d])
+    return State(joints.stamp, q, p, dp_dt, *joints.position[count:].tolist())
+
+
+def _momenta(names: list[str], count: int) -> int | None:
+    """Return how many momenta ~/state has that so names its numbers; None if it is none."""
+    d = count // 3
+    if names == state_names(names[:d]):
+        return d
+    # Of a quaternion there are four columns and three momenta.
+    rates = sum(name.startswith(RATE) for name in names)
+    momenta = [name.removeprefix(RATE) for name in names[count - rates:count]]
+    return rates if names == state_names(names[:count - 2 * rates], momenta) else None

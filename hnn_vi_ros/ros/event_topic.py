@@ -5,6 +5,7 @@
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, OK, Status
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.recording import Recording
@@ -41,8 +42,8 @@ class EventTopic:
     def __init__(self, node: Node, publisher: Callable[[], Publisher], scene: str,
                  simulation: Simulation | WatchedSimulation):
         self._node, self._simulation = node, simulation
-        coordinates = [c.name for c in simulation.hamiltonian.coordinates]
-        self._names = [*coordinates, *(f'p_{name}' for name in coordinates)]
+        names, momenta = columns(simulation.hamiltonian.coordinates)
+        self._names = [*names, *(f'p_{name}' for name in momenta)]
         self._publisher = DiagnosticsPublisher(node, publisher(), scene) \
             if isinstance(simulation, WatchedSimulation) else None
 

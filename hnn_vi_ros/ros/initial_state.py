@@ -33,6 +33,9 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
         The message is not a state of the system; one line.
 
     """
+    if hamiltonian.rotations:
+        raise ValueError('no joint states make a state of bodies that turn; write it into the '
+                         "scene's initial_state")
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
     if len(message.name) != len(names) or sorted(message.name) != sorted(names):
         given = ', '.join(message.name[:10])

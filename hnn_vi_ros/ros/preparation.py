@@ -9,7 +9,7 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.bags.bag_metadata import BagTopics
-from hnn_vi_ros.errors import ParameterError, UnsupportedSystem
+from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.parameters import Settings
@@ -164,10 +164,6 @@ def _compile(scene: Scene, logger: Logger, begin: Callable[[str], None]) -> Simu
     with warnings.catch_warnings(record=True) as caught, announced(tell):
         warnings.simplefilter('always')
         simulation = build(scene)
-        if simulation.hamiltonian.rotations:
-            names = ', '.join(c.name for c in simulation.hamiltonian.coordinates)
-            raise UnsupportedSystem(f'{scene.source}: no messages tell of rotations ({names}) '
-                                    'yet: simulate the scene in Python')
         seconds = simulation.compile()
     for warning in caught:
         logger.warning(str(warning.message))

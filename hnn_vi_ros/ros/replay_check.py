@@ -9,6 +9,7 @@ from typing import NamedTuple
 from hnn_vi_ros.bags.even_grid import missing_stamps
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.run.held_state import restore_state
 from hnn_vi_ros.simulation import Simulation
@@ -167,7 +168,9 @@ def _simulated(run: RecordedRun, *simulations: Simulation
 
 def _values(simulation: Simulation) -> dict[str, np.ndarray]:
     """Return what a sample of the state would tell."""
-    return {'q': simulation.q, 'p': simulation.p, 'dp/dt': np.negative(simulation.dH_dq),
+    rates = momentum_rates(simulation.hamiltonian.rotations, simulation.q, simulation.p,
+                           simulation.dH_dq, simulation.dH_dp)
+    return {'q': simulation.q, 'p': simulation.p, 'dp/dt': rates,
             'H': np.array([simulation.energy]), 'work': np.array([simulation.work])}
 
 
@@ -190,7 +193,7 @@ def _command(run: RecordedRun, simulation: Simulation, values: list[float]) -> N
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
     """Return how many samples agree, and the first difference after them."""
     count = 0
-    names = [coordinate.name for coordinate in simulation.hamiltonian.coordinates]
+    names, momenta = columns(simulation.hamiltonian.coordinates)
     for stamp, values in _simulated(run, simulation):
         own = _values(simulation)
         for kind, recorded in values.items():
@@ -199,7 +202,8 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
             different = np.flatnonzero(recorded.view(np.uint64) != simulated.view(np.uint64))
             if different.size:
                 i = different[0]
-                name = kind if kind in ('H', 'work') else f'{kind} of {names[i]}'
+                name = kind if kind in ('H', 'work') else (
+                    f'{kind} of {(names if kind == "q" else momenta)[i]}')
                 return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
         count += 1
     return count, None

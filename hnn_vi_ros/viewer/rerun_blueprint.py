@@ -62,7 +62,7 @@ class Arrangement:
     @property
     def side(self) -> float:
         """Return width and height of a portrait's frame, in points."""
-        rows = 1 if self.tabbed else -(-self.portraits // self.columns)
+        rows = 1 if self.tabbed else max(1, -(-self.portraits // self.columns))
         left, right, top, bottom = MARGINS
         height = COLUMN[1] * (1.0 - self.world_share) / rows - BAR
         return min(COLUMN[0] / self.columns - left - right, height - top - bottom)
@@ -107,7 +107,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
                        column_shares=[0.68 / len(errors)] * len(errors) + [0.32]),
         _events_view(), row_shares=[0.24, 0.24, 0.345, 0.175])
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[0.42, 0.58]),
+        rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
+        if views or arrangement.bounds is not None else right,
         rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
         rrb.TimePanel(state='collapsed', timeline='sim_time', play_state='following'),
         auto_views=False)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.mechanisms.parts import Line, Part
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
 import rerun as rr
@@ -20,9 +20,8 @@ TIMING = {'/timing/microseconds_per_step': ['step time, median [us]', 'step time
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
 
 
-def momentum_name(coordinate: Coordinate) -> str:
+def momentum_name(name: str) -> str:
     """Return the name of the momentum that belongs to a coordinate: q2 has p2, x has p_x."""
-    name = coordinate.name
     return f'p{name[1:]}' if name[:1] == 'q' else f'p_{name}'
 
 
@@ -60,8 +59,9 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
     if conservative and modified:
         second = {'/energy/modified': ['modified H [J]']}
     return {
-        '/state/q': [f'{c.name} [{c.q_unit}]' for c in coordinates],
-        '/state/p': [f'{momentum_name(c)} [{c.p_unit}]' for c in coordinates],
+        '/state/q': [f'{name} [{c.q_unit}]' for c in coordinates for name in columns([c])[0]],
+        '/state/p': [f'{momentum_name(name)} [{c.p_unit}]'
+                     for c in coordinates for name in columns([c])[1]],
         '/energy/H': ['H [J]'],
         **second,
         '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
@@ -132,7 +132,7 @@ def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Point
     texts |= {(left - 24.0 * dq, p + 15.0 * dp): f'{p:g}' for p in ticks(frame.p)}
     texts[0.5 * (left + right), low - 32.0 * dp] = f'{coordinate.name} [{coordinate.q_unit}]'
     texts[left + 15.0 * dq, high + 42.0 * dp] = (
-        f'{momentum_name(coordinate)} [{coordinate.p_unit}]')
+        f'{momentum_name(coordinate.name)} [{coordinate.p_unit}]')
     return rr.Points2D(list(texts), labels=list(texts.values()), show_labels=True, colors=[INK],
                        radii=rr.Radius.ui_points(0.01))
 

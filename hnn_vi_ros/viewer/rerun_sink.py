@@ -77,6 +77,8 @@ class RerunSink:
                  modified: bool = True, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
+        # Of a body that turns no coordinate has a plane of its own with its momentum.
+        self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
         self._invariants = hamiltonian.invariants
         self._interval, self._epoch, self._due = max(1, interval), epoch, 0
         self._begin = begin
@@ -163,7 +165,7 @@ class RerunSink:
 
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
                     box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
-        shown = hamiltonian.coordinates[:MOST_PORTRAITS]
+        shown = self._portrayed
         framed = hamiltonian.dimension if self._mechanism is not None else len(shown)
         frames = frames_of(hamiltonian, q0, p0, box, framed)
         parts, bounds = {}, None
@@ -228,9 +230,11 @@ class RerunSink:
     def _send_portraits(self, times: list[rr.TimeColumn], samples: list[Sample], q: np.ndarray,
                         p: np.ndarray) -> None:
         """Add to each trail the segments that lead to the new points."""
+        if not self._portrayed:
+            return
         before = self._sent or samples[0]
         points = np.stack([np.vstack([before.q, q]), np.vstack([before.p, p])], axis=-1)
-        for axis, coordinate in enumerate(self._coordinates[:MOST_PORTRAITS]):
+        for axis, coordinate in enumerate(self._portrayed):
             path = layout.phase_path(coordinate)
             segments = np.stack([points[:-1, axis], points[1:, axis]], axis=1)
             self._columns(f'{path}/trail', times, rr.LineStrips2D.columns(strips=segments))

@@ -3,8 +3,10 @@
 """Variational integrators for bodies that turn: order, structure, invariants, and failures."""
 
 from collections.abc import Callable
+from functools import cached_property
+from typing import Any
 
-from helpers import exact, python_step, Uncompiled
+from helpers import exact, python_kernel, python_step, Uncompiled
 from hnn_vi_ros import simulate
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -13,13 +15,16 @@ from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.arithmetic import copy_point
+from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
 from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
 from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 from mpmath import mpf
 import numpy as np
@@ -308,6 +313,55 @@ def test_state_of_a_rotation_is_checked():
         simulation(LieLeapfrog(), 0.1, state=(1.1 * Q, P))
     run = simulation(LieLeapfrog(), 0.1, state=(np.round(Q, 7), P))
     assert abs(run.q @ run.q - 1.0) < 1e-15
+
+
+class Beside(Hamiltonian):
+    """The top between two systems of one scalar coordinate, none of which acts on another."""
+
+    coordinates = (Coordinate('x'), Coordinate('attitude', kind='rotation'), Coordinate('y'))
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions, uncompiled."""
+        flat, top = python_kernel(HAMILTONIANS['tao']()), python_kernel(TOP)
+
+        def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                     dH_dp: np.ndarray) -> None:
+            for i, j in ((0, 0), (5, 4)):
+                flat.gradient(flat.parameters, q[i:i + 1], p[j:j + 1], dH_dq[i:i + 1],
+                              dH_dp[j:j + 1])
+            velocity = np.zeros(4)
+            top.gradient(top.parameters, q[1:5], np.append(p[1:4], 0.0), dH_dq[1:5], velocity)
+            dH_dp[1:4], dH_dp[5] = velocity[:3], 0.0
+        unused: Any = gradient
+        return Kernel(unused, gradient, unused, (), 6, (0.0, 0.0), compiled=False, rotations=(1,))
+
+
+@pytest.mark.parametrize('name, flat', [
+    ('lie_variational_euler', 'variational_euler'), ('lie_symplectic_euler', 'symplectic_euler'),
+    ('lie_symplectic_euler_adjoint', 'symplectic_euler_adjoint'),
+    ('lie_leapfrog', 'generalized_leapfrog')])
+def test_scalar_coordinates_beside_a_rotation_step_as_by_the_flat_method(name: str, flat: str):
+    h, (x, p_x), (y, p_y) = 0.05, (0.7, -1.2), (-0.3, 0.4)
+    method = METHODS[name]()
+
+    def advance(method: Integrator, kernel: Kernel, q: list[float], p: list[float]) -> Point:
+        z, z1 = Point.empty(len(q)), Point.empty(len(q))
+        z.q[:], z.p[:] = q, p
+        kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+        memory = method.memory(len(q))
+        for _ in range(20):
+            assert method.step(kernel, h, method.options(), z, z1, memory)[0] == OK
+            copy_point(z1, z)
+        return z
+    mixed = advance(method, Beside().kernel, [x, *Q, y], [p_x, *P, p_y, 0.0])
+    alone = advance(method, python_kernel(TOP), list(Q), [*P, 0.0])
+    tao = python_kernel(HAMILTONIANS['tao']())
+    first, last = (advance(INTEGRATORS[flat](), tao, [q], [p]) for q, p in ((x, p_x), (y, p_y)))
+    # Each is solved to round-off, by solvers that end at different iterates.
+    for found, expected in ((mixed.q, [*first.q, *alone.q, *last.q]),
+                            (mixed.p, [*first.p, *alone.p[:3], *last.p, 0.0])):
+        assert np.allclose(found, expected, rtol=0.0, atol=1e-13)
 
 
 def test_unknown_retraction_is_refused():
