@@ -8,7 +8,8 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.studies import published_tables
 from hnn_vi_ros.studies.machine_tables import (
-    CASES, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of, valid_times, WITH_PRIOR)
+    CASES, dfki_errors, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of, valid_times,
+    WITH_PRIOR)
 import numpy as np
 import pytest
 
@@ -23,7 +24,8 @@ def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Motion:
 def off_by(error: float, after: int = 0):
     """Return what predicts each motion with an error of both coordinates, from a sample on."""
     def predict(motion, starts, count):
-        rows = starts[:, None] + np.arange(count + 1)
+        # Beyond the end of the motion nothing is judged.
+        rows = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
         return motion.q[rows] + error * (np.arange(count + 1) >= after)[:, None]
     return predict
 
@@ -43,6 +45,20 @@ def test_errors_of_the_free_pendulum_are_means_over_each_duration(tmp_path):
     # Of 500, 1000 and 2000 samples, 0, 500 and 1500 are off by 0.5.
     expected = 0.5 * np.sqrt([0.0, 0.5, 0.75])
     assert np.allclose([*found.values()], expected[:, None], rtol=1e-12)
+
+
+def test_later_runs_may_be_sampled_at_rates_of_their_own(tmp_path):
+    (tmp_path / 'dfki_double_pendulum').mkdir()
+    runs = {}
+    for name, spacing in (('acrobot_01', 0.002), ('pendubot_01', 0.0025)):
+        one = motion(name, 400, spacing)
+        runs |= {f'{name}/t': one.t, f'{name}/q': one.q, f'{name}/dq': one.v,
+                 f'{name}/tau': one.tau}
+    np.savez(tmp_path / 'dfki_double_pendulum' / 'later.npz', **runs)
+    # 0.1 s are 50 samples of one, and 40 of the other.
+    found = dfki_errors(off_by(0.5, after=41), [motion('154548')], tmp_path)
+    assert np.allclose([found[f'RMS error [rad] after 0.1 s, later {task}'] for task in (
+        'acrobot', 'pendubot')], [[0.5], [0.0]], atol=1e-6)
 
 
 def test_goal_is_met_by_the_mean_of_every_coordinate():
@@ -80,8 +96,10 @@ def test_every_machine_is_measured_and_stands_on_the_page(tmp_path):
     (tmp_path / 'dfki_double_pendulum').mkdir()
     for name, runs in (('sysid', ['1', '143524', '143704', '144115', '154548']),
                        ('later', ['acrobot_01', 'pendubot_01'])):
-        np.savez(tmp_path / 'dfki_double_pendulum' / f'{name}.npz',
-                 **{key: values for one in runs for key, values in run(one, 400, 0.002).items()})
+        # The later runs of the two tasks were sampled at different rates.
+        np.savez(tmp_path / 'dfki_double_pendulum' / f'{name}.npz', **{
+            key: values for one in runs for key, values in run(
+                one, 400, 0.0025 if one == 'pendubot_01' else 0.002).items()})
     (tmp_path / 'multiarm_pendulum').mkdir()
     np.savez(tmp_path / 'multiarm_pendulum' / 'double.npz', **{
         key: values for one in ('train_00', 'val_00', 'val_01', 'val_02', 'val_03')
