@@ -131,8 +131,8 @@ class _Pair:
         if not size > 0.0:
             raise HnnViRosError(
                 f'the motion has run so far away, to {max(np.abs(q).max(), np.abs(p).max()):.2g}, '
-                f'that a neighbour is lost in rounding at t = {simulation.time:.3g} s: no Lyapunov '
-                'time can be measured; use a smaller step_size, or a shorter duration')
+                f'that a neighbour is lost in rounding at t = {simulation.time:.3g} s: no '
+                'Lyapunov time can be measured; use a smaller step_size, or a shorter duration')
         self.growth += math.log(size / _DISTANCE)
         self._offset = _DISTANCE / size * offset
         simulation.restart(*self._states(q[0].copy(), p[0].copy()), step=simulation.steps)
