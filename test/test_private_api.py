@@ -28,7 +28,7 @@ PRIVATE = {
     'bags/mcap_index.py': ('mcap', {'_Writer__chunk_indices'}),
     'command_line.py': ('argparse', {'_option_string_actions'}),
     'kernels/linking.py': ('numba', {
-        '_cache', '_codegen', '_final_module', '_finalize_dynamic_globals',
+        '_cache', '_cache_hits', '_codegen', '_final_module', '_finalize_dynamic_globals',
         '_get_module_for_linking', '_linking_libraries', '_loopvect', '_module_pass_manager',
         '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
         'numba._dynfunc'}),
@@ -125,7 +125,9 @@ def test_numba_keeps_in_libraries_and_functions_what_is_read_of_them():
         cost='cheap')
     assert callable(passes.run)
     assert codegen._opt_level in range(4) and isinstance(codegen._loopvect, bool)
-    assert hasattr(twice, '_cache')
+    assert hasattr(twice, '_cache') and not twice._cache_hits
+    assert [*inspect.signature(FunctionCache.load_overload).parameters] == [
+        'self', 'sig', 'target_context']
     assert hasattr(FunctionCache(twice.py_func), '_py_func')
     assert callable(numba._dynfunc.make_function)
 
