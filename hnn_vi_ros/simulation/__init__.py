@@ -301,11 +301,7 @@ class Simulation:
         """
         Take one step, and return it with the states inside of it, or raise StepFailure.
 
-        Raises
-        ------
-        UnsupportedSystem
-            There are rotations, between which no polynomial leads.
-
+        UnsupportedSystem where there are rotations: no polynomial leads from one to the next.
         """
         if self.hamiltonian.rotations:
             raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
