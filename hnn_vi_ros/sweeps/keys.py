@@ -11,7 +11,8 @@ from hnn_vi_ros.scene import Scene
 _STATE = 'initial_state'
 
 
-def find_key(scene: Scene, key: str, names: Sequence[str], place: str) -> tuple[str | int, ...]:
+def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: str
+             ) -> tuple[str | int, ...]:
     """
     Return the parts of a key, such as ``('effects', 0, 'rate')``.
 
@@ -21,8 +22,8 @@ def find_key(scene: Scene, key: str, names: Sequence[str], place: str) -> tuple[
         Of which it is a key.
     key : str
         With dots. In the initial state a coordinate may be given by its name.
-    names : sequence of str
-        Those of the coordinates.
+    names : mapping of sequence of str
+        Those of the columns of q and of p, under these two.
     place : str
         Where the key stands, for errors.
 
@@ -39,8 +40,8 @@ def find_key(scene: Scene, key: str, names: Sequence[str], place: str) -> tuple[
             valid = list(value)
         elif isinstance(value, list):
             valid = [str(k) for k in range(len(value))]
-            if len(parts) == 2 and parts[0] == _STATE:
-                valid += names
+            own = names[str(parts[1])] if len(parts) == 2 and parts[0] == _STATE else []
+            valid += own
         else:
             raise DataError(f'{place}: {key!r}: {".".join(map(str, parts))} is a value, which '
                             'has no further keys')
@@ -48,7 +49,7 @@ def find_key(scene: Scene, key: str, names: Sequence[str], place: str) -> tuple[
             shown = ', '.join(valid[:20]) or 'none'
             raise DataError(f'{place}: {key!r}: unknown key {part!r}; valid keys: {shown}')
         if isinstance(value, list):
-            parts.append(names.index(part) if part in names else int(part))
+            parts.append(own.index(part) if part in own else int(part))
         else:
             parts.append(part)
         value = value[parts[-1]]

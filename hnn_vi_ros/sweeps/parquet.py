@@ -21,7 +21,7 @@ _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())
 
 def schema_of(plan: SweepPlan, shard: int) -> pa.Schema:
     """Return the columns of a shard, with the scene and the versions as metadata."""
-    names, sweep, record = plan.names, plan.sweep, plan.record
+    sweep, record = plan.sweep, plan.record
     measured: list[str] = list(sweep.statistics)
     if 'event_times' in measured:
         measured.append('events')
@@ -30,7 +30,8 @@ def schema_of(plan: SweepPlan, shard: int) -> pa.Schema:
         *(pa.field(key, _TYPES[kind]) for axis in plan.axes
           for key, kind in zip(axis.keys, axis.types, strict=True)),
         pa.field('t', pa.float64()),
-        *(pa.field(f'{half}_{name}', pa.float64()) for half in 'qp' for name in names),
+        *(pa.field(f'{half}_{name}', pa.float64()) for half, names in plan.names.items()
+          for name in names),
         pa.field('energy', pa.float64()),
         *(pa.field(name, _LISTS.get(name, pa.float64())) for name in measured),
         *(pa.field(name, pa.float64()) for name in (
@@ -73,14 +74,14 @@ def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
         parts += block
         on_block(sum(len(part.indices) for part in block))
     schema = schema_of(plan, shard)
-    table = pa.table(_columns(parts, schema, plan.keys, len(plan.names)), schema=schema)
+    table = pa.table(_columns(parts, schema, plan.keys), schema=schema)
     stream = BytesIO()
     with pq.ParquetWriter(stream, schema, compression='zstd', version='2.6') as writer:
         writer.write_table(table, row_group_size=table.num_rows)
     return stream.getvalue()
 
 
-def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str], d: int) -> list[pa.Array]:
+def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.Array]:
     """Return the columns of a shard: a row for each sample that is kept, by index."""
     indices = np.concatenate([part.indices for part in parts])
     lengths = np.repeat([part.length for part in parts], [len(part.indices) for part in parts])
@@ -101,7 +102,8 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str], d: int) -> l
                          for row in part.values), key) for k, key in enumerate(keys)]
     columns.append(numbers(part.t for part in parts))
     for half in ('q', 'p'):
-        columns += [numbers(getattr(part, half)[:, i] for part in parts) for i in range(d)]
+        columns += [numbers(getattr(part, half)[:, i] for part in parts)
+                    for i in range(getattr(parts[0], half).shape[1])]
     columns.append(numbers(part.energy for part in parts))
     columns += [of_each((part.measured.get(name) for part in parts for _ in part.indices), name)
                 for name in schema.names[len(columns):-2]]

@@ -17,6 +17,7 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
@@ -71,9 +72,9 @@ class SweepPlan:
         return [key for axis in self.axes for key in axis.keys]
 
     @property
-    def names(self) -> list[str]:
-        """Return the names of the coordinates."""
-        return [coordinate.name for coordinate in self.hamiltonian.coordinates]
+    def names(self) -> dict[str, list[str]]:
+        """Return the names of the columns of q, and of p: several of what turns in space."""
+        return dict(zip('qp', columns(self.hamiltonian.coordinates), strict=True))
 
     @property
     def count(self) -> int:
@@ -116,13 +117,13 @@ class SweepPlan:
 
     def values(self, indices: range) -> list[list[Any]]:
         """Return the values of each key at each of some trajectories: plain Python ones."""
-        columns: list[list[Any]] = []
+        found: list[list[Any]] = []
         places = np.arange(indices.start, indices.stop)
         for axis in reversed(self.axes):
             places, along = np.divmod(places, axis.count)
-            columns = [np.asarray(values).tolist() if isinstance(values, np.ndarray)
-                       else list(values) for values in axis.values(along)] + columns
-        return columns
+            found = [np.asarray(values).tolist() if isinstance(values, np.ndarray)
+                     else list(values) for values in axis.values(along)] + found
+        return found
 
     def scene_of(self, values: Mapping[tuple[str | int, ...], Any]) -> Scene:
         """Return the scene with other values of some keys, by their parts."""
@@ -213,7 +214,7 @@ def _check(plan: SweepPlan, where: str) -> None:
         raise DataError(f'{where}: statistics: event_times: {plan.scene.name} has no events; add '
                         'them to the scene, or leave it out')
     used = {'index', 't', 'energy', 'alarms', 'failure', 'events', *sweep.statistics, *(
-        f'{half}_{name}' for half in 'qp' for name in plan.names)}
+        f'{half}_{name}' for half, names in plan.names.items() for name in names)}
     for name in (*keys, *(sweep.reduction.columns if sweep.reduction else ())):
         if name in used:
             raise DataError(f'{where}: two columns would be named {name}; name one otherwise')

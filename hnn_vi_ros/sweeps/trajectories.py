@@ -171,8 +171,9 @@ class Runner:
                 q=found.q[:, k], p=found.p[:, k], energy=found.energy[:, k],
                 alarms=found.alarms[k]) for k in range(len(rows))]
             return [self._try(made, *one) for one in zip(indices, rows, single, strict=True)]
-        d, kept = self._plan.hamiltonian.dimension, self._kept
-        q, p = (half[kept].swapaxes(0, 1).reshape(-1, d) for half in (found.q, found.p))
+        kept = self._kept
+        q, p = (half[kept].swapaxes(0, 1).reshape(-1, half.shape[-1])
+                for half in (found.q, found.p))
         t = found.t[kept]
         return [Rows(indices, rows, len(t), np.tile(t, len(rows)), q, p,
                      found.energy[kept].T.ravel(), found.alarms)]
@@ -194,9 +195,9 @@ class Runner:
                     found.p[kept], found.energy[kept], [found.alarms], measured)
 
     def _failed(self, index: int, row: tuple[Any, ...], problem: Exception) -> Rows:
-        nothing = np.full((1, self._plan.hamiltonian.dimension), np.nan)
+        q, p = (np.full((1, len(names)), np.nan) for names in self._plan.names.values())
         t = np.array([getattr(problem, 't', np.nan)])
-        return Rows([index], [row], 1, t, nothing, nothing, np.full(1, np.nan), [[]],
+        return Rows([index], [row], 1, t, q, p, np.full(1, np.nan), [[]],
                     failure=one_line(problem) or type(problem).__name__)
 
 

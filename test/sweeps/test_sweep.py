@@ -101,6 +101,20 @@ def test_states_are_those_of_many_trajectories_bit_by_bit(tmp_path):
     assert np.array_equal(np.array(table['energy']), many.energy[-1])
 
 
+def test_columns_of_what_turns_are_those_of_its_attitude_and_momentum(tmp_path):
+    folder = sweep({'scene': 'heavy_top', 'duration': 0.05, 'vary': [
+        {'kind': 'values', 'key': 'initial_state.p.attitude_rz', 'values': [2.0, 6.0]}]},
+        tmp_path / 'tops')
+    table = table_of(folder)
+    names = [name for name in table.column_names if name[:2] in ('q_', 'p_')]
+    assert names == [f'q_attitude_q{axis}' for axis in 'xyzw'] + [
+        f'p_attitude_r{axis}' for axis in 'xyz']
+    q = load_scene('heavy_top').initial_state.q
+    many = simulate_many('heavy_top', [q, q], [[0.0, 0.0, 2.0], [0.0, 0.0, 6.0]], 0.05, threads=1)
+    for name, expected in zip(names, np.hstack([many.q[-1], many.p[-1]]).T, strict=True):
+        assert table[name].to_numpy().tolist() == expected.tolist()
+
+
 def test_axes_are_the_same_at_any_places():
     for axis in (BOX, BOX | {'kind': 'sobol'}):
         plan = make_plan(LENGTHS | {'seed': 3, 'vary': [
