@@ -37,7 +37,7 @@ class FreeRigidBody(Hamiltonian):
 
     """
 
-    coordinates = (Coordinate('attitude', '1', 'kg m^2/s', 'rotation'),)
+    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
 
     def __init__(self, inertia: Sequence[float] = (1.0, 2.0, 2.5)):
         check_inertia(inertia)

@@ -45,7 +45,7 @@ class HeavyTop(Hamiltonian):
 
     """
 
-    coordinates = (Coordinate('attitude', '1', 'kg m^2/s', 'rotation'),)
+    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
 
     def __init__(self, inertia: Sequence[float] = (1.0, 1.0, 0.5), mass: float = 1.0,
                  length: float = 0.5, gravity: float = 9.81):
