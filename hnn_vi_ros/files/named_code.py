@@ -77,8 +77,9 @@ def import_named(name: str) -> Any:
 def _check_origins(named: str, folder: Path) -> None:
     """Refuse a module in place of another one of its name that stands beside the scene."""
     for name, module in list(sys.modules.items()):
-        file = getattr(module, '__file__', None)
-        if '.' in name or file is None:
+        # Not by getattr, for which a module may run code of its own.
+        file = getattr(module, '__dict__', {}).get('__file__')
+        if '.' in name or not isinstance(file, str):
             continue
         taken = Path(file)
         home = taken.parent.parent if taken.name == '__init__.py' else taken.parent
