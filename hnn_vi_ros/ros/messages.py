@@ -13,6 +13,7 @@ from hnn_vi_ros.bags.state_message import state_names
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.package_uri import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
 from hnn_vi_ros.run.serialization import Template
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
@@ -44,23 +45,31 @@ class MessageEncoder:
 
     Parameters
     ----------
-    names : sequence of str
-        Names of the coordinates, in the order of q.
+    coordinates : sequence of Coordinate
+        In the order of q. Of a quaternion there are four columns in q, and three in p. Joint
+        states are those of scalar coordinates alone: no joint turns by a quaternion.
 
     """
 
-    def __init__(self, names: Sequence[str]):
-        d = len(names)
-        zeros = array('d', [0.0] * d)
+    def __init__(self, coordinates: Sequence[Coordinate]):
+        (names, momenta), scalar = columns(coordinates), [
+            c.name for c in coordinates if c.kind == 'scalar']
+        self._turning, all_scalar = rotations(coordinates), len(scalar) == len(coordinates)
+        # Whose columns of q, and of p, joint states have.
+        self._of_q, self._of_p = (slice(None) if all_scalar else [
+            own.index(name) for name in scalar] for own in (names, momenta))
+        labels, zeros = state_names(names, momenta), array('d', [0.0] * len(scalar))
         self._state = Template(JointState(
-            name=state_names(names), position=array('d', [0.0] * (3 * d + 2))))
-        self._q, self._p = Template(array_message(names)), Template(array_message(names))
+            name=labels, position=array('d', [0.0] * len(labels))))
+        self._q, self._p = Template(array_message(names)), Template(array_message(momenta))
         self._energy = Template(Float64())
         self._joints = Template(JointState(
-            name=list(names), position=zeros, velocity=zeros, effort=zeros))
+            name=scalar, position=zeros, velocity=zeros, effort=zeros))
         state, = self._state.numbers
         # Where q, p and dp/dt go, each a slice; behind them are H and the work.
-        self._parts, self._scalars = state[:3 * d].reshape(3, d), state[3 * d:]
+        self._parts = np.split(state, [len(names), len(labels) - 2 - len(momenta),
+                                       len(labels) - 2])
+        self._scalars = self._parts.pop()
 
     def encode(self, sample: Sample) -> tuple[bytes, ...]:
         """
@@ -69,12 +78,16 @@ class MessageEncoder:
         The joint states' position is q, their velocity q', their effort the generalised force
         p', never p.
         """
-        position, velocity, effort = self._joints.numbers
         q, p, dp_dt = self._parts
-        q[:] = position[:] = self._q.numbers[0][:] = sample.q
+        q[:] = self._q.numbers[0][:] = sample.q
         p[:] = self._p.numbers[0][:] = sample.p
-        velocity[:] = sample.dH_dp
-        dp_dt[:] = np.negative(sample.dH_dq, out=effort)
+        dp_dt[:] = momentum_rates(
+            self._turning, sample.q, sample.p, sample.dH_dq, sample.dH_dp)
+        if self._joints.numbers:
+            # There are none of a message without joints.
+            position, velocity, effort = self._joints.numbers
+            position[:], velocity[:] = sample.q[self._of_q], sample.dH_dp[self._of_p]
+            effort[:] = dp_dt[self._of_p]
         self._scalars[0] = self._energy.numbers[0][0] = sample.energy
         self._scalars[1] = sample.work
         self._state.set_stamp(sample.stamp)

@@ -13,10 +13,9 @@ from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.graph import UNDELIVERED, wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
-from hnn_vi_ros.ros.messages import describe_topic, TICK_TOPICS
+from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.ros.remapped_topics import remapped
-from hnn_vi_ros.ros.turning_messages import encoder_of
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
@@ -107,7 +106,7 @@ class Topics:
         """
         hamiltonian = simulation.hamiltonian
         self._simulation, self._record = simulation, record
-        self._encoder = encoder_of(hamiltonian.coordinates)
+        self._encoder = MessageEncoder(hamiltonian.coordinates)
         self.follow(monitor)
         if mechanism is not None:
             frames = frames_of(

@@ -9,9 +9,8 @@ from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.ros.messages import describe_topic, TICK_TOPICS
+from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.topics import COMMANDS_TOPIC, LATCHED, SCENE_TOPIC
-from hnn_vi_ros.ros.turning_messages import encoder_of
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -42,7 +41,7 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
                        step=described.get('first_step', 0))
     sampler = Sampler(simulation, rate)
-    encoder = encoder_of(simulation.hamiltonian.coordinates)
+    encoder = MessageEncoder(simulation.hamiltonian.coordinates)
     report = dump_yaml(scene_report(scene, simulation) | described)
     first, sink = simulation.steps, None
     for step in range(first, first + ticks * sampler.every):

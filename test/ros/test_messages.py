@@ -8,6 +8,7 @@ import time
 
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
@@ -42,6 +43,10 @@ def sample_of(dimension: int, step: int) -> Sample:
                   rng.normal())
 
 
+def encoder_of(names: list[str]) -> messages.MessageEncoder:
+    return messages.MessageEncoder([*map(Coordinate, names)])
+
+
 def decode(encoded: tuple[bytes, ...]) -> list:
     return [deserialize_message(data, kind)
             for data, kind in zip(encoded, TICK_TYPES, strict=True)]
@@ -63,7 +68,7 @@ def node() -> Iterator[Node]:
 @pytest.mark.parametrize('dimension', [1, 3])
 def test_messages_equal_the_sample_bit_for_bit(dimension):
     names = ['x', 'y', 'z'][:dimension]
-    encoder = messages.MessageEncoder(names)
+    encoder = encoder_of(names)
     samples = [sample_of(dimension, step) for step in range(100)]
     # All are encoded before the first is looked at: a message must not change with the next.
     encoded = [encoder.encode(sample) for sample in samples]
@@ -84,7 +89,7 @@ def test_messages_keep_hard_values_bit_for_bit():
     values = np.array(HARD_VALUES)
     names = [f'x{i}' for i in range(len(values))]
     sample = Sample(0, 0, values, -values, values, -values, -0.0, 0.0, 0.0)
-    state, q, p, energy, joints = decode(messages.MessageEncoder(names).encode(sample))
+    state, q, p, energy, joints = decode(encoder_of(names).encode(sample))
     assert state.position[:15].tobytes() == np.concatenate([values, -values, -values]).tobytes()
     assert q.data.tobytes() == joints.position.tobytes() == values.tobytes()
     assert p.data.tobytes() == joints.effort.tobytes() == (-values).tobytes()
@@ -94,7 +99,7 @@ def test_messages_keep_hard_values_bit_for_bit():
 def test_effort_is_the_generalised_force_and_not_p():
     sample = Sample(0, 0, np.array([1.0]), np.array([2.0]), np.array([3.0]), np.array([4.0]),
                     5.0, 6.0, 7.0)
-    joints = decode(messages.MessageEncoder(['x']).encode(sample))[-1]
+    joints = decode(encoder_of(['x']).encode(sample))[-1]
     assert list(joints.position) == [1.0]
     assert list(joints.velocity) == [4.0]
     assert list(joints.effort) == [-3.0]
@@ -104,7 +109,7 @@ def test_effort_is_the_generalised_force_and_not_p():
 def test_stamp_is_the_samples_time_in_nanoseconds(stamp):
     one = np.ones(1)
     sample = Sample(0, stamp, one, one, one, one, 0.0, 0.0, 0.0)
-    decoded = decode(messages.MessageEncoder(['x']).encode(sample))
+    decoded = decode(encoder_of(['x']).encode(sample))
     for header in (decoded[0].header, decoded[-1].header):
         assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp
         assert 0 <= header.stamp.nanosec < 10**9
@@ -112,7 +117,7 @@ def test_stamp_is_the_samples_time_in_nanoseconds(stamp):
 
 @pytest.mark.parametrize(('names', 'label'), [(['x'], 'x'), (['a', 'b', 'c'], 'a,b,c')])
 def test_layout_names_the_coordinates(names, label):
-    for message in decode(messages.MessageEncoder(names).encode(sample_of(len(names), 1)))[1:3]:
+    for message in decode(encoder_of(names).encode(sample_of(len(names), 1)))[1:3]:
         dimension, = message.layout.dim
         assert (dimension.label, dimension.size, dimension.stride) == (
             label, len(names), len(names))
@@ -177,7 +182,7 @@ def test_qos_is_written_as_rosbag2_writes_it():
 
 
 def test_subscriber_receives_the_encoded_bytes(node):
-    encoded = messages.MessageEncoder(['x', 'y']).encode(sample_of(2, 3))
+    encoded = encoder_of(['x', 'y']).encode(sample_of(2, 3))
     received = {}
     publishers = []
     for i, kind in enumerate(TICK_TYPES):
@@ -199,7 +204,7 @@ def test_subscriber_receives_the_encoded_bytes(node):
 
 
 def test_log_of_encoded_samples_reads_back_in_rosbags(tmp_path):
-    encoder = messages.MessageEncoder(['x', 'y'])
+    encoder = encoder_of(['x', 'y'])
     samples = [sample_of(2, step) for step in range(50)]
     topics = [messages.describe_topic(f'/{name.removeprefix("~/")}', kind, QOS)
               for name, kind in messages.TICK_TOPICS]

@@ -9,7 +9,6 @@ from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.messages import MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.replay_check import check_replay
-from hnn_vi_ros.ros.turning_messages import encoder_of
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
@@ -31,7 +30,7 @@ def test_messages_of_a_mixed_system_hold_every_column_by_name():
     rng = np.random.default_rng(3)
     q, dH_dq, (p, dH_dp) = *rng.normal(size=(2, 13)), rng.normal(size=(2, 11))
     sample = sample_of(q, p, dH_dq, dH_dp)
-    encoded = encoder_of(MIXED).encode(sample)
+    encoded = MessageEncoder(MIXED).encode(sample)
     state, q_told, p_told, energy, joints = (
         deserialize_message(data, kind) for data, (_, kind) in
         zip(encoded, TICK_TOPICS, strict=True))
@@ -52,10 +51,6 @@ def test_messages_of_a_mixed_system_hold_every_column_by_name():
     assert decoded.dp_dt.tolist() == rates.tolist() and rates.shape == (11,)
     assert rates[1:4].tolist() == (-dH_dq[1:4]).tolist()
     assert (decoded.energy, decoded.work) == (1.5, 0.5)
-
-
-def test_encoder_of_scalar_coordinates_is_the_plain_one():
-    assert isinstance(encoder_of(MIXED[:1]), MessageEncoder)
 
 
 def test_rate_of_a_body_momentum_is_that_of_eulers_equations():
