@@ -23,7 +23,6 @@ from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
 from hnn_vi_ros.studies.references import (
     make_reference, ModelDiscrepancy, Reference, true_hamiltonian)
 from hnn_vi_ros.studies.results import read_rows, Results
-from hnn_vi_ros.studies.work_precision_report import cheapest
 import mpmath
 import numpy as np
 from PIL import Image
@@ -339,7 +338,9 @@ def test_scipy_peer_is_measured_with_our_gradient():
     # A tolerance of 1e-8 a step, amplified over 10 s next to the separatrix.
     assert all(1e-10 < row.path_error < 1e-4 and row.status == 'ok' for row in rows)
     assert all(np.isnan(row.step_size) for row in rows)
-    assert cheapest(rows, 1e-4).method.startswith('scipy DOP853')
+    # The method of order 8 takes fewer gradients; seconds depend on what else the machine does.
+    best = min(rows, key=lambda row: row.gradients_per_simulated_second)
+    assert best.method.startswith('scipy DOP853')
 
 
 def test_peers_refuse_a_network_that_is_not_of_tanh():
