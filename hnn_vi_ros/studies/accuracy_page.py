@@ -14,7 +14,8 @@ from hnn_vi_ros.studies.measuring import StudyRow
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw
 from hnn_vi_ros.studies.work_precision_report import (
-    best_table, cheapest, circumstances, drift_table, horizons_of, of_horizon, ours, peers, ratio)
+    best_table, cheapest, circumstances, drift_table, horizons_of, none_of, of_horizon, ours,
+    peers, ratio, was_run)
 
 PAGE, FOLDER = 'accuracy-and-cost.md', 'accuracy'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
@@ -42,7 +43,10 @@ looked at, which is to their advantage.
 {choices}
 
 A cell is the cheapest of our methods and the microseconds it takes for a simulated second. 'none'
-is where no row is good enough, '-' where the motion is chaotic and no path can be followed.
+is where no row is good enough, of those that were run; '-' where the motion is chaotic and no path
+can be followed.
+
+{left_out}
 
 ## Where the first-order scheme loses
 
@@ -120,7 +124,8 @@ def write_page(folder: Path, docs: Path) -> list[Path]:
 def as_page(results: Mapping[str, Results]) -> str:
     """Return the page; the results are those of each scene."""
     parts: dict[str, Callable] = {
-        'choice': _choice, 'choices': _choices, 'first_order': _first_order,
+        'choice': _choice, 'choices': _choices, 'left_out': _left_out,
+        'first_order': _first_order,
         'first_order_energy': _first_order_energy, 'rk4': _rk4, 'peers': _peers,
         'learned': _learned, 'drift': _drift}
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
@@ -133,7 +138,7 @@ def as_page(results: Mapping[str, Results]) -> str:
 
 def _copy(folder: Path, scene: str, results: Results) -> Iterator[Path]:
     yield Path(shutil.copyfile(results.folder / CSV, folder / f'{scene}.csv'))
-    for horizon in horizons_of(results):
+    for horizon in _shown(results):
         yield draw(folder / _picture(scene, horizon),
                    f'{scene}: what accuracy costs over {horizon:g} s',
                    of_horizon(results, horizon), results.references[horizon],
@@ -147,16 +152,38 @@ def _picture(scene: str, horizon: float) -> str:
 def _section(name: str, results: Results) -> Iterator[str]:
     yield f'## {name}\n'
     yield f'Every run: [{name}.csv]({FOLDER}/{name}.csv).\n'
-    for horizon in horizons_of(results):
+    for horizon in _shown(results):
         yield f'### {name}, T = {horizon:g} s\n'
         yield f'![{name}, T = {horizon:g} s]({FOLDER}/{_picture(name, horizon)})\n'
         yield from (f'- {line}' for line in circumstances(results, horizon))
         yield '\n' + best_table(of_horizon(results, horizon))
 
 
-def _cases(results: Mapping[str, Results]) -> Iterator[tuple[str, float, list[StudyRow]]]:
+def _shown(results: Results) -> list[float]:
+    """Return the horizons that at least half of our rows were run to: less shows nothing."""
+    return [horizon for horizon in horizons_of(results) if _share_run(results, horizon) >= 0.5]
+
+
+def _share_run(results: Results, horizon: float) -> float:
+    rows = ours(of_horizon(results, horizon))
+    return sum(map(was_run, rows)) / len(rows)
+
+
+def _left_out(results: Mapping[str, Results]) -> Iterator[str]:
+    """Name the horizons that are not shown."""
+    found: dict[float, list[str]] = {}
     for name, entry in results.items():
         for horizon in horizons_of(entry):
+            if horizon not in _shown(entry):
+                found.setdefault(horizon, []).append(name)
+    for horizon, names in found.items():
+        yield (f'Of {", ".join(names)}, T = {horizon:g} s is not shown: most of the rows would '
+               'take longer than the limit of the study.')
+
+
+def _cases(results: Mapping[str, Results]) -> Iterator[tuple[str, float, list[StudyRow]]]:
+    for name, entry in results.items():
+        for horizon in _shown(entry):
             yield name, horizon, of_horizon(entry, horizon)
 
 
@@ -181,7 +208,7 @@ def _choices(results: Mapping[str, Results]) -> Iterator[str]:
         cells = []
         for error in _CHOICES:
             row = cheapest(ours(rows), error)
-            cells.append('-' if not _has_paths(rows) else 'none' if row is None else
+            cells.append('-' if not _has_paths(rows) else none_of(ours(rows)) if row is None else
                          f'{row.method} {1e6 * row.seconds_per_simulated_second:.3g}')
         yield f'| {name} | {horizon:g} | {" | ".join(cells)} |'
 
@@ -249,7 +276,8 @@ def _drifting(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:
         if row.method != _CLASSIC or row.horizon != horizons_of(results)[0] or row.failed:
             continue
         later = [end for end in results.rows if end.method == _CLASSIC and end.finished
-                 and end.step_size == row.step_size and end.horizon > row.horizon]
+                 and end.step_size == row.step_size and end.horizon > row.horizon
+                 and end.horizon in _shown(results)]
         if later and later[-1].energy_band > 10.0 * row.energy_band > 1e-10:
             yield row, later[-1]
 
@@ -267,12 +295,15 @@ def _peers(results: Mapping[str, Results]) -> Iterator[str]:
             best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
             if best and other:
                 ratios[error] = ratio(best, other)
+        if not ratios:
+            yield (f'- {name}, T = {horizon:g} s: of the {what} from 1e-3 to 1e-10, there is none '
+                   'that both reach.')
+            continue
         slower = {error: value for error, value in ratios.items() if value > 1.0}
         yield (f'- {name}, T = {horizon:g} s: of {len(ratios)} {what} from 1e-3 to 1e-10 '
                'that both reach, our best method is faster than every peer at '
-               f'{len(ratios) - len(slower)}' + (
-                   f', in {min(ratios.values()):.2g} to {max(ratios.values()):.2g} of the best '
-                   "peer's time" if ratios else '') + (
+               f'{len(ratios) - len(slower)}, in {min(ratios.values()):.2g} to '
+               f"{max(ratios.values()):.2g} of the best peer's time" + (
                    '; slower at ' + ', '.join(f'{error:g} ({value:.2g} times)'
                                               for error, value in slower.items())
                    if slower else '') + '.')
@@ -282,7 +313,7 @@ def _peers(results: Mapping[str, Results]) -> Iterator[str]:
 
 def _learned(results: Mapping[str, Results]) -> Iterator[str]:
     for name, entry in results.items():
-        for horizon in sorted(entry.model_errors):
+        for horizon in sorted({*entry.model_errors} & {*_shown(entry)}):
             yield f'- {name}, T = {horizon:g} s: ' + ' '.join(
                 line for line in circumstances(entry, horizon)[2:])
 

@@ -194,20 +194,25 @@ def best_table(rows: Sequence[StudyRow]) -> str:
         best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
         cells = [f'{error:g}{unit}', *_cells(best, ours(rows))]
         if with_peers:
-            cells += [other.method if other else _none(peers(rows)), _microseconds(other),
+            cells += [other.method if other else none_of(peers(rows)), _microseconds(other),
                       f'{ratio(best, other):.2g}' if best and other else '']
         lines.append(f'| {" | ".join(cells)} |')
     return '\n'.join(lines) + '\n'
 
 
 def _cells(row: StudyRow | None, among: Sequence[StudyRow]) -> list[str]:
-    return [_none(among), '', ''] if row is None else [row.method, f'{row.step_size:g}',
+    return [none_of(among), '', ''] if row is None else [row.method, f'{row.step_size:g}',
                                                        _microseconds(row)]
 
 
-def _none(among: Sequence[StudyRow]) -> str:
+def was_run(row: StudyRow) -> bool:
+    """Tell whether a row was measured, failed runs included, and not left for its time."""
+    return not row.status.startswith(TOO_LONG)
+
+
+def none_of(among: Sequence[StudyRow]) -> str:
     """Say that no row is good enough, and how many were not run."""
-    left_out = sum(row.status.startswith(TOO_LONG) for row in among)
+    left_out = sum(not was_run(row) for row in among)
     return f'none ({left_out} not run)' if left_out else 'none'
 
 

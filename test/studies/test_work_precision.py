@@ -450,6 +450,26 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path, monkeypatch):
         assert (tmp_path / 'docs' / link).is_file()
 
 
+def test_page_shows_no_horizon_that_most_rows_were_not_run_to(tmp_path, monkeypatch):
+    monkeypatch.setattr(accuracy_page, 'draw', lambda path, *arguments: path)
+    for scene in SCENES:
+        invent(tmp_path / 'results', scene)
+        results = Results(tmp_path / 'results' / scene)
+        results.keep_reference(1e5, Reference(np.ones((10, 2)), 1e-12, 'exact: invented',
+                                              np.ones((0, 2))), None)
+        for row in [row for row in results.rows if row.horizon == 1000.0]:
+            late = scene == 'kepler' and row.method == 'gauss8'
+            row = dataclasses.replace(row, horizon=1e5)
+            results.add(row if scene == 'henon_heiles' or late else dataclasses.replace(
+                row, path_error=np.nan, energy_band=np.nan, status='too long: about 9 s'))
+    accuracy_page.write_page(tmp_path / 'results', tmp_path / 'docs')
+    text = (tmp_path / 'docs' / accuracy_page.PAGE).read_text()
+    # Of kepler a third was run: what lacks would read as if nothing were good enough.
+    assert '| henon_heiles | 100000 |' in text and '### henon_heiles, T = 100000 s' in text
+    assert '| kepler | 100000 |' not in text and 'kepler_100000s.png' not in text
+    assert re.search(r'Of .*kepler.*, T = 100000 s is not shown', text)
+
+
 def test_page_of_a_scene_that_is_not_measured_is_refused(tmp_path):
     with pytest.raises(HnnViRosError, match='work_precision --all'):
         accuracy_page.write_page(tmp_path, tmp_path)
