@@ -201,8 +201,9 @@ def best_table(rows: Sequence[StudyRow]) -> str:
 
 
 def _cells(row: StudyRow | None, among: Sequence[StudyRow]) -> list[str]:
-    return [none_of(among), '', ''] if row is None else [row.method, f'{row.step_size:g}',
-                                                       _microseconds(row)]
+    if row is None:
+        return [none_of(among), '', '']
+    return [row.method, f'{row.step_size:g}', _microseconds(row)]
 
 
 def was_run(row: StudyRow) -> bool:
