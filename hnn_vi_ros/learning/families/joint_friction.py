@@ -96,11 +96,12 @@ class JointFriction(torch.nn.Module):
         """Return the friction that is taken from tau, all of shape (N, d)."""
         b, c, w, s = self.coefficients()
         total = b * v
-        for k in range(len(c)):
-            term = c[k] * torch.tanh(v / w[k])
-            if k >= self.structure.coulomb:
-                term = term * torch.exp(-(v / s[k - self.structure.coulomb]).square())
-            total = total + term
+        if len(c):
+            terms, n = c * torch.tanh(v[:, None, :] / w), self.structure.coulomb
+            if len(s):
+                ends = torch.exp(-(v[:, None, :] / s).square())
+                terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
+            total = total + terms.sum(dim=1)
         if self.structure.friction_features is not None:
             B = self.roots(q)
             total = total + (B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0]

@@ -23,6 +23,10 @@ _FLOOR = 1e-3
 # beside a prior count as large at this share of its inertias, and of the forces they make.
 _ADDED, _LARGE = 0.1, 0.05
 
+# Of a symmetric matrix of 2 x 2, whose entries stand one after another.
+_ADJUGATE = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0],
+                      [1.0, 0.0, 0.0, 0.0]])
+
 
 class MechanicalNetwork(torch.nn.Module):
     """
@@ -60,11 +64,10 @@ class MechanicalNetwork(torch.nn.Module):
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
-        self._rows, self._columns = rows.tolist(), columns.tolist()
         place = np.zeros((len(rows), d * d))
         place[np.arange(len(rows)), rows * d + columns] = 1.0
         for name, values in (
-                ('place', place), ('on_diagonal', rows == columns),
+                ('place', place), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
                 ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.mass_seen = Seen(structure.kinds, structure.mass_features)
@@ -116,10 +119,9 @@ class MechanicalNetwork(torch.nn.Module):
 
     def residual_size(self, q: torch.Tensor) -> torch.Tensor:
         """Return the mean square of what networks add to M, V_q and D, at q of shape (N, d)."""
-        L = self._matrix(self.roots(q)[0])
+        L = self._factor(q)
         inertia = self.root_inertia.square() / _ADDED
-        x, x_q = self.potential_seen(q)
-        force = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
+        force = self._potential_slope(q)
         unit = _LARGE * inertia * torch.tensor(self.scales.a)
         size = ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean()
                 + (force / unit).square().mean())
@@ -128,18 +130,30 @@ class MechanicalNetwork(torch.nn.Module):
         B = self.friction.roots(q) / self.friction.viscous_unit.sqrt()[:, None]
         return size + (B @ B.transpose(1, 2) / _LARGE).square().mean()
 
-    def roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the entries of L, shape (N, k), and their derivatives, shape (N, k, d)."""
-        x, x_q = self.mass_seen(q)
-        y, y_q = _with_tangents(self.mass, x, x_q)
-        slope = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
-        y = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
-        return y, slope[:, :, None] * y_q
+    def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
+        x, slope = self.mass_seen(q)
+        y, tangents = _with_tangents(self.mass, x, slope[:, None, :] * self.mass_seen.of_feature)
+        rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
+        return self._positive(y), rises[:, None, :] * tangents
+
+    def _positive(self, y: torch.Tensor) -> torch.Tensor:
+        """Return the entries of L, of outputs of the network: log(1 + exp(y)) on the diagonal."""
+        return torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
+
+    def _potential_slope(self, q: torch.Tensor) -> torch.Tensor:
+        """Return the derivatives by q of what the network adds to V, both of shape (N, d)."""
+        x, slope = self.potential_seen(q)
+        return (slope * _slope(self.potential, x)) @ self.potential_seen.rows
 
     def masses(self, q: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
         S = self.root_inertia
-        return S[:, None] * self._gram(q, self._matrix(self.roots(q)[0])) * S
+        return S[:, None] * self._gram(q, self._factor(q)) * S
+
+    def _factor(self, q: torch.Tensor) -> torch.Tensor:
+        """Return L, shape (N, d, d)."""
+        return self._matrix(self._positive(self.mass(self.mass_seen(q)[0])))
 
     def _matrix(self, entries: torch.Tensor) -> torch.Tensor:
         return (entries @ self.place).reshape(-1, self.d, self.d)
@@ -166,9 +180,9 @@ class MechanicalNetwork(torch.nn.Module):
         if self.prior is not None and not self.structure.residual:
             values = self.prior.values()
             force = tau - self.prior.forces(q, v, values) - self.friction(q, v)
-            return _solve(self.prior.mass(q, values), force)
+            return self._solve(self.prior.mass(q, values), force)
         gram, needed = self._equations(q, v)
-        return _solve(gram, tau / self.root_inertia - needed) / self.root_inertia
+        return self._solve(gram, tau / self.root_inertia - needed) / self.root_inertia
 
     def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
         """Return the forces on the joints that give accelerations a, all of shape (N, d)."""
@@ -189,12 +203,13 @@ class MechanicalNetwork(torch.nn.Module):
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
         S = self.root_inertia
-        return _solve(self._gram(q, self._matrix(self.roots(q)[0])), p / S) / S
+        return self._solve(self._gram(q, self._factor(q)), p / S) / S
 
     def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
-        L, entries_q, u, w, rest = self._parts(q, v)
-        L_dot = self._matrix((entries_q @ v[:, :, None])[:, :, 0])
+        L, slopes, u, w, rest = self._parts(q, v)
+        by_time = ((v @ self.mass_seen.features.T)[:, :, None] * slopes).sum(dim=1)
+        L_dot = self._matrix(by_time)
         inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
         needed = inertial - rest / self.root_inertia
         if self.prior is not None:
@@ -209,13 +224,25 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
-        entries, entries_q = self.roots(q)
+        entries, slopes = self._roots(q)
         L, u = self._matrix(entries), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
-        c = (u[:, self._rows, 0] * w[:, self._columns, 0])[:, None, :]
-        x, x_q = self.potential_seen(q)
-        potential = (_slope(self.potential, x)[:, None, :] @ x_q)[:, 0]
-        return L, entries_q, u, w, (c @ entries_q)[:, 0] - potential - self.friction(q, v)
+        # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
+        by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
+        inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_seen.features
+        return L, slopes, u, w, inertial - self._potential_slope(q) - self.friction(q, v)
+
+    def _solve(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        """Solve with positive definite matrices (N, d, d) for (N, d); small ones written out."""
+        if self.d > 2:
+            return torch.linalg.solve(matrix, right)
+        if self.d == 1:
+            return right / matrix[:, 0]
+        entries = matrix.flatten(1)
+        adjugate = entries @ self.adjugate
+        # The sum of their products is twice the determinant.
+        determinant = 0.5 * (entries * adjugate).sum(dim=1, keepdim=True)
+        return (adjugate.view_as(matrix) @ right[:, :, None])[:, :, 0] / determinant
 
     def scale_energy(self, factor: float) -> None:
         """Multiply M, V and the friction by a factor, which changes no motion without tau."""
@@ -263,14 +290,14 @@ def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | N
 
 def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor
                    ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return outputs (N, k) and their derivatives (N, k, m) along m tangents (N, n, m) of x."""
-    a, tangent = (x - network.centre) / network.scale, tangents / network.scale[:, None]
+    """Return outputs (N, k) and their derivatives (N, m, k) along m tangents (N, m, n) of x."""
+    a, tangents = (x - network.centre) / network.scale, tangents / network.scale
     *hidden, last = network.linears
     for linear in hidden:
         a = torch.tanh(linear(a))
-        tangent = (1.0 - a.square())[:, :, None] * (linear.weight @ tangent)
+        tangents = (1.0 - a.square())[:, None, :] * (tangents @ linear.weight.T)
     scale = network.output_scale
-    return scale * last(a), scale[:, None] * (last.weight @ tangent)
+    return scale * last(a), scale * (tangents @ last.weight.T)
 
 
 def _slope(network: Perceptron, x: torch.Tensor) -> torch.Tensor:
@@ -284,14 +311,3 @@ def _slope(network: Perceptron, x: torch.Tensor) -> torch.Tensor:
     for linear, a in zip(hidden[::-1], activations[::-1], strict=True):
         g = ((1.0 - a.square()) * g) @ linear.weight
     return g / network.scale
-
-
-def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-    """Solve with positive definite matrices (N, d, d) for (N, d); small ones written out."""
-    if matrix.shape[1] > 2:
-        return torch.linalg.solve(matrix, right)
-    if matrix.shape[1] == 1:
-        return right / matrix[:, 0]
-    a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
-    x, y = right.T
-    return torch.stack([c * x - b * y, a * y - b * x], dim=1) / (a * c - b * b)[:, None]

@@ -15,6 +15,9 @@ class Seen(torch.nn.Module):
     """
     The inputs G q, or sin(G q) and cos(G q) of rows that turn; one input 0 where there is no row.
 
+    Each input depends on one row of G alone: ``rows`` holds it for each input, ``features`` all
+    of them once, and ``of_feature`` which inputs depend on which.
+
     Parameters
     ----------
     kinds : sequence of str
@@ -26,16 +29,21 @@ class Seen(torch.nn.Module):
 
     def __init__(self, kinds: Sequence[Kind], features: Sequence[list[float]]):
         super().__init__()
-        rows, phases, periodic = [], [], []
-        for row in features:
+        rows, phases, periodic, of_feature = [], [], [], []
+        for number, row in enumerate(features):
             turns = is_periodic(kinds, row)
             # The cosine is a sine that is a quarter of a turn ahead.
             rows += [row, row] if turns else [row]
             phases += [0.0, 0.5 * math.pi] if turns else [0.0]
             periodic += [turns, turns] if turns else [turns]
+            of_feature += [number, number] if turns else [number]
         if not features:
-            rows, phases, periodic = [[0.0] * len(kinds)], [0.0], [False]
-        for key, values in (('rows', rows), ('phase', phases), ('periodic', periodic)):
+            rows, phases, periodic, of_feature = [[0.0] * len(kinds)], [0.0], [False], [0]
+        self._turn = all(periodic)
+        for key, values in (
+                ('rows', rows), ('phase', phases), ('periodic', periodic),
+                ('features', features or rows),
+                ('of_feature', np.arange(len(features) or 1)[:, None] == of_feature)):
             self.register_buffer(key, torch.tensor(
                 values, dtype=torch.bool if key == 'periodic' else torch.float64),
                 persistent=False)
@@ -48,7 +56,9 @@ class Seen(torch.nn.Module):
         return centre, np.where(half > 0.0, half, 1.0)
 
     def forward(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the inputs, shape (N, n), and their derivatives, (N, n, d), at q of (N, d)."""
-        y = q @ self.rows.T + self.phase
-        slope = torch.where(self.periodic, torch.cos(y), 1.0)
-        return torch.where(self.periodic, torch.sin(y), y), slope[:, :, None] * self.rows
+        """Return the inputs and their derivatives by their rows, (N, n), at q of (N, d)."""
+        y = torch.addmm(self.phase, q, self.rows.T)
+        if self._turn:
+            return torch.sin(y), torch.cos(y)
+        return (torch.where(self.periodic, torch.sin(y), y),
+                torch.where(self.periodic, torch.cos(y), 1.0))
