@@ -211,16 +211,20 @@ class MechanicalNetwork(torch.nn.Module):
         by_time = ((v @ self.mass_seen.features.T)[:, :, None] * slopes).sum(dim=1)
         L_dot = self._matrix(by_time)
         inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
-        needed = inertial - rest / self.root_inertia
+        needed, values = inertial - rest / self.root_inertia, None
         if self.prior is not None:
-            needed = needed + self.prior.forces(q, v, self.prior.values()) / self.root_inertia
-        return self._gram(q, L), needed
+            values = self.prior.values()
+            needed = needed + self.prior.forces(q, v, values) / self.root_inertia
+        return self._gram(q, L, values), needed
 
-    def _gram(self, q: torch.Tensor, L: torch.Tensor) -> torch.Tensor:
-        """Return S^-1 M S^-1, shape (N, d, d)."""
+    def _gram(self, q: torch.Tensor, L: torch.Tensor, values: torch.Tensor | None = None
+              ) -> torch.Tensor:
+        """Return S^-1 M S^-1, shape (N, d, d); the parameters of a prior may be known."""
         S, gram = self.root_inertia, L @ L.transpose(1, 2) + self.floor * self.identity
-        return gram if self.prior is None else \
-            gram + self.prior.mass(q, self.prior.values()) / (S[:, None] * S)
+        if self.prior is None:
+            return gram
+        values = self.prior.values() if values is None else values
+        return gram + self.prior.mass(q, values) / (S[:, None] * S)
 
     def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""

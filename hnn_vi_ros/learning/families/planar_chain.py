@@ -45,20 +45,29 @@ class PlanarChain(torch.nn.Module):
                 ('matrices', np.stack([unit.matrices for unit in units])),
                 ('rows', units[0].rows),
                 ('weights', np.stack([unit.weights for unit in units])),
-                ('unit', np.array(inertia))):
+                ('couples', np.array([name.startswith('coupling') for name in self.names])),
+                ('pulls', np.array([name.startswith('gravity') for name in self.names])),
+                ('means', self._means()), ('unit', np.array(inertia))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
+    def _means(self) -> np.ndarray:
+        """Return the rows that are means of x of what a parameter's size is made of."""
+        rows = np.eye(len(self.names))
+        for row, name in zip(rows, self.names, strict=True):
+            if name.startswith('coupling'):
+                row[:] = [0.5 * (other in (f'inertia{name[-2]}', f'inertia{name[-1]}'))
+                          for other in self.names]
+            elif name.startswith('gravity'):
+                row[:] = 0.0  # linear in x, whose exponential might overflow
+        return rows
+
     def values(self) -> torch.Tensor:
         """Return the parameters, shape (k,), in the order of their names."""
-        found: dict[str, torch.Tensor] = {}
-        for name, x in zip(self.names, self.raw, strict=True):
-            if name.startswith('coupling'):
-                i, j = name[-2:]
-                found[name] = torch.tanh(x) * (found[f'inertia{i}'] * found[f'inertia{j}']).sqrt()
-            else:
-                found[name] = self.unit * (x if name.startswith('gravity') else torch.exp(x))
-        return torch.stack([*found.values()])
+        # sqrt(I_i I_j) is u exp((x_i + x_j) / 2).
+        size = torch.exp(self.means @ self.raw)
+        size = torch.where(self.couples, torch.tanh(self.raw) * size, size)
+        return self.unit * torch.where(self.pulls, self.raw, size)
 
     def scale(self) -> torch.Tensor:
         """Return the usual sizes of the parameters, shape (k,)."""
@@ -99,8 +108,9 @@ class PlanarChain(torch.nn.Module):
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
-        matrices = torch.tensordot(values, self.matrices, 1)
-        return torch.tensordot(torch.cos(q @ self.mass_rows.T), matrices, 1)
+        d = q.shape[1]
+        matrices = (values @ self.matrices.flatten(1)).reshape(-1, d * d)
+        return (torch.cos(q @ self.mass_rows.T) @ matrices).reshape(-1, d, d)
 
     def forces(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return (M v)' at held v - (v . M v)_q / 2 + V_q, shape (N, d)."""
@@ -110,9 +120,10 @@ class PlanarChain(torch.nn.Module):
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return (M v)' at held v, and (v . M v)_q / 2 - V_q, both of shape (N, d)."""
-        matrices = torch.tensordot(values, self.matrices, 1)
+        d = q.shape[1]
+        rows = (values @ self.matrices.flatten(1)).reshape(-1, d)
         slope = -torch.sin(q @ self.mass_rows.T)
-        products = torch.einsum('kij,nj->nki', matrices, v)
+        products = (v @ rows.T).reshape(len(v), -1, d)
         turned = ((slope * (v @ self.mass_rows.T))[:, None, :] @ products)[:, 0]
         squares = (products @ v[:, :, None])[:, :, 0]
         weights = values @ self.weights
