@@ -70,6 +70,8 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
     train, test, description = _read(source, config, arguments.data)
+    # Where data come from, and by which licence, goes with the model.
+    description = f'{config.description} {description}'.lstrip()
     begun = time.perf_counter()
     network, losses = learn(config, train)
     seconds = time.perf_counter() - begun
@@ -121,7 +123,7 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
         f'On what was held out H is off by {error.rms:.3g} J RMS '
         f'({interval_text(error.rms_interval)}) against the '
         f'{error.compared_with}, which makes it vary by {error.spread:.3g} J.\n\n')
-    return (f'# {card.name}\n\n{config.description}\n\nData: {card.dataset}. Held out: {held}. '
+    return (f'# {card.name}\n\nData: {card.dataset}. Held out: {held}. '
             f'Trained on the others by {", ".join(card.losses)} in {seconds:.0f} s, seed '
             f'{card.seed}: `{card.training_command}`\n\nFree simulation of what was held out, '
             f'from a state every {_EVERY:g} s, with the measured forces; root mean square of the '

@@ -30,6 +30,7 @@ SCENE = {
     'step_size': 0.01, 'initial_state': {'q': [0.5], 'p': [0.0]},
     'effects': [{'kind': 'external_force', 'coordinates': ['angle']}]}
 CONFIG = {
+    'description': 'A simulated pendulum (Apache-2.0).',
     'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
     'data': {'kind': 'arrays', 'test_runs': ['c']},
     'family': {'kind': 'mechanical', 'mass': 'constant'},
@@ -68,6 +69,8 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     assert '| rigid body |' in said
     card = load_checkpoint(out).card
     assert card.family == 'mechanical' and card.mechanical.kinds == ['continuous']
+    # Where the data come from goes with the model.
+    assert card.dataset.startswith('A simulated pendulum (Apache-2.0). pendulum.npz: a, b, c (')
     page = (tmp_path / 'machine.report.md').read_text()
     assert '| model |' in page and '(machine.predictions.png)' in page
     error = card.energy_error
