@@ -122,9 +122,10 @@ class _Physical:
         self.scale = np.concatenate([
             prior.scale().numpy(), network.friction.viscous_unit.numpy()[:self.sizes[1]],
             np.tile(network.friction.force_unit.numpy(), n), np.ones(motors)])
-        # Inertia and friction are positive.
-        free += [False] * sum(self.sizes[1:3]) + [True] * motors
-        self.least = np.where(free, -np.inf, 0.0)
+        # In units of scale. Inertia is positive; friction has no slope below its least.
+        self.least = np.concatenate([
+            np.where(free, -np.inf, 0.0), np.full(sum(self.sizes[1:3]), _LEAST),
+            np.full(motors, -np.inf)])
 
     def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network."""
@@ -184,7 +185,8 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     scales = physical.network.scales
     unit = torch.tensor(scales.inertia * scales.a)
     matrix = (physical.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
-    right, least = (tau / unit).flatten().numpy(), physical.least[:matrix.shape[1]]
+    right = (tau / unit).flatten().numpy()
+    least = (physical.least * physical.scale)[:matrix.shape[1]]
     if right.any():
         found = lsq_linear(matrix, right, (least, np.inf)).x
     else:
@@ -194,8 +196,9 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     n = physical.sizes[0]
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
     end = n + sum(physical.sizes[1:3])
-    return np.concatenate([values, np.maximum(found[n:], _LEAST * physical.scale[n:end]),
-                           physical.now()[end:]])
+    # Accelerations may show no friction, where windows do: it begins above its least.
+    friction = np.maximum(found[n:], 10.0 * _LEAST * physical.scale[n:end])
+    return np.concatenate([values, friction, physical.now()[end:]])
 
 
 def _least_squares(physical: _Physical, start: np.ndarray,

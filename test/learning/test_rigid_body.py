@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigid bodies that are fitted to motions, alone and with networks beside them."""
 
+from dataclasses import replace
+
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -14,6 +16,7 @@ from hnn_vi_ros.learning.rigid_body import best_rigid_body
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 import torch
 
 SIZES = {'mass1': 1.2, 'mass2': 0.8, 'length1': 0.5, 'length2': 0.7}
@@ -21,6 +24,8 @@ G = 9.81
 # Of the double pendulum of these sizes, by its M and V.
 EXPECTED = {'inertia1': 2.0 * 0.5**2, 'inertia2': 0.8 * 0.7**2, 'coupling12': 0.8 * 0.5 * 0.7,
             'gravity1': 2.0 * G * 0.5, 'gravity2': 0.8 * G * 0.7}
+# Of a pendulum whose inertia is one [1/s].
+FRICTION = 0.05
 # Motions are smoothed by a filter at 40 Hz, and their first states with them; the scales of all
 # of these are found better than that from windows.
 SHARE = 0.02
@@ -60,9 +65,9 @@ def states(network: MechanicalNetwork) -> torch.Tensor:
     return network.random_states(200, torch.Generator().manual_seed(0))
 
 
-def config(**family) -> MachineConfig:
+def config(names: str = 'ab', **family) -> MachineConfig:
     return MachineConfig.model_validate({
-        'coordinates': [{'name': name, 'kind': 'continuous'} for name in 'ab'],
+        'coordinates': [{'name': name, 'kind': 'continuous'} for name in names],
         'data': {'kind': 'arrays'}, 'hidden': [8],
         'family': {'kind': 'mechanical', 'prior': 'double_pendulum', 'mass_depends_on': ['a - b'],
                    'friction': {'coulomb': 1}} | family,
@@ -97,6 +102,20 @@ def test_networks_beside_a_prior_that_is_right_stay_small():
     assert float(network.residual_size(states(network)).detach()) < 1.0
     prior = network.card().prior
     assert prior is not None and prior.parameters['gravity1'].unit == 'N m'
+
+
+def test_friction_that_accelerations_do_not_show_is_found_by_windows():
+    t = 0.01 * np.arange(400)
+    solution = solve_ivp(lambda _, z: [z[1], -np.sin(z[0]) - FRICTION * z[1]], (0.0, t[-1]),
+                         [2.0, 0.0], t_eval=t, rtol=1e-10, atol=1e-10)
+    q, v = solution.y[:, :, None]
+    motion = smoothed('run', t, q, v, np.zeros_like(q), 40.0)
+    # Accelerations that tell of a friction below zero: where it begins, it could be held for good.
+    noisy = replace(motion, a_smooth=FRICTION * v - np.sin(q))
+    network, _ = learn(config('a', prior='pendulum', mass_depends_on=None, residual=False,
+                              friction={'coulomb': 0}), [noisy])
+    viscous = float(network.friction.coefficients()[0].detach())
+    assert viscous / parameters(network)['inertia1'] == pytest.approx(FRICTION, rel=SHARE)
 
 
 def test_best_rigid_body_takes_the_angles_that_fit():
