@@ -219,11 +219,11 @@ def verdict(scores: dict[str, Scores]) -> str:
 
 def as_json(scores: dict[str, Scores]) -> dict:
     """Return what ``--json`` writes: the model's numbers, and the others' as its baselines."""
-    model, *others = (_numbers(found) for found in scores.values())
+    model, *others = (numbers(found) for found in scores.values())
     return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
 
 
-def _numbers(scores: Scores) -> dict:
+def numbers(scores: Scores) -> dict:
     """Return scores for JSON, which has no infinity: None for an error that has no bound."""
     return {'horizons': {f'{horizon:.15g}': [value if math.isfinite(value) else None
                                              for value in rms.tolist()]

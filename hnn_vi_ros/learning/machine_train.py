@@ -9,11 +9,12 @@ from tempfile import TemporaryDirectory
 import time
 from typing import NamedTuple
 
+from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.energy_account import balance
-from hnn_vi_ros.learning.evaluate import judge, own_effects, simulation_of, verdict
+from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation_of, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.machine_config import Forward, load_machine, MachineConfig, Trajectory
@@ -26,7 +27,7 @@ from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, PredictionError
 from hnn_vi_ros.models.planar_chain import CHAINS
 from hnn_vi_ros.version import __version__
 import numpy as np
@@ -87,15 +88,17 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
                         'mean square of its columns is 1')
     checkpoint = with_energy_error(
         describe(network, config, train, description, losses, out.stem, command), test)
-    save_checkpoint(out, checkpoint)
     names = [coordinate.name for coordinate in config.coordinates]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian = MechanicalHamiltonian(checkpoint)
-    effects = own_effects(str(out), hamiltonian)
+    effects = _effects_of(checkpoint)
     simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, test)
     asked = test, horizons, _EVERY, _LONGEST
     scores, fans = judge(simulation, effects, *asked)
+    prediction = PredictionError.model_validate(numbers(scores['model']))
+    save_checkpoint(out, replace(checkpoint, card=checkpoint.card.model_copy(
+        update={'prediction_error': prediction})))
     print('for comparison, a plain network of (q, v, tau):', flush=True)
     plain = PlainNetwork(network.structure.kinds, config.hidden, network.scales, config.seed)
     fit(plain, _of_plain_network(config), train)
@@ -138,17 +141,21 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
 def with_energy_error(checkpoint: Checkpoint, motions: list[Motion]) -> Checkpoint:
     """Return a model whose card tells its energy along motions, against the work on them."""
     hamiltonian, card = MechanicalHamiltonian(checkpoint), checkpoint.card
-    # Effects read their model from a file, and the model's own is written once, whole.
-    with TemporaryDirectory() as folder:
-        draft = Path(folder) / 'draft.safetensors'
-        save_checkpoint(draft, checkpoint)
-        effects = own_effects(str(draft), hamiltonian)
+    effects = _effects_of(checkpoint)
     balances = [balance(hamiltonian, effects, motion) for motion in motions]
     error = energy_spread(
         np.concatenate([found.energy for found in balances]),
         np.repeat(np.arange(len(motions)), [len(found.energy) for found in balances]), card.seed,
         np.concatenate([found.work for found in balances]), 'work of forces and friction')
     return replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
+
+
+def _effects_of(checkpoint: Checkpoint) -> list[Effect]:
+    """Return what a model has learned beside H: effects read it from a file, so from a draft."""
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / 'draft.safetensors'
+        save_checkpoint(draft, checkpoint)
+        return own_effects(str(draft), MechanicalHamiltonian(checkpoint))
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:

@@ -57,6 +57,21 @@ class Units(StrictModel):
     target: list[float] = Field(description='of what the loss compares, such as (dq/dt, dp/dt)')
 
 
+class PredictionError(StrictModel):
+    """How far simulations from measured states that were held out are from what was measured."""
+
+    horizons: dict[str, list[float | None]] = Field(description=(
+        'root mean square of the error of each coordinate at the end of each horizon [s]; null '
+        'where a simulation failed'))
+    valid_prediction_time: float = Field(ge=0.0, description=(
+        'median of the time until sum_i (error of q_i)^2 / var(q_i) reaches 0.01 [s]'))
+    censored: float = Field(ge=0.0, le=1.0, description=(
+        'share of predictions that were still valid when they, or the motion, ended'))
+    failed: int = Field(ge=0, description='simulations that failed')
+    energy_mismatch: dict[str, float] | None = Field(None, description=(
+        'what H changes by over each horizon [s] beside the work, as a share of its range'))
+
+
 class ModelCard(StrictModel):
     """What a model is, what it was learned from, and how well."""
 
@@ -85,6 +100,8 @@ class ModelCard(StrictModel):
     losses: dict[str, float]
     units: Units | None = Field(None, description='of training')
     energy_error: EnergyError | None = Field(None, description='of H in the box, where known')
+    prediction_error: PredictionError | None = Field(None, description=(
+        'of a machine, simulated freely with the measured forces'))
     training_command: str
     package_version: str
     confine: bool = Field(False, description=(

@@ -76,6 +76,10 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     error = card.energy_error
     assert error.against == 'work of forces and friction' and error.states == 400
     assert f'H is off by {error.rms:.3g} J RMS' in page
+    # So does how far it can be trusted: the numbers of the table.
+    found = card.prediction_error
+    cells = [f'{rms:.4g}' for horizon in ('0.1', '0.5') for rms in found.horizons[horizon]]
+    assert f'| model | {" | ".join(cells)} |' in page
     assert (tmp_path / 'machine.predictions.png').read_bytes().startswith(b'\x89PNG')
     with pytest.raises(ParameterError, match='exists already'):
         train.main(['--config', str(tmp_path / 'machine.yaml'), '--data', data, '--out',
@@ -85,6 +89,7 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     said = capsys.readouterr().out
     assert '| linear model |' in said and '| rigid body |' not in said
     written = json.loads((tmp_path / 'machine.json').read_text())
+    assert written | {'baselines': None} == found.model_dump() | {'baselines': None}
     (motion,), _ = read_arrays(Path(data), ArraysData(), 1, ['c'])
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)
     assert set(written['energy_mismatch']) == {'0.1', '0.5'}
