@@ -25,7 +25,7 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 FLOORS = (
     'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
     'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
-    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'sweeps',
+    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'sweeps', 'envs',
     'studies', 'ros', 'cli', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
@@ -50,6 +50,7 @@ HOMES = {
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
+    'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',

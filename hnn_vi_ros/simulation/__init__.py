@@ -57,6 +57,8 @@ class Simulation:
         H with the potentials among the effects.
     conservative, takes_commands : bool
         Whether no effect does work, and whether one takes commands.
+    command_size : int
+        How many numbers a command has; 0 where none is taken.
     steps : int
         Steps taken since the initial state.
     q, p : np.ndarray, shape (d,) or (m, d)
@@ -95,7 +97,7 @@ class Simulation:
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self.conservative, self.takes_commands = system.conservative, system.takes_commands
         self.usual_gradients = system.integrator.usual_gradients
-        self.step_size = float(step_size)
+        self.command_size, self.step_size = system.command_size, float(step_size)
         self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
         if not self._kernel.compiled:
             warnings.warn(

@@ -172,6 +172,13 @@ class System:
         """Whether an effect takes commands."""
         return any(isinstance(effect, Commanded) for effect in self._effects)
 
+    @property
+    def command_size(self) -> int:
+        """Return how many numbers a command has; 0 where no effect takes any."""
+        taken: list[Any] = [parameters for effect, parameters in zip(
+            self._effects, self._parameters, strict=True) if isinstance(effect, Commanded)]
+        return sum(parameters.places.size for parameters in taken)
+
     def command(self, values: Sequence[float]) -> None:
         """Pass a command to the effects that take it, or raise ValueError and change nothing."""
         if not self.takes_commands:

@@ -1,0 +1,319 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Gymnasium environments: a scene whose external forces are the actions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.effects.base import Commanded
+from hnn_vi_ros.errors import StepFailure, StoppedByEvent
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.checks import check_count, check_numbers
+from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+class Transition(NamedTuple):
+    """
+    What came of one action.
+
+    Parameters
+    ----------
+    t : float
+        Simulated time at its end [s].
+    q_before, p_before : np.ndarray, shape (d,)
+        The state that the action found.
+    action : np.ndarray, shape (c,)
+        The external force [N] or [N m].
+    q, p : np.ndarray, shape (d,)
+        The state at its end: where an event ended the run, the state there; where a step failed,
+        the last good one.
+    ended : str or None
+        The event or the failure that ended the run, if one did.
+
+    """
+
+    t: float
+    q_before: np.ndarray
+    p_before: np.ndarray
+    action: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    ended: str | None
+
+
+_RESET = 'the episode has ended, or none has begun: reset()'
+# What is told of an action beside its transition, by name.
+_Info = dict[str, Any]
+Step = tuple[np.ndarray, float, bool, bool, _Info]
+
+
+class SceneEnv(gymnasium.Env):
+    """
+    A scene as an environment: an action is the external force, an observation is (q, p).
+
+    An action acts from the start of its first step to the end of its last one; the steps are
+    those of ``Simulation``, bit by bit. The environment terminates where an event of the scene
+    with ``then: stop`` comes, and where a step fails: ``info`` then holds ``event`` or
+    ``failure``. Other events of the scene are told in ``info['events']``.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
+    reward : callable
+        Returns the reward of a Transition.
+    every : int, optional
+        Steps of the simulation for each action.
+    limits : float or sequence of float, shape (c,), optional
+        The largest size of each number of an action, > 0 [N] or [N m]; no limit by default.
+    max_episode_steps : int, optional
+        Actions after which an episode is truncated.
+    initial_state : callable, optional
+        Takes a ``np.random.Generator``, the environment's, and returns q and p; by default each
+        episode begins at the scene's own.
+    effects : sequence of mapping, optional
+        In place of the scene's, each as in YAML:
+        ``{'kind': 'external_force', 'coordinates': ['angle']}``.
+
+    Attributes
+    ----------
+    over : bool
+        Whether the episode has ended, or none has begun.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene cannot be built.
+    ValueError, TypeError
+        An argument that is not usable, or a scene that takes no commands.
+
+    References
+    ----------
+    M. Towers et al., Gymnasium: A Standard Interface for Reinforcement Learning Environments,
+    arXiv:2407.17032, 2024.
+
+    """
+
+    metadata: dict[str, Any] = {'render_modes': []}
+
+    def __init__(self, scene: Scene | str | Path, reward: Callable[[Transition], float], *,
+                 every: int = 1, limits: ArrayLike = np.inf,
+                 max_episode_steps: int | None = None,
+                 initial_state: Callable[[np.random.Generator], tuple[ArrayLike, ArrayLike]]
+                 | None = None, effects: Sequence[Mapping[str, Any]] | None = None):
+        check_count('every', every)
+        if max_episode_steps is not None:
+            check_count('max_episode_steps', max_episode_steps)
+        self._reward, self._every, self._most = reward, int(every), max_episode_steps
+        self._initial_state = initial_state
+        # Of its own: vector environments add to it.
+        self.metadata = dict(self.metadata)
+        found = scene if isinstance(scene, Scene) else load_scene(scene)
+        self._scene, _ = resolve(found.with_overrides(
+            effects=None if effects is None else list(effects)))
+        self._hamiltonian = self._scene.create_hamiltonian()
+        self._integrator, self._effects = (
+            self._scene.create_integrator(), self._scene.create_effects())
+        self._check_commands()
+        self._simulation = self._made()
+        # Now, and not in the first step of an episode.
+        self._simulation.compile()
+        self.over, self._taken = True, 0
+        self._ahead: tuple[Transition, _Info] | None = None
+        self.action_space = gymnasium.spaces.Box(*_bounds(
+            limits, self._simulation.command_size), dtype=np.float64)
+        size = self._simulation.q.size + self._simulation.p.size
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+
+    def copy(self) -> 'SceneEnv':
+        """Return the same environment with a simulation of its own, before its first episode."""
+        other = copy(self)
+        other._simulation = other._made()
+        other.over, other._ahead = True, None
+        # Of its own, and random until reset() gets a seed.
+        other.np_random, _ = gymnasium.utils.seeding.np_random()
+        return other
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
+              ) -> tuple[np.ndarray, _Info]:
+        """Begin an episode; the seed is that of its initial state and of its noise."""
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f'options = {options!r:.80}: there are none; the argument '
+                             'initial_state of the environment says where an episode begins')
+        state = self._scene.initial_state
+        q, p = (state.q, state.p) if self._initial_state is None else \
+            self._initial_state(self.np_random)
+        simulation = self._simulation
+        simulation.restart(q, p, stream=int(self.np_random.integers(2**63)))
+        self.over, self._taken, self._ahead = False, 0, None
+        return np.concatenate([simulation.q, simulation.p]), {}
+
+    def step(self, action: ArrayLike) -> Step:
+        """Take an action: the steps of the simulation that it lasts."""
+        if self.over:
+            raise gymnasium.error.ResetNeeded(_RESET)
+        if self._ahead is None:
+            self.begin(check_action(action, self.action_space))
+        assert self._ahead is not None, 'begin() has taken the steps'
+        (transition, info), self._ahead = self._ahead, None
+        self._taken += 1
+        terminated = transition.ended is not None
+        truncated = self._most is not None and self._taken >= self._most
+        self.over = terminated or truncated
+        return (np.concatenate([transition.q, transition.p]), float(self._reward(transition)),
+                terminated, truncated, info)
+
+    def begin(self, action: np.ndarray) -> None:
+        """Take the steps of an action ahead of ``step``; nothing where the episode has ended."""
+        if self.over:
+            return
+        simulation = self._simulation
+        before = simulation.q.copy(), simulation.p.copy()
+        info: _Info = {}
+        ended: str | None = None
+        at_event: tuple[float, np.ndarray, np.ndarray] | None = None
+        try:
+            simulation.set_command(action.tolist())
+            simulation.advance(self._every)
+        except StoppedByEvent as stop:
+            at_event = stop.event.t, stop.event.q, stop.event.p
+            info['event'] = ended = str(stop.event)
+        except StepFailure as failure:
+            info['failure'] = ended = str(failure)
+        if isinstance(simulation, WatchedSimulation) and (events := [
+                str(event) for event in simulation.take_events() if not event.stops]):
+            info['events'] = events
+        t, q, p = at_event or (simulation.time, simulation.q.copy(), simulation.p.copy())
+        self._ahead = Transition(t, *before, action, q, p, ended), info
+
+    def _made(self) -> Simulation | WatchedSimulation:
+        scene, state = self._scene, self._scene.initial_state
+        with scene.placed('initial_state'):
+            simulation = Simulation(
+                self._hamiltonian.copy(), self._integrator, scene.known_step_size, state.q,
+                state.p, self._effects, scene.on_failure)
+        return watched(simulation, scene)
+
+    def _check_commands(self) -> None:
+        """Raise ValueError if no effect takes commands, or one would not last its steps."""
+        holds = [choice.timeout for choice, effect in zip(
+            self._scene.effects, self._effects, strict=True) if isinstance(effect, Commanded)]
+        if not holds:
+            raise ValueError(
+                f'{self._scene.name} takes no commands, which actions are: add an effect, such as '
+                "effects=[{'kind': 'external_force', 'coordinates': [...]}]")
+        lasts = self._every * self._scene.known_step_size
+        if lasts > min(holds):
+            raise ValueError(f'an action lasts {lasts:g} s, every = {self._every} steps, and a '
+                             f'command of the scene ends after {min(holds):g} s: give its '
+                             'external_force a larger timeout')
+
+
+class SceneVectorEnv(SyncVectorEnv):
+    """
+    Many environments of one scene, whose steps are taken on several threads.
+
+    What an action comes to, and when an environment is reset, is that of gymnasium's
+    ``SyncVectorEnv`` over ``SceneEnv``, bit by bit. A step of a network takes microseconds
+    outside of Python's lock, so that threads gain where actions last several steps.
+
+    Parameters
+    ----------
+    scene, reward
+        See SceneEnv.
+    num_envs : int
+        How many.
+    threads : int, optional
+        By default as many as there are processors.
+    autoreset_mode : AutoresetMode, optional
+        When an environment begins its next episode: by default in the step after the last one.
+    **settings
+        See SceneEnv: every, limits, max_episode_steps, initial_state, effects.
+
+    Raises
+    ------
+    HnnViRosError, ValueError, TypeError
+        See SceneEnv.
+
+    """
+
+    def __init__(self, scene: Scene | str | Path, num_envs: int,
+                 reward: Callable[[Transition], float], *, threads: int | None = None,
+                 autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **settings: Any):
+        check_count('num_envs', num_envs)
+        if threads is not None:
+            check_count('threads', threads)
+        first = SceneEnv(scene, reward, **settings)
+        super().__init__([lambda: first, *[first.copy] * (num_envs - 1)],
+                         autoreset_mode=autoreset_mode)
+        self._workers = min(threads or os.cpu_count() or 1, num_envs)
+        self._pool = ThreadPoolExecutor(self._workers)
+
+    def step(self, actions: ArrayLike) -> tuple[np.ndarray, ...]:
+        """Take an action in each environment; see gymnasium's VectorEnv."""
+        # Whole, before any environment moves.
+        checked = check_action(actions, self.action_space)
+        if self.autoreset_mode is AutoresetMode.DISABLED and any(env.over for env in self.envs):
+            raise gymnasium.error.ResetNeeded(_RESET)
+        # Taken from the iterator, so that a failure of one thread is raised here.
+        list(self._pool.map(self._begin, range(self._workers), [checked] * self._workers))
+        return super().step(checked)
+
+    def close_extras(self, **options: Any) -> None:
+        """End the threads."""
+        super().close_extras(**options)
+        self._pool.shutdown()
+
+    def _begin(self, worker: int, actions: np.ndarray) -> None:
+        share = slice(worker, None, self._workers)
+        for env, action in zip(self.envs[share], actions[share], strict=True):
+            env.begin(action)
+
+
+def check_action(action: ArrayLike, space: Any) -> np.ndarray:
+    """
+    Return an action, or those of several environments, as a fresh array of float64.
+
+    Parameters
+    ----------
+    action : array_like, shape of the space
+        What the caller gave [N] or [N m].
+    space : gymnasium.spaces.Box
+        Of actions.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A wrong shape, or a number that is not finite or beyond the limits.
+
+    """
+    array = check_numbers('action', action)
+    if array.shape != space.shape:
+        raise ValueError(f'action has shape {array.shape}, expected {space.shape}')
+    if not (np.isfinite(array) & (array >= space.low) & (array <= space.high)).all():
+        text = ' '.join(str(array.tolist()).split())
+        raise ValueError(f'action = {text:.80} must be finite, and within the limits '
+                         f'{np.ravel(space.high)[:array.shape[-1]].tolist()}; the wrapper '
+                         'ClipAction of gymnasium clips those of a policy')
+    return array
+
+
+def _bounds(limits: ArrayLike, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest action, shape (c,), or raise."""
+    largest = check_numbers('limits', limits)
+    if largest.shape not in ((), (size,)) or not (largest > 0.0).all():
+        raise ValueError(f'limits = {largest.tolist()} must be a positive number, or one for each '
+                         f'of the {size} numbers of an action')
+    high = np.broadcast_to(largest, size).copy()
+    return -high, high
