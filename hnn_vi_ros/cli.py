@@ -69,7 +69,9 @@ def train() -> NoReturn:
 
 def sweep() -> NoReturn:
     """Simulate a scene for many parameters and initial states."""
-    _run('sweep', 'hnn_vi_ros.sweeps.sweep')
+    # Bags are made of messages of ROS, which no other sweep takes.
+    bags = {'mcap', '--episodes=mcap'} & set(sys.argv)
+    _run('sweep', f'hnn_vi_ros.{"ros.episode_bags" if bags else "sweeps.sweep"}')
 
 
 def evaluate() -> NoReturn:

@@ -51,7 +51,7 @@ HOMES = {
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'gymnasium': r'envs\.py',
-    'pyarrow': r'sweeps/parquet\.py',
+    'pyarrow': r'sweeps/(parquet|lerobot)\.py',
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',

@@ -9,6 +9,7 @@ from textwrap import fill
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
 from hnn_vi_ros.ros.parameters import help_of, Specification
+from hnn_vi_ros.sweeps import arguments as sweeps
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene and /diagnostics; as far as the
@@ -72,6 +73,11 @@ def rerun_bridge() -> Parser:
     parser.add_argument('--trust-code', action='store_true', help=(
         'run Python code that a scene names, which others may have written'))
     return parser
+
+
+def sweep() -> Parser:
+    """Return the parser of ``sweep``, of which those that write bags are run from here."""
+    return sweeps.sweep()
 
 
 def listener() -> Parser:

@@ -33,7 +33,7 @@ from std_msgs.msg import Float64MultiArray, String
 LARGEST_MESSAGE = 1 << 20
 SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
 COMMANDS_TOPIC: tuple[str, type] = ('~/commands', Float64MultiArray)
-_TICKS = QoSProfile(depth=10)
+TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An alarm is not to be replaced by the next report before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -74,7 +74,7 @@ class Topics:
     def __init__(self, node: Node, accuracy: bool, clock: bool = False):
         self._node, self._opened = node, []
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
-        self._publishers = [self._publisher(*topic, _TICKS) for topic in self._tick_topics]
+        self._publishers = [self._publisher(*topic, TICKS) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
         self._scene = self._publisher(*SCENE_TOPIC, LATCHED)
         self._clock = ClockPublisher(

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line of ``sweep``; import nothing of what it works with."""
 
-import os
 from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
@@ -21,7 +20,9 @@ def sweep() -> Parser:
             'ros2 run hnn_vi_ros sweep pendulum_energies',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100',
-            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --ray local'], _DETAILS)
+            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --ray local',
+            'ros2 run hnn_vi_ros sweep my_sweep.yaml --episodes mcap --select 0:1000:50'],
+        _DETAILS)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
         'what varies: the name of a shipped sweep, or a YAML file'))
@@ -29,16 +30,22 @@ def sweep() -> Parser:
         'print the JSON schema by which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
         'folder of the results, which several processes and machines may share (default: '
-        'sweeps/NAME)'))
+        'sweeps/NAME; of episodes episodes/NAME)'))
     parser.add_argument('--shard', default='0/1', metavar='I/N', help=(
         'make every N-th shard, from the I-th on, counted from 0: the share of one of N jobs '
         '(default: 0/1, all)'))
     where = parser.add_mutually_exclusive_group()
-    where.add_argument('--jobs', type=int, default=os.cpu_count() or 1, metavar='N', help=(
+    where.add_argument('--jobs', type=int, metavar='N', help=(
         'processes of this machine (default: one for each processor)'))
     where.add_argument('--ray', metavar='ADDRESS', help=(
         'spread the shards over a Ray cluster: its address, auto for the one that this machine '
         'belongs to, or local for one of this machine alone'))
     parser.add_argument('--device', choices=('cpu',), default='cpu', help=(
         'what trajectories are computed on (default: cpu)'))
+    parser.add_argument('--episodes', choices=('mcap', 'lerobot'), help=(
+        'write trajectories one by one in place of shards: bags like those of the simulator, or a '
+        'LeRobot dataset (v3.0)'))
+    parser.add_argument('--select', metavar='INDICES', help=(
+        'with --episodes: which, as N, FIRST:END or FIRST:END:STEP, with commas between several '
+        '(default: all)'))
     return parser

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a sweep: by command line, or from Python."""
 
+from argparse import Namespace
 from collections.abc import Iterator, Mapping
 import os
 from pathlib import Path
@@ -15,7 +16,9 @@ from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
+from hnn_vi_ros.sweeps.episodes import episodes, EpisodeWriter, selected, without_ros
 from hnn_vi_ros.sweeps.folder import shards_of, SweepFolder
+from hnn_vi_ros.sweeps.lerobot import write_lerobot
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
@@ -24,16 +27,31 @@ from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
 _TERMINAL, _ELSEWHERE = 0.2, 10.0
 
 
-def main(argv: list[str]) -> int:
-    """Make the shards that the command line asks for, and say what came of it."""
+def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
+    """
+    Make the shards, or the episodes, that the command line asks for; say what came of it.
+
+    Parameters
+    ----------
+    argv : list of str
+        The command line.
+    write_bags : callable, optional
+        Writes episodes as bags.
+
+    """
     options = arguments.sweep().parse_args(argv)
     if options.schema:
         print(json_schema(Sweep, 'A sweep of hnn_vi_ros'))
         return 0
+    if options.episodes:
+        return _write_episodes(options, write_bags)
+    if options.select is not None:
+        raise ParameterError('--select chooses among episodes: give --episodes mcap or lerobot')
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     try:
         begin = time.monotonic()
-        sweep(options.sweep, out, shard=options.shard, jobs=options.jobs, ray=options.ray,
+        jobs = (os.cpu_count() or 1) if options.jobs is None else options.jobs
+        sweep(options.sweep, out, shard=options.shard, jobs=jobs, ray=options.ray,
               device=options.device, progress=True)
     except (ValueError, TypeError) as problem:
         raise ParameterError(str(problem)) from problem
@@ -44,6 +62,21 @@ def main(argv: list[str]) -> int:
     plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'))
     print(_summary(plan, SweepFolder(out), time.monotonic() - begin))
     return 0
+
+
+def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
+    """Write the trajectories that the command line selects, and say how many there are."""
+    if options.ray or options.jobs is not None or options.shard != '0/1':
+        raise ParameterError('--episodes writes one after another: leave --jobs, --ray and '
+                             '--shard out; give each of several processes a --select and an --out')
+    out = options.out or Path('episodes') / Path(options.sweep).stem
+    plan, failed = make_plan(options.sweep), dict[int, str]()
+    indices = selected(options.select or '', plan.count)
+    write = write_lerobot if options.episodes == 'lerobot' else write_bags
+    write(plan, episodes(plan, indices, failed), out)
+    why = ''.join(f'; {index} not: {reason}' for index, reason in list(failed.items())[:3])
+    print(f'{out}: {len(indices) - len(failed)} of {len(indices)} episodes{why}')
+    return int(len(failed) == len(indices))
 
 
 def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard: str = '0/1',
