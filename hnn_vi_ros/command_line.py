@@ -3,14 +3,42 @@
 """The command lines of the executables: what they have in common."""
 
 import argparse
-from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
-from typing import NoReturn
+from collections.abc import Mapping, Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any, NoReturn
 
+from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.version import __version__
 
+# How an executable is called where ROS 2 finds it, and by the command for all of them.
+_BY_ROS, _BY_HNN = 'ros2 run hnn_vi_ros', 'hnn'
+_called: ContextVar[str] = ContextVar('called', default=_BY_ROS)
+# What completes the name of a scene, by shell; commands/completion.py defines it.
+SCENES = {'bash': '_hnn_scenes', 'zsh': '_hnn_scenes', 'tcsh': 'f'}
+_FILES = {'bash': '_shtab_compgen_files', 'zsh': '_files', 'tcsh': 'f'}
 # The status of a command line that is not understood, as argparse has it.
 _USAGE = 2
+
+
+def call_by_hnn() -> None:
+    """Let what is shown from now on name executables as ``hnn NAME``, not ``ros2 run``."""
+    _called.set(_BY_HNN)
+
+
+def called(name: str) -> str:
+    """Return what an executable calls itself in its help and its errors."""
+    return name if _called.get() == _BY_ROS else f'{_BY_HNN} {name}'.strip()
+
+
+def command(words: str) -> str:
+    """Return a command line that a user can type: an executable, and its arguments."""
+    return f'{_called.get()} {words}'
+
+
+def complete_by(action: argparse.Action, completer: Mapping[str, str]) -> None:
+    """Let shells complete an argument by a function of theirs, as shtab looks it up."""
+    setattr(action, 'complete', completer)  # noqa: B010  argparse declares no such attribute
 
 
 class Parser(argparse.ArgumentParser):
@@ -31,12 +59,19 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, name: str, description: str, examples: Sequence[str], details: str = ''):
-        shown = '\n'.join(f'  {example}' for example in examples)
+        shown = '\n'.join(f'  {example.replace(_BY_ROS, _called.get())}' for example in examples)
         super().__init__(
-            prog=name, description=description, allow_abbrev=False,
+            prog=called(name), description=description, allow_abbrev=False,
             epilog=f'{details}\n\nexamples:\n{shown}'.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
+
+    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
+        """Add an argument, as argparse does; what is a path is completed as such."""
+        action = super().add_argument(*names, **options)
+        if options.get('type') is Path:
+            complete_by(action, _FILES)
+        return action
 
     def parse_args(  # type: ignore[override]  # nothing is added to a namespace of others
             self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
@@ -56,9 +91,3 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with one line."""
         self.exit(_USAGE, f'{self.prog}: {" ".join(message.split())}; see {self.prog} --help\n')
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
-    nearest = get_close_matches(word, known, n=1, cutoff=0.7)
-    return f'; did you mean {nearest[0]}?' if nearest else ''

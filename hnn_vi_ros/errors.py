@@ -2,12 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors that a user can meet; each message is one line: what, where, remedy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
     import numpy as np
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
+    nearest = get_close_matches(word, known, n=1, cutoff=0.7)
+    return f'; did you mean {nearest[0]}?' if nearest else ''
 
 
 class HnnViRosError(Exception):

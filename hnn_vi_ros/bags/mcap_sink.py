@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, final
 from hnn_vi_ros.bags.bag_metadata import (
     bag_metadata, DEFINITIONS, Extent, NEVER, Topic, write_bag_metadata)
 from hnn_vi_ros.bags.mcap_index import compact_index
+from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.kernels.identity import identity
@@ -248,7 +249,7 @@ class McapSink:
         kept = 'the file was removed'
         if self._path.exists():
             kept = ('what was written before is kept: free some space, then make it whole with: '
-                    f'ros2 run hnn_vi_ros recover_bag {shlex.quote(str(self._path.parent))}')
+                    f'{command("recover_bag")} {shlex.quote(str(self._path.parent))}')
         return RecordingError(
             f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
 

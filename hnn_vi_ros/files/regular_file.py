@@ -10,6 +10,11 @@ from typing import BinaryIO
 from hnn_vi_ros.errors import RecordingError
 
 
+def no_file(path: Path) -> str:
+    """Return what there is in the place of a file that cannot be read as one."""
+    return 'is a folder; give a file' if os.path.isdir(path) else 'no such file'
+
+
 def open_file(path: Path, name: Path) -> BinaryIO:
     """
     Return a stream of a regular file; a FIFO without a writer does not hold it up.

@@ -2,17 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read a YAML file into a pydantic model; every error names file, line and key."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import os
 from pathlib import Path
+import re
 from typing import Any, TypeVar
 
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_BYTES, one_line, parse_mapping
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 Model = TypeVar('Model', bound=BaseModel)
+
+# Characters of a value in an error.
+_LONGEST_VALUE = 60
+# The first unit in a description: 'h [s]; ...'.
+_UNIT = re.compile(r'\[([^\[\],]+)\]')
 
 
 class StrictModel(BaseModel):
@@ -72,7 +79,7 @@ def _read(path: Path, error: type[HnnViRosError]) -> bytes:
     """Return the content of a regular file; of one that is too large as much as shows that."""
     try:
         if not os.path.isfile(path):
-            raise error(f'{path}: no such file')
+            raise error(f'{path}: {no_file(path)}')
         with path.open('rb') as stream:
             return stream.read(MAX_BYTES + 1)
     except OSError as problem:
@@ -87,22 +94,64 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
     loc, problem_type, key = first['loc'], first['type'], places.follow(first['loc'])
     if problem_type == 'extra_forbidden':
         valid = {name for owner in _schemas_at(schema, loc[:-1]) for name in owner.model_fields}
-        message = f'unknown key; valid keys: {", ".join(sorted(valid))}'
+        hint = did_you_mean(str(loc[-1]), valid)
+        message = f'unknown key{hint}; valid keys: {", ".join(sorted(valid))}'
     elif problem_type in ('union_tag_invalid', 'union_tag_not_found'):
         key, tag = (*key, 'kind'), first['ctx'].get('tag')
-        message = 'required' if tag is None else f'unknown kind {repr(tag)[:80]}'
-        message += f'; valid kinds: {", ".join(sorted(map(_kind, _schemas_at(schema, loc))))}'
+        kinds = sorted(map(_kind, _schemas_at(schema, loc)))
+        message = 'required' if tag is None else \
+            f'unknown kind {repr(tag)[:80]}{did_you_mean(str(tag), kinds)}'
+        message += f'; valid kinds: {", ".join(kinds)}'
     elif problem_type in ('model_type', 'model_attributes_type'):
         message = 'expected keys and values, as in {key: value}'
     elif problem_type == 'missing':
         key, message = (*key, str(loc[-1])), first['msg']
     else:
-        message = ' or '.join(dict.fromkeys(
-            p['msg'].removeprefix('Value error, ') for p in problems
-            if places.follow(p['loc']) == key))
+        message = _wrong_value([p for p in problems if places.follow(p['loc']) == key],
+                               _unit_at(schema, loc, key))
     # What the file as a whole lacks names its key itself.
-    place = places.place(*key) if key else f'{places.where}:1'
+    place = places.place(*key) if key else places.top
     return f'{place}: {one_line(message)}'
+
+
+def _wrong_value(problems: Sequence[Any], unit: str) -> str:
+    """Return what a value should be, as far as its types tell, and what it is."""
+    if any(p['type'] in ('value_error', 'assertion_error') for p in problems):
+        # From a schema of ours, whose message tells the value where that helps.
+        return ' or '.join(dict.fromkeys(p['msg'].removeprefix('Value error, ')
+                                         for p in problems))
+    given = problems[0]['input']
+    shown = repr(given) if len(repr(given)) <= _LONGEST_VALUE else \
+        f'{repr(given)[:_LONGEST_VALUE]} ...'
+    if {p['type'] for p in problems} <= {'float_type', 'float_parsing'}:
+        what = 'number of seconds, e.g. 0.001' if unit == 's' else f'number{_bracketed(unit)}'
+        return f'{shown} is no {what}'
+    words = re.findall(r"'([^']*)'", problems[0].get('ctx', {}).get('expected', ''))
+    if words and len(problems) == 1:
+        hint = did_you_mean(str(given), words)
+        return f'{shown} is unknown{hint}; valid: {", ".join(words)}'
+    expected = ' or '.join(dict.fromkeys(
+        re.sub('^Input should be ', '', p['msg']) for p in problems))
+    if all(p['msg'].startswith('Input should be ') for p in problems):
+        return f'must be {expected}{_bracketed(unit)}, not {shown}'
+    return expected if ', not ' in expected else f'{expected}, not {shown}'
+
+
+def _bracketed(unit: str) -> str:
+    return '' if unit in ('', '1') else f' [{unit}]'
+
+
+def _unit_at(schema: type[BaseModel], loc: tuple[int | str, ...], key: Sequence[str]) -> str:
+    """Return the unit that the description of a number names in brackets; empty if none."""
+    names = [(i, part) for i, part in enumerate(loc) if part in key and isinstance(part, str)]
+    if not names:
+        return ''
+    i, name = names[-1]
+    fields = [owner.model_fields[name] for owner in _schemas_at(schema, loc[:i])
+              if name in owner.model_fields]
+    units = {found[1] for field in fields
+             if (found := _UNIT.search(field.description or ''))}
+    return units.pop() if len(units) == 1 else ''
 
 
 def _schemas_at(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:

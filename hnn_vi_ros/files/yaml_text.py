@@ -8,7 +8,7 @@ decimal, as in YAML 1.2; dates and numbers to base 60 are strings; keys are stri
 directives and what exceeds a limit are refused. What ``dump_yaml`` writes is read back unchanged.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import re
 from typing import Any
@@ -51,12 +51,23 @@ class KeyPlaces:
     where : str
         What holds the text, a file or a topic.
     lines : dict of tuple of str to int
-        The line of each key; the items of a list count as keys '0', '1', ...
+        The line of each key; the items of a list count as keys '0', '1', ... 0 where there is no
+        text: the data were not read.
 
     """
 
     where: str
     lines: dict[tuple[str, ...], int]
+
+    @classmethod
+    def of_data(cls, data: object, where: str) -> 'KeyPlaces':
+        """Return the keys of plain data that stand in no text."""
+        return cls(where, dict.fromkeys(_keys(data, ()), 0))
+
+    @property
+    def top(self) -> str:
+        """Return ``where:line`` of the whole."""
+        return f'{self.where}:1' if self.lines[()] else self.where
 
     def follow(self, key: Sequence[str | int]) -> tuple[str, ...]:
         """Return the parts of a key or of a pydantic location that stand in the text."""
@@ -69,7 +80,8 @@ class KeyPlaces:
     def place(self, *key: str | int) -> str:
         """Return ``where:line: key``; of a key that is left out, that of what would hold it."""
         line = self.lines[self.follow(key)]
-        return f'{self.where}:{line}: {".".join(map(str, key)) or "the file"}'
+        where = f'{self.where}:{line}' if line else self.where
+        return f'{where}: {".".join(map(str, key)) or "the file"}'
 
 
 def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
@@ -232,6 +244,15 @@ _Loader.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
 
 def _refusal(what: str, where: yaml.Event | yaml.Node) -> ComposerError:
     return ComposerError(problem=what, problem_mark=where.start_mark)
+
+
+def _keys(data: object, key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Yield each key of plain data, that of the whole among them."""
+    yield key
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) \
+        if isinstance(data, list) else ()
+    for name, value in items:
+        yield from _keys(value, (*key, str(name)))
 
 
 def _lines(node: yaml.Node, key: tuple[str, ...], line: int

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, did_you_mean
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
@@ -97,9 +97,9 @@ def find_config(config: str) -> Path:
         return Path(config)
     path = shipped_file('training', config)
     if not os.path.isfile(path):
-        raise DataError(f'no training configuration {config!r}; shipped: '
-                        f'{", ".join(shipped_names("training"))}; '
-                        'or give the path of a .yaml file')
+        names = shipped_names('training')
+        raise DataError(f'no training configuration {config!r}{did_you_mean(config, names)}; '
+                        f'shipped: {", ".join(names)}; or give the path of a .yaml file')
     return path
 
 

@@ -36,6 +36,8 @@ class MeasuredData(StrictModel):
 
     kind: Literal['measured']
     path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
+    source: str = Field('', max_length=1000, description=(
+        'where the log comes from, for those who lack it'))
     delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] = 'whitespace'
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
     columns: Names = Field(min_length=3, description='names of all columns, in order')
@@ -111,7 +113,8 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
 def read_log(path: Path) -> bytes:
     """Return the bytes of a log of at most 256 MiB, or raise DataError."""
     if not os.path.isfile(path):
-        raise DataError(f'{path}: no such data file; pass the log with --data FILE')
+        what = 'is a folder' if os.path.isdir(path) else 'no such data file'
+        raise DataError(f'{path}: {what}; pass the log with --data FILE')
     try:
         with path.open('rb') as stream:
             raw = stream.read(MAX_BYTES + 1)

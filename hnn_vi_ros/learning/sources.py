@@ -60,7 +60,8 @@ def make_dataset(data: Source, seed: int, config: Path, given: Sequence[str] = (
         raise DataError(f'{config}: its data is one measured log, but --data has {len(given)} '
                         'files; join them, and number them in a column data.trial')
     if not (given or data.path):
-        raise DataError(f'{config}: data.path is empty; pass the log with --data FILE')
+        source = f', which is {data.source}' if data.source else ''
+        raise DataError(f'{config}: data.path is empty; pass the log with --data FILE{source}')
     return read_measured_log(Path(given[0]) if given else _beside(config, data.path), data)
 
 

@@ -46,7 +46,8 @@ def read_layers(path: Path) -> Layers:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
-            raise ModelError(f'{path}: not a regular file; give a file that torch.save wrote')
+            what = 'a folder' if stat.S_ISDIR(status.st_mode) else 'not a regular file'
+            raise ModelError(f'{path}: is {what}; give a file that torch.save wrote')
         with path.open('rb') as stream:
             refuse_pointer(stream.read(32), path, ModelError)
         if max(status.st_size, _unpacked_size(path)) > MAX_BYTES:

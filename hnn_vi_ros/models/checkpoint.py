@@ -20,6 +20,7 @@ from pathlib import Path
 import stat
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.files.yaml_text import one_line
@@ -113,8 +114,9 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     except (safetensors.SafetensorError, ValueError, RecursionError) as problem:
         if raw.startswith(_PICKLES):
             raise ModelError(f'{path}: a pickle or torch.save file, which could run code when '
-                             'loaded; a model is a .safetensors file, see: ros2 run hnn_vi_ros '
-                             'train --help') from problem
+                             'loaded; a model is a .safetensors file, which the network of the '
+                             'original HNN code becomes by: '
+                             f'{command("import_checkpoint --help")}') from problem
         raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
                          ) from problem
     card = _card(path, metadata or {})
@@ -189,13 +191,14 @@ def _read(path: Path) -> bytes:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
-            raise ModelError(f'{path}: not a regular file; give the path of a .safetensors file')
+            what = 'a folder' if stat.S_ISDIR(status.st_mode) else 'not a regular file'
+            raise ModelError(f'{path}: is {what}; give the path of a .safetensors file')
         if status.st_size > MAX_BYTES:
             raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, which no model needs')
         return path.read_bytes()
     except FileNotFoundError as problem:
         raise ModelError(f'{path}: no such model file; train one with: '
-                         'ros2 run hnn_vi_ros train --config NAME') from problem
+                         f'{command("train --config NAME")}') from problem
     except (OSError, ValueError) as problem:
         raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
 
@@ -203,7 +206,7 @@ def _read(path: Path) -> bytes:
 def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
     if 'model_card' not in metadata:
         raise ModelError(f'{path}: has no model_card in its metadata, so it is not a model of '
-                         'hnn_vi_ros; train one with: ros2 run hnn_vi_ros train --config NAME')
+                         f'hnn_vi_ros; train one with: {command("train --config NAME")}')
     try:
         return ModelCard.model_validate_json(metadata['model_card'])
     except ValidationError as problem:

@@ -11,8 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from hnn_vi_ros.command_line import did_you_mean
-from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.errors import did_you_mean, ParameterError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.parameters import Specification
 from hnn_vi_ros.ros.qos_overrides import Endpoint, expected, parameter_names, PREFIX

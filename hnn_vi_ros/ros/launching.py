@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from hnn_vi_ros.command_line import did_you_mean
+from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.ros.parameters import Specification
 import yaml
 

@@ -12,10 +12,11 @@ from typing import Any, Literal
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError
-from hnn_vi_ros.errors import CalibrationError, ModelError, SceneError, UnsupportedSystem
-from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.errors import (
+    CalibrationError, did_you_mean, ModelError, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
-from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
+from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -28,7 +29,7 @@ from hnn_vi_ros.scene.choices import (
 from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
 from hnn_vi_ros.scene.origin import Origin
 import numpy as np
-from pydantic import BaseModel, Field, model_validator, PrivateAttr, ValidationError
+from pydantic import BaseModel, Field, model_validator, PrivateAttr
 
 _EXACT: dict[str, type] = {**HAMILTONIANS, **ROBOTS}
 
@@ -79,14 +80,9 @@ class Scene(StrictModel):
 
     def changed(self, changes: Mapping[str, Any]) -> 'Scene':
         """Return this scene with other values of some keys, or raise SceneError."""
-        try:
-            # The code that it names was admitted when it was read.
-            scene = Scene.model_validate({**self.model_dump(), **changes}, context=trusting(True))
-        except ValidationError as problem:
-            first = problem.errors(include_url=False)[0]
-            where = '.'.join(str(part) for part in first['loc'])
-            raise SceneError(f'{self.source} with other {", ".join(changes)}: {where}: '
-                             f'{first["msg"]}') from problem
+        # The code that it names was admitted when it was read.
+        scene = _validated({**self.model_dump(), **changes},
+                           f'{self.source} with other {", ".join(changes)}')
         scene._origin = replace(
             self._origin, replaced=self._origin.replaced | changes.keys())
         return scene
@@ -107,7 +103,8 @@ class Scene(StrictModel):
             raise SceneError('integrator auto needs an error to hold: write it into the scene, as '
                              'integrator: {kind: auto, path_error: 1.0e-6, horizon: 100.0}')
         if integrator not in (None, *INTEGRATORS):
-            raise SceneError(f'unknown integrator {integrator!r}; valid: '
+            hint = did_you_mean(str(integrator), INTEGRATORS)
+            raise SceneError(f'unknown integrator {integrator!r}{hint}; valid: '
                              f'{", ".join(sorted(INTEGRATORS))}')
         given = {'step_size': step_size, 'integrator': integrator and {'kind': integrator},
                  'initial_state': initial_state, 'effects': effects}
@@ -272,6 +269,11 @@ class Scene(StrictModel):
         return f'{self.place(*key, *[name] * own)}: {kind}{message}'
 
 
+def _validated(data: dict[str, Any], where: str) -> Scene:
+    """Return the scene of plain data that its user vouches for, or raise SceneError."""
+    return validate(data, KeyPlaces.of_data(data, where), Scene, SceneError, trust_code=True)
+
+
 def load_scene(scene: str | Path) -> Scene:
     """
     Read and validate a scene.
@@ -295,8 +297,9 @@ def load_scene(scene: str | Path) -> Scene:
     text = str(scene)
     path = Path(text) if is_path('scene', text) else shipped_file('scene', text)
     if not is_path('scene', text) and not os.path.isfile(path):
-        raise SceneError(f'no scene {text!r}; shipped: {", ".join(shipped_names("scene"))}; '
-                         'or give the path of a .yaml file')
+        names = shipped_names('scene')
+        raise SceneError(f'no scene {text!r}{did_you_mean(text, names)}; shipped: '
+                         f'{", ".join(names)}; or give the path of a .yaml file')
     loaded, places = read_yaml(path, Scene, SceneError)
     # A module beside the scene is found like one that is installed.
     loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))

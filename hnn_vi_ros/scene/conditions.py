@@ -7,6 +7,7 @@ from collections.abc import Callable
 import operator
 from typing import Any
 
+from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 import numpy as np
@@ -65,7 +66,8 @@ class Condition:
         valid = [*names, *(f'{kind}_{name}' for kind in 'pv' for name in momenta), 'H']
         unknown = sorted(self._names - set(valid))
         if unknown:
-            raise ValueError(f'{self.text!r}: no quantity {unknown[0]!r}; valid: '
+            raise ValueError(f'{self.text!r}: no quantity {unknown[0]!r}'
+                             f'{did_you_mean(unknown[0], valid)}; valid: '
                              f'{", ".join(valid[:12])}{", ..." * (len(valid) > 12)}')
 
     def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -8,12 +8,16 @@ import os
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.command_line import command
+from hnn_vi_ros.errors import did_you_mean, ModelError
 from hnn_vi_ros.files.named_code import find_beside
 from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
-from hnn_vi_ros.files.yaml_text import KeyPlaces
+from hnn_vi_ros.files.yaml_text import KeyPlaces, parse_mapping
 from hnn_vi_ros.models.checkpoint import file_digest
+
+# How the files are called that torch.save writes.
+_OF_TORCH = ('.pt', '.pth', '.tar', '.pkl')
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,10 @@ class Origin:
         for candidate in (Path('models') / f'{model}.safetensors', shipped_file('model', model)):
             if os.path.isfile(candidate):
                 return candidate
-        train = (f'; train it with: ros2 run hnn_vi_ros train --config {model}'
-                 if model in shipped_names('training') else '')
+        names = shipped_names('model')
         raise ModelError(
-            f'{self.place(*key, "model")}: no model {model!r}: not shipped '
-            f'({", ".join(shipped_names("model"))}) nor at models/{model}.safetensors{train}')
+            f'{self.place(*key, "model")}: no model {model!r}{did_you_mean(model, names)}: not '
+            f'shipped ({", ".join(names)}) nor at models/{model}.safetensors{_remedy(model)}')
 
     def robot_file(self, name: str, *key: str | int) -> Path:
         """
@@ -114,8 +117,10 @@ class Origin:
             beside = self.path.parent / name
             file = beside if os.path.exists(beside) else Path(name)
         if not os.path.isfile(file):
-            raise ModelError(f'{place}: no file {str(file)!r}; give a path from the folder of the '
-                             'scene or the working directory, or package://PACKAGE/PATH')
+            what = (f'{str(file)!r} is a folder' if os.path.isdir(file) else
+                    f'no file {str(file)!r}')
+            raise ModelError(f'{place}: {what}; give a path from the folder of the scene or the '
+                             'working directory, or package://PACKAGE/PATH')
         self._check_digest(file, '.urdf', *key, 'file')
         return file
 
@@ -132,3 +137,17 @@ class Origin:
         if digest not in self.digests:
             raise ModelError(f'{place}: {str(file)!r} is not the file that was recorded: its '
                              f'SHA-256 begins with {digest[:16]}; put the recorded one there')
+
+
+def _remedy(model: str) -> str:
+    """Return the command that makes a model that is not there, as far as its name tells."""
+    if model.endswith(_OF_TORCH):
+        return ('; a model is a .safetensors file, which the network of the original HNN code '
+                f'becomes by: {command(f"import_checkpoint {model} ...")}')
+    if model not in shipped_names('training'):
+        return ''
+    file = shipped_file('training', model)
+    configuration, _ = parse_mapping(file.read_bytes(), file, ModelError)
+    source = configuration['data'].get('source')
+    data = f' --data FILE, which is {source}' if source else ''
+    return f'; train it with: {command(f"train --config {model}")}{data}'

@@ -16,7 +16,8 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import HnnViRosError, ParameterError, UnsupportedSystem
+from hnn_vi_ros.errors import (
+    did_you_mean, HnnViRosError, ParameterError, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK
@@ -56,8 +57,8 @@ def parse_method(label: str) -> MethodLabel:
     """
     kind, at, variant = label.partition('@')
     if kind not in INTEGRATORS:
-        raise ParameterError(f'--methods: unknown method {kind!r}; valid: '
-                             f'{", ".join(INTEGRATORS)}')
+        raise ParameterError(f'--methods: unknown method {kind!r}'
+                             f'{did_you_mean(kind, INTEGRATORS)}; valid: {", ".join(INTEGRATORS)}')
     if at and variant != FLOAT32:
         if not issubclass(INTEGRATORS[kind], ImplicitIntegrator):
             raise ParameterError(f'--methods: {label}: {kind} solves no equation of its own; '

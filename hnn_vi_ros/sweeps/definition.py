@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, did_you_mean
 from hnn_vi_ros.files.named_code import NAMES_CODE
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
@@ -168,7 +168,7 @@ def load_sweep(sweep: str | Path | Mapping[str, Any]) -> tuple[Sweep, KeyPlaces,
 
     """
     if isinstance(sweep, Mapping):
-        places = KeyPlaces('sweep', {(): 1})
+        places = KeyPlaces.of_data(sweep, 'sweep')
         return validate(sweep, places, Sweep, DataError, trust_code=True), places, Path()
     if not isinstance(sweep, str | Path):
         raise TypeError(f'sweep is a {type(sweep).__name__}: give the name of a shipped sweep, '
@@ -176,7 +176,8 @@ def load_sweep(sweep: str | Path | Mapping[str, Any]) -> tuple[Sweep, KeyPlaces,
     text = str(sweep)
     path = Path(text) if is_path('sweep', text) else shipped_file('sweep', text)
     if not is_path('sweep', text) and not os.path.isfile(path):
-        raise DataError(f'no sweep {text!r}; shipped: {", ".join(shipped_names("sweep"))}; '
-                        'or give the path of a .yaml file')
+        names = shipped_names('sweep')
+        raise DataError(f'no sweep {text!r}{did_you_mean(text, names)}; shipped: '
+                        f'{", ".join(names)}; or give the path of a .yaml file')
     loaded, places = read_yaml(path, Sweep, DataError)
     return loaded, places, path.parent

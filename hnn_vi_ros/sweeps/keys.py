@@ -5,7 +5,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, did_you_mean
 from hnn_vi_ros.scene import Scene
 
 _STATE = 'initial_state'
@@ -47,7 +47,8 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
                             'has no further keys')
         if part not in valid:
             shown = ', '.join(valid[:20]) or 'none'
-            raise DataError(f'{place}: {key!r}: unknown key {part!r}; valid keys: {shown}')
+            raise DataError(f'{place}: {key!r}: unknown key {part!r}'
+                            f'{did_you_mean(part, valid)}; valid keys: {shown}')
         if isinstance(value, list):
             parts.append(own.index(part) if part in own else int(part))
         else:

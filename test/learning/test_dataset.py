@@ -319,7 +319,7 @@ def test_unusable_log_gives_data_error(tmp_path, raw, words):
 
 def test_missing_log_says_to_pass_data(tmp_path):
     assert_refused(tmp_path / 'none.txt', measured(), 'no such data file', '--data FILE')
-    assert_refused(tmp_path, measured(), 'no such data file')
+    assert_refused(tmp_path, measured(), 'is a folder')
 
 
 def test_window_shorter_than_the_polynomial_is_refused(tmp_path):

@@ -216,7 +216,7 @@ def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
 def test_file_that_is_not_one_of_torch_is_refused(tmp_path):
     path = tmp_path / 'source.tar'
     assert_refused(path, 'no such file')
-    assert_refused(tmp_path, 'not a regular file')
+    assert_refused(tmp_path, 'is a folder')
     for raw in (b'', b'PK\x03\x04' + bytes(100), pickle.dumps({'a': 1})[:5], b'\x80\x02' * 50):
         path.write_bytes(raw)
         assert_refused(path, 'nothing in it was run')

@@ -88,8 +88,9 @@ def test_unknown_scene_names_the_shipped_ones():
 
 
 @pytest.mark.parametrize('old, new, expected', [
-    ('step_size', 'stepsize', r'mine.yaml:3: stepsize: unknown key; valid keys: .*step_size'),
-    ('1e-2', '-0.1', r'mine.yaml:3: step_size'),
+    ('step_size', 'stepsize', r'mine.yaml:3: stepsize: unknown key; did you mean step_size\?; '),
+    ('1e-2', '-0.1', r'mine.yaml:3: step_size: must be greater than 0 \[s\], not -0.1'),
+    ('1e-2', '1 ms', r"mine.yaml:3: step_size: '1 ms' is no number of seconds, e.g. 0.001"),
     ('1e-2', '0', r'mine.yaml:3: step_size'),
     ('1e-2', '.nan', r'mine.yaml:3: step_size: .*finite'),
     ('1e-2', '.inf', r'mine.yaml:3: step_size'),
@@ -132,9 +133,10 @@ def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write
 
 @pytest.mark.parametrize('old, new, expected', [
     ('kind: gravity, ', '', 'mine.yaml:3: effects.0.kind: required; valid kinds: .*gravity'),
-    ('gravity', 'gravy', "mine.yaml:3: effects.0.kind: unknown kind 'gravy'; .*, impact"),
-    ('coordinate', 'coordinat', 'mine.yaml:3: effects.0.coordinat: unknown key; valid keys: '
-     'acceleration, coordinate, kind, mass$'),
+    ('gravity', 'gravy', "mine.yaml:3: effects.0.kind: unknown kind 'gravy'; did you mean gravity"
+     '.*, impact'),
+    ('coordinate', 'coordinat', r'mine.yaml:3: effects.0.coordinat: unknown key; did you mean '
+     r'coordinate\?; valid keys: acceleration, coordinate, kind, mass$'),
     ('coordinate: y', 'coordinate: z',
      "mine.yaml:3: effects.0: gravity: no coordinate 'z'; valid coordinates: x, y"),
     ('{kind: gravity, coordinate: y}', 'gravity', 'mine.yaml:3: effects.0: expected keys'),

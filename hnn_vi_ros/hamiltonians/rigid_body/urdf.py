@@ -9,6 +9,7 @@ from pathlib import Path
 import re
 
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.xml_text import Element, MAX_BYTES, parse_xml
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Inertial, Joint, Limits, Link, RIGID, Robot
@@ -71,7 +72,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
 def _read(path: Path) -> bytes:
     try:
         if not path.is_file():
-            raise ModelError(f'{path}: no such file; give the path of a URDF, or '
+            raise ModelError(f'{path}: {no_file(path)}; give the path of a URDF, or '
                              'package://PACKAGE/PATH')
         with path.open('rb') as stream:
             return stream.read(MAX_BYTES + 1)
