@@ -28,6 +28,7 @@ from hnn_vi_ros.scene.choices import (
     AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
 from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
 from hnn_vi_ros.scene.origin import Origin
+from hnn_vi_ros.scene.plain_data import Choice, of_kind, plain_data
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr
 
@@ -63,6 +64,57 @@ class Scene(StrictModel):
         return self
 
     _origin: Origin = PrivateAttr(Origin())
+
+    @classmethod
+    def build(cls, *, hamiltonian: Choice, integrator: Choice,
+              initial_state: Mapping[str, Any] | tuple[Any, Any],
+              step_size: float | None = None, effects: Sequence[Choice] = (),
+              events: Sequence[Mapping[str, Any]] = (),
+              invariants: Sequence[Mapping[str, Any]] = (), on_failure: str = 'substep',
+              mechanism: str | None = None, description: str = '', name: str = 'scene'
+              ) -> 'Scene':
+        """
+        Return a scene without a file, validated as a YAML file is.
+
+        Parameters
+        ----------
+        hamiltonian, integrator : str or mapping
+            As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; a kind alone by its name. A part
+            of another scene will do as well.
+        initial_state : tuple of (q, p), or mapping
+            Coordinates and momenta, in the order and units of the Hamiltonian.
+        step_size : float, optional
+            h [s]; needed unless the integrator is auto.
+        effects : sequence of str or mapping, optional
+            What acts beside H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+        events, invariants : sequence of mapping, optional
+            What is watched for, and what the motion conserves beside H.
+        on_failure : str, optional
+            What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
+        mechanism : str, optional
+            How it is drawn.
+        description : str, optional
+            One line, for titles.
+        name : str, optional
+            Of the scene, by which files of a run are called.
+
+        Raises
+        ------
+        SceneError
+            A part does not fit the schema; names its key, and what is expected.
+
+        """
+        state = dict(zip('qp', initial_state, strict=True)) if isinstance(
+            initial_state, tuple | list) and len(initial_state) == 2 else initial_state
+        data = plain_data({
+            'description': description, 'hamiltonian': of_kind(hamiltonian),
+            'effects': [of_kind(effect) for effect in effects],
+            'integrator': of_kind(integrator), 'step_size': step_size, 'initial_state': state,
+            'on_failure': on_failure, 'events': events, 'invariants': invariants,
+            'mechanism': mechanism})
+        scene = _validated(data, f'Scene.build {name}')
+        scene._origin = Origin(Path(name))
+        return scene
 
     @property
     def source(self) -> Path:
