@@ -62,12 +62,17 @@ setup(
     extras_require={
         # What training and the studies take besides.
         'train': TRAIN,
+        # What figures, tables and completion take besides.
+        'plot': ['matplotlib>=3.8'],
+        'tables': ['pandas>=2.2', 'xarray>=2024.1'],
+        'completion': ['shtab>=1.7'],
         # What `hnn_vi_ros.envs` takes besides.
         'envs': ['gymnasium>=1.1,<2'],
         # What `sweep --ray` takes besides.
         'ray': ['ray>=2.40,<3'],
-        'test': [*TRAIN, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pin>=3.0', 'pytest>=7.4',
-                 'pytest-timeout>=2.1', 'pytest-xdist>=3.5', 'rosbags>=0.10'],
+        'test': [*TRAIN, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pandas>=2.2', 'pin>=3.0',
+                 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5', 'rosbags>=0.10',
+                 'shtab>=1.7', 'xarray>=2024.1'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

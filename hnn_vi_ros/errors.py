@@ -49,6 +49,10 @@ class CalibrationError(HnnViRosError):
     """No method can hold the error that was asked for."""
 
 
+class MissingPackage(HnnViRosError, ImportError):
+    """A Python package is not installed that only what was asked for takes."""
+
+
 class AlarmWarning(UserWarning):
     """A guard found that a run is not to be trusted; see ``Trajectory.alarms``."""
 

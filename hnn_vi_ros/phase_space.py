@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""States and trajectories in the phase space of (q, p)."""
+"""States in the phase space of (q, p), and the names and units of their columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,6 +55,25 @@ def columns(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
     return names
 
 
+def momentum_name(name: str) -> str:
+    """Return the name of the momentum that belongs to a coordinate: q2 has p2, x has p_x."""
+    return f'p{name[1:]}' if name[:1] == 'q' else f'p_{name}'
+
+
+def column_units(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
+    """Return the unit of each column of q and of p."""
+    units: tuple[list[str], list[str]] = [], []
+    for coordinate in coordinates:
+        own = coordinate.q_unit, coordinate.p_unit
+        for target, unit, endings in zip(units, own, _COLUMNS[coordinate.kind], strict=True):
+            target.extend([unit] * len(endings))
+        if coordinate.kind == 'pose':
+            # Behind the position and its momentum: a quaternion, and an angular momentum.
+            units[0][-4:] = ['1'] * 4
+            units[1][-3:] = [f'({own[1]}) {own[0]}'] * 3
+    return units
+
+
 def angle_columns(coordinates: Sequence[Coordinate]) -> np.ndarray:
     """Return for each column of q whether it is an angle, which is the same a turn further."""
     return np.array([coordinate.q_unit == 'rad' for coordinate in coordinates
@@ -103,34 +122,6 @@ class Event:
 
     def __str__(self) -> str:
         return f'{self.when} ({self.direction}) at t = {self.t:.9g} s'
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """
-    The samples of one run.
-
-    Parameters
-    ----------
-    t : np.ndarray, shape (N,)
-        Simulated time [s].
-    q, p : np.ndarray, shape (N, d)
-        Generalised coordinates and conjugate momenta.
-    energy : np.ndarray, shape (N,)
-        H(q, p) [J].
-    alarms : tuple
-        What guards found, the first Alarm of each kind; see guards. Of m trajectories, m tuples.
-    events : tuple of Event
-        What the scene's ``events`` ask for, in the order of time.
-
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    p: np.ndarray
-    energy: np.ndarray
-    alarms: tuple[Any, ...] = ()
-    events: tuple[Event, ...] = ()
 
 
 def momentum_rates(turning: Sequence[int], q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,

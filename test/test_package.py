@@ -55,7 +55,10 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/\w+\.py|studies/\w+\.py',
+    'matplotlib': r'learning/\w+\.py|studies/\w+\.py|run/trajectory\w*\.py',
+    'pandas': r'run/trajectory\w*\.py',
+    'xarray': r'run/trajectory\w*\.py',
+    'shtab': r'commands/completion\.py',
     'tqdm': r'learning/\w+\.py|studies/\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',

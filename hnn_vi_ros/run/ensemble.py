@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 import os
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,9 @@ from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.guards.watch import energies_of, look, show_many, tell, tell_many, Watch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.phase_space import check_state, Trajectory
+from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
+from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
@@ -90,7 +92,8 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     check_count('every', every)
     scene, _ = resolve(_scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
-    trajectory = record_one(watched(build(scene), scene), duration, int(every), times, commands)
+    recorded = record_one(watched(build(scene), scene), duration, int(every), times, commands)
+    trajectory = replace(recorded, scene=scene)
     tell(list(trajectory.alarms), scene.known_step_size)
     return trajectory
 
@@ -134,9 +137,10 @@ def record_one(simulation: Simulation | WatchedSimulation, duration: float, ever
     energies = energies_of(simulation, q, p)
     if simulation.conservative:
         watch.show(simulation, t / simulation.step_size, (q, p), energies)
-    return Trajectory(t, q, p, energies[0], tuple(watch.alarms),
-                      tuple(event for event in getattr(simulation, 'events', ())
-                            if event.t <= t[-1]))
+    return Trajectory(t, q, p, energies[0], simulation.hamiltonian.coordinates,
+                      tuple(watch.alarms), tuple(
+                          event for event in getattr(simulation, 'events', ())
+                          if event.t <= t[-1]))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -267,7 +271,8 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     energies = show_many(
         start(slice(0, 1)), t / scene.step_size, q_all, p_all, alarms)
     tell_many(alarms, scene.step_size)
-    return Trajectory(t, q_all, p_all, energies, tuple(map(tuple, alarms)))
+    return Trajectory(t, q_all, p_all, energies, hamiltonian.coordinates,
+                      tuple(map(tuple, alarms)), scene=scene)
 
 
 def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,

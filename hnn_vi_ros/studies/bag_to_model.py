@@ -18,8 +18,8 @@ from hnn_vi_ros.bags.cdr import decode_float64_multi_array
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.phase_space import Trajectory
 from hnn_vi_ros.run.ensemble import simulate_many
+from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.results import machine

@@ -5,8 +5,8 @@
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.phase_space import Trajectory
 from hnn_vi_ros.run.ensemble import simulate
+from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.studies import arguments
 import numpy as np

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.phase_space import Trajectory
+from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.sweeps.definition import Reduction

@@ -10,9 +10,10 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look, show_many
-from hnn_vi_ros.phase_space import Event, Trajectory
+from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.run.ensemble import record_one, watch_of_block
 from hnn_vi_ros.run.recorders import recorders
+from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
@@ -176,7 +177,7 @@ class Runner:
                 for half in (found.q, found.p))
         t = found.t[kept]
         return [Rows(indices, rows, len(t), np.tile(t, len(rows)), q, p,
-                     found.energy[kept].T.ravel(), found.alarms)]
+                     found.energy[kept].T.ravel(), [_kinds(own) for own in found.alarms])]
 
     def _try(self, made: '_Made', index: int, row: tuple[Any, ...], found: '_Path') -> Rows:
         try:
@@ -186,13 +187,14 @@ class Runner:
 
     def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: '_Path') -> Rows:
         sweep, kept = self._plan.sweep, self._kept
-        trajectory = Trajectory(found.t, found.q, found.p, found.energy, tuple(found.alarms),
-                                found.events)
+        trajectory = Trajectory(
+            found.t, found.q, found.p, found.energy, made.parts.hamiltonian.coordinates,
+            tuple(found.alarms), found.events, made.parts.scene)
         measured = measure(sweep.statistics, trajectory, made.parts, sweep.duration)
         if self._reducer is not None:
             measured |= self._reducer(trajectory)
         return Rows([index], [row], len(found.t[kept]), found.t[kept], found.q[kept],
-                    found.p[kept], found.energy[kept], [found.alarms], measured)
+                    found.p[kept], found.energy[kept], [_kinds(found.alarms)], measured)
 
     def _failed(self, index: int, row: tuple[Any, ...], problem: Exception) -> Rows:
         q, p = (np.full((1, len(names)), np.nan) for names in self._plan.names.values())
@@ -202,7 +204,7 @@ class Runner:
 
 
 class _Path(NamedTuple):
-    """A trajectory, or several in lockstep, with the kinds of their alarms."""
+    """A trajectory, or several in lockstep, with their alarms."""
 
     t: np.ndarray
     q: np.ndarray
@@ -261,14 +263,14 @@ class _Made:
         # Of one, whose energy is looked at in place of all.
         one = self._begin('first', q[:1], p[:1], indices[0])
         energy = show_many(one, t / simulation.step_size, q_all, p_all, alarms)
-        return _Path(t, q_all, p_all, energy, [_kinds(own) for own in alarms])
+        return _Path(t, q_all, p_all, energy, alarms)
 
     def alone(self, index: int, row: tuple[Any, ...]) -> _Path:
         """Return one trajectory, with noise and events of its own."""
         q, p = self.states([row])
         found = record_one(self._begin('alone', q[0], p[0], index), self._plan.sweep.duration,
                            self._every)
-        return _Path(found.t, found.q, found.p, found.energy, _kinds(found.alarms), found.events)
+        return _Path(found.t, found.q, found.p, found.energy, list(found.alarms), found.events)
 
     def _begin(self, name: str, q: np.ndarray, p: np.ndarray, stream: int) -> Any:
         """Return a simulation in an initial state; a stream of noise for each index."""

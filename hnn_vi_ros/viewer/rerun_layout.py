@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.mechanisms.parts import Line, Part
-from hnn_vi_ros.phase_space import columns, Coordinate
+from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name
 from hnn_vi_ros.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
 import rerun as rr
@@ -18,11 +18,6 @@ BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245
 TIMING = {'/timing/microseconds_per_step': ['step time, median [us]', 'step time, p99 [us]'],
           '/timing/real_time_factor': ['real-time factor']}
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
-
-
-def momentum_name(name: str) -> str:
-    """Return the name of the momentum that belongs to a coordinate: q2 has p2, x has p_x."""
-    return f'p{name[1:]}' if name[:1] == 'q' else f'p_{name}'
 
 
 def phase_path(coordinate: Coordinate) -> str:
@@ -58,10 +53,11 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
     second = {} if conservative else {'/energy/work': ['work W [J]']}
     if conservative and modified:
         second = {'/energy/modified': ['modified H [J]']}
+    (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
     return {
-        '/state/q': [f'{name} [{c.q_unit}]' for c in coordinates for name in columns([c])[0]],
-        '/state/p': [f'{momentum_name(name)} [{c.p_unit}]'
-                     for c in coordinates for name in columns([c])[1]],
+        '/state/q': [f'{name} [{unit}]' for name, unit in zip(q_names, q_units, strict=True)],
+        '/state/p': [f'{momentum_name(name)} [{unit}]'
+                     for name, unit in zip(p_names, p_units, strict=True)],
         '/energy/H': ['H [J]'],
         **second,
         '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
