@@ -41,6 +41,7 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(exclude=['test', 'test.*']),
+    package_data={NAME: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),

@@ -9,13 +9,16 @@ from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
     from hnn_vi_ros.run.ensemble import simulate, simulate_many
-    from hnn_vi_ros.scene import load_scene
+    from hnn_vi_ros.run.trajectory import Trajectory
+    from hnn_vi_ros.scene import load_scene, Scene
     from hnn_vi_ros.sweeps.sweep import sweep
 
-__all__ = ['__version__', 'load_scene', 'simulate', 'simulate_many', 'sweep']
+__all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
+           'sweep']
 
 _HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.run.ensemble',
-          'simulate_many': 'hnn_vi_ros.run.ensemble', 'sweep': 'hnn_vi_ros.sweeps.sweep'}
+          'simulate_many': 'hnn_vi_ros.run.ensemble', 'sweep': 'hnn_vi_ros.sweeps.sweep',
+          'Scene': 'hnn_vi_ros.scene', 'Trajectory': 'hnn_vi_ros.run.trajectory'}
 
 
 def __getattr__(name: str) -> object:
@@ -23,3 +26,8 @@ def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    # For completion, which would not offer what is imported on first use.
+    return sorted({*globals(), *_HOMES})

@@ -9,6 +9,7 @@ import re
 import sys
 from xml.etree import ElementTree
 
+import hnn_vi_ros
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.version import __version__
@@ -170,6 +171,12 @@ def test_version_is_the_same_everywhere():
     assert manifest.findtext('version') == __version__
     assert setup is not None and setup.group(1) == __version__
     assert changelog is not None and changelog.group(1) == __version__
+
+
+def test_public_names_are_complete_on_tab_and_typed():
+    assert set(hnn_vi_ros.__all__) <= set(dir(hnn_vi_ros))
+    assert all(getattr(hnn_vi_ros, name) is not None for name in hnn_vi_ros.__all__)
+    assert (PACKAGE / 'py.typed').is_file()
 
 
 def test_every_executable_names_a_function_of_cli():
