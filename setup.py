@@ -5,12 +5,32 @@
 from itertools import groupby
 import os
 from pathlib import Path
+import sys
 
 from setuptools import find_packages, setup
 
 NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
 TRAIN = ['matplotlib>=3.8', 'torch>=2.3,<3', 'tqdm>=4.60']
+
+# What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
+FOR_ROS = [
+    'bag_to_model = hnn_vi_ros.cli:bag_to_model',
+    'evaluate = hnn_vi_ros.cli:evaluate',
+    'hard_cases = hnn_vi_ros.cli:hard_cases',
+    'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
+    'listener = hnn_vi_ros.cli:listener',
+    'paper_figures = hnn_vi_ros.cli:paper_figures',
+    'published_tables = hnn_vi_ros.cli:published_tables',
+    'recover_bag = hnn_vi_ros.cli:recover_bag',
+    'replay = hnn_vi_ros.cli:replay',
+    'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
+    'scene = hnn_vi_ros.cli:scene',
+    'simulator = hnn_vi_ros.cli:simulator',
+    'sweep = hnn_vi_ros.cli:sweep',
+    'train = hnn_vi_ros.cli:train',
+    'work_precision = hnn_vi_ros.cli:work_precision',
+]
 
 
 def shipped(*patterns: str) -> list[tuple[str, list[str]]]:
@@ -35,6 +55,11 @@ def script_options() -> dict[str, dict[str, str]]:
     # `colcon build --symlink-install` runs setuptools' develop, which knows only this variable.
     os.environ['__PYVENV_LAUNCHER__'] = str(interpreter)
     return {'build_scripts': {'executable': str(interpreter)}}
+
+
+def built_by_colcon() -> bool:
+    """Tell whether setup.cfg says where executables go: it does not for the wheels of pip."""
+    return not {'install', 'develop'}.isdisjoint(sys.argv)
 
 
 setup(
@@ -83,23 +108,9 @@ setup(
     description='Run a learned Hamiltonian as a ROS 2 node, stepped by a variational integrator.',
     license='Apache-2.0',
     options=script_options(),
-    entry_points={
-        'console_scripts': [
-            'bag_to_model = hnn_vi_ros.cli:bag_to_model',
-            'evaluate = hnn_vi_ros.cli:evaluate',
-            'hard_cases = hnn_vi_ros.cli:hard_cases',
-            'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
-            'listener = hnn_vi_ros.cli:listener',
-            'paper_figures = hnn_vi_ros.cli:paper_figures',
-            'published_tables = hnn_vi_ros.cli:published_tables',
-            'recover_bag = hnn_vi_ros.cli:recover_bag',
-            'replay = hnn_vi_ros.cli:replay',
-            'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
-            'scene = hnn_vi_ros.cli:scene',
-            'simulator = hnn_vi_ros.cli:simulator',
-            'sweep = hnn_vi_ros.cli:sweep',
-            'train = hnn_vi_ros.cli:train',
-            'work_precision = hnn_vi_ros.cli:work_precision',
-        ],
-    },
+    entry_points={'console_scripts': [
+        # One name where pip puts it, in bin/; those of ROS are too generic to stand there.
+        'hnn = hnn_vi_ros.cli:main',
+        *(FOR_ROS if built_by_colcon() else ()),
+    ]},
 )

@@ -14,6 +14,8 @@ import time
 from types import FrameType
 from typing import NoReturn
 
+from hnn_vi_ros.command_line import call_by_hnn, called
+from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
 
@@ -37,81 +39,95 @@ _ONE_INTERRUPT = 1.0
 _INTERRUPTED = 128 + signal.SIGINT
 
 
+def main() -> NoReturn:
+    """Run ``hnn``: one command for all executables, and for what needs no ROS."""
+    call_by_hnn()
+    word = sys.argv[1] if len(sys.argv) > 1 else '--help'
+    name = word.replace('-', '_')
+    if name in COMMANDS:
+        _run(name, sys.argv[2:])
+    guard_streams()
+    try:
+        status = refuse(word)
+    except SystemExit as end:
+        # From argparse, which has printed help, or the version.
+        status = end.code
+    sys.exit(_with_output('hnn', status))
+
+
 def simulator() -> NoReturn:
     """Run the simulator node."""
-    _run('simulator', 'hnn_vi_ros.ros.simulator_node')
+    _run('simulator')
 
 
 def listener() -> NoReturn:
     """Run the example subscriber."""
-    _run('listener', 'hnn_vi_ros.ros.listener_node')
+    _run('listener')
 
 
 def recover_bag() -> NoReturn:
     """Make interrupted recordings whole."""
-    _run('recover_bag', 'hnn_vi_ros.bags.recover_bag')
+    _run('recover_bag')
 
 
 def replay() -> NoReturn:
     """Publish a bag, or verify it."""
-    _run('replay', 'hnn_vi_ros.ros.replay_node')
+    _run('replay')
 
 
 def rerun_bridge() -> NoReturn:
     """Show a running simulator or a bag in rerun."""
-    _run('rerun_bridge', 'hnn_vi_ros.ros.rerun_bridge')
+    _run('rerun_bridge')
 
 
 def train() -> NoReturn:
     """Train a Hamiltonian neural network."""
-    _run('train', 'hnn_vi_ros.learning.train')
+    _run('train')
 
 
 def sweep() -> NoReturn:
     """Simulate a scene for many parameters and initial states."""
-    # Bags are made of messages of ROS, which no other sweep takes.
-    bags = {'mcap', '--episodes=mcap'} & set(sys.argv)
-    _run('sweep', f'hnn_vi_ros.{"ros.episode_bags" if bags else "sweeps.sweep"}')
+    _run('sweep')
 
 
 def evaluate() -> NoReturn:
     """Judge a model or a scene by measured motions."""
-    _run('evaluate', 'hnn_vi_ros.learning.evaluate')
+    _run('evaluate')
 
 
 def import_checkpoint() -> NoReturn:
     """Turn a network of the original HNN code into a model."""
-    _run('import_checkpoint', 'hnn_vi_ros.learning.import_checkpoint')
+    _run('import_checkpoint')
 
 
 def bag_to_model() -> NoReturn:
     """Record the double pendulum, train on the bag, simulate what was learned."""
-    _run('bag_to_model', 'hnn_vi_ros.studies.bag_to_model')
+    _run('bag_to_model')
 
 
 def paper_figures() -> NoReturn:
     """Regenerate the figures of the paper."""
-    _run('paper_figures', 'hnn_vi_ros.studies.paper_figures')
+    _run('paper_figures')
 
 
 def published_tables() -> NoReturn:
     """Measure our models where published ones were measured."""
-    _run('published_tables', 'hnn_vi_ros.studies.published_tables')
+    _run('published_tables')
 
 
 def work_precision() -> NoReturn:
     """Measure what accuracy costs."""
-    _run('work_precision', 'hnn_vi_ros.studies.work_precision')
+    _run('work_precision')
 
 
 def hard_cases() -> NoReturn:
     """Run the fourteen hard cases."""
-    _run('hard_cases', 'hnn_vi_ros.studies.hard_cases')
+    _run('hard_cases')
 
 
 def scene() -> NoReturn:
     """Check, list or explain scenes."""
-    _run('scene', 'hnn_vi_ros.studies.scene_tool')
+    _run('scene')
 
 
 def _choose_cache() -> None:
@@ -138,16 +154,16 @@ def _merge_interrupts() -> None:
     signal.signal(signal.SIGINT, on_signal)
 
 
-def _answer_at_once(name: str, module: str, argv: Sequence[str]) -> None:
+def _answer_at_once(name: str, argv: Sequence[str]) -> None:
     """Exit if help or the version is asked for: that takes none of the module's libraries."""
     asked = [word for word in argv if word in ('-h', '--help', '--version')]
     if asked:
-        package = module.rpartition('.')[0]
-        getattr(import_module(f'{package}.arguments'), name)().parse_args(asked[:1])
+        parser_of(name).parse_args(asked[:1])
 
 
-def _run(name: str, module: str) -> NoReturn:
-    """Call ``main(argv)`` of a module, and exit; whatever else it prints, errors are one line."""
+def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
+    """Call the ``main`` of an executable, and exit; whatever it prints, errors are one line."""
+    argv, shown = list(sys.argv[1:] if argv is None else argv), called(name)
     _merge_interrupts()
     guard_streams()
     # The viewer's library would write lines of its own to standard error.
@@ -157,33 +173,33 @@ def _run(name: str, module: str) -> NoReturn:
         # Libraries look it up while they are imported.
         os.getcwd()
     except FileNotFoundError:
-        sys.exit(f'{name}: the working directory was removed; change to one that exists')
+        sys.exit(f'{shown}: the working directory was removed; change to one that exists')
     try:
-        status = _call(name, module)
+        status = _call(name, argv, shown)
     except SystemExit as end:
         # From argparse, which has printed help, or what is wrong.
         status = end.code
     for number in ENDING:
         # Nothing is to interrupt the end, that of the interpreter included.
         signal.signal(number, signal.SIG_IGN)
-    sys.exit(_with_output(name, status))
+    sys.exit(_with_output(shown, status))
 
 
-def _call(name: str, module: str) -> int | str | None:
+def _call(name: str, argv: list[str], shown: str) -> int | str | None:
     """Return the status of a module's ``main``; of an error that a user can mend, one line."""
     try:
-        _answer_at_once(name, module, sys.argv[1:])
+        _answer_at_once(name, argv)
         # Libraries in C turn an interrupt of their import into errors of their own.
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
-        found = import_module(module)
+        found = import_module(module_of(name, argv))
         _merge_interrupts()
-        return found.main(sys.argv[1:])
+        return found.main(argv)
     except HnnViRosError as problem:
-        return f'{name}: {problem}'
+        return f'{shown}: {problem}'
     except ModuleNotFoundError as problem:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
-        return f'{name}: {_missing(problem.name.partition(".")[0])}'
+        return f'{shown}: {_missing(problem.name.partition(".")[0])}'
     except KeyboardInterrupt:
         return _INTERRUPTED
 

@@ -27,7 +27,7 @@ FLOORS = (
     'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
     'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
     'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'sweeps', 'envs',
-    'studies', 'ros', 'cli', '__init__')
+    'studies', 'ros', 'commands', 'cli', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):

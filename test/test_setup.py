@@ -51,6 +51,18 @@ def test_setup_packages_leave_the_tests_out(run_setup):
     assert all(package.partition('.')[0] == 'hnn_vi_ros' for package in packages)
 
 
+@pytest.mark.parametrize('words, generic', [
+    (['egg_info', 'build', 'install', '--record', 'install.log'], True),
+    (['develop', '--editable', '--no-deps'], True),
+    (['bdist_wheel'], False), (['dist_info'], False), (['editable_wheel'], False)])
+def test_only_what_ros_finds_by_the_package_has_generic_names(
+        run_setup, monkeypatch, words, generic):
+    monkeypatch.setattr('sys.argv', ['setup.py', *words])
+    names = {row.partition(' = ')[0] for row in run_setup()['entry_points']['console_scripts']}
+    assert 'hnn' in names and ('train' in names) == generic
+    assert generic or names == {'hnn'}
+
+
 def test_executables_run_the_python_of_an_activated_environment(run_setup, monkeypatch, tmp_path):
     interpreter = tmp_path / 'bin' / 'python3'
     interpreter.parent.mkdir()

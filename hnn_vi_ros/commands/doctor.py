@@ -1,0 +1,135 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tell what is installed here, and what does not work and why."""
+
+from collections.abc import Iterator
+from importlib import metadata
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import platform
+import shutil
+import sys
+from typing import NamedTuple
+
+from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.files.resources import share_folder, shipped_names
+from hnn_vi_ros.version import __version__
+
+# What is imported, by what it is installed as; what simulating takes, and what some of it takes.
+_NEEDED = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'scipy': 'scipy',
+           'pydantic': 'pydantic', 'yaml': 'PyYAML', 'safetensors': 'safetensors',
+           'mcap': 'mcap', 'contourpy': 'contourpy'}
+_OPTIONAL = {'rerun': ('rerun-sdk', 'the viewer'), 'matplotlib': ('matplotlib', 'figures'),
+             'torch': ('torch', 'training'), 'tqdm': ('tqdm', 'training'),
+             'pandas': ('pandas', 'to_dataframe'), 'xarray': ('xarray', 'to_xarray'),
+             'pyarrow': ('pyarrow', 'sweeps'), 'ray': ('ray', 'sweep --ray'),
+             'shtab': ('shtab', 'completion')}
+
+
+class Finding(NamedTuple):
+    """What was looked at, how it is (``ok``, ``absent`` or ``wrong``), and what there is."""
+
+    what: str
+    state: str
+    text: str
+
+
+def main(argv: list[str]) -> int:
+    """Print a line for each finding; return 1 if one is wrong."""
+    arguments.doctor().parse_args(argv)
+    findings = [*_here(), *_packages(), _kernels(), *_ros(), _viewer()]
+    for finding in findings:
+        print(f'{finding.state:6}  {finding.what:12}  {finding.text}')
+    return int(any(finding.state == 'wrong' for finding in findings))
+
+
+def _here() -> Iterator[Finding]:
+    package = Path(__file__).resolve().parents[1]
+    yield Finding('hnn_vi_ros', 'ok', f'{__version__} in {package}')
+    try:
+        yield Finding('scenes', 'ok', f'{len(shipped_names("scene"))} in {share_folder()}')
+    except FileNotFoundError as problem:
+        yield Finding('scenes', 'wrong', str(problem))
+    good = sys.version_info >= (3, 11)
+    yield Finding('Python', 'ok' if good else 'wrong', f'{platform.python_version()}, '
+                  f'{sys.executable}' + ('' if good else '; take 3.11 or newer'))
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()
+    yield Finding('processor', 'ok', f'{platform.machine()}, {os.cpu_count()} cores, of which '
+                  f'{usable} for this process')
+
+
+def _packages() -> Iterator[Finding]:
+    for module, name in _NEEDED.items():
+        if find_spec(module) is None:
+            yield Finding(name, 'wrong', f'absent; install it with: {_pip(name)}')
+        else:
+            yield Finding(name, 'ok', _version(name))
+    for module, (name, what) in _OPTIONAL.items():
+        if find_spec(module) is None:
+            yield Finding(name, 'absent', f'only for {what}; install it with: {_pip(name)}')
+        else:
+            yield Finding(name, 'ok', _version(name))
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return 'of an unknown version'
+
+
+def _kernels() -> Finding:
+    """Look where compiled code is kept: in the package's own folders, or in that of the user."""
+    package = Path(__file__).resolve().parents[1]
+    chosen = os.environ.get('NUMBA_CACHE_DIR')
+    if chosen:
+        folder = Path(chosen)
+    elif os.access(package, os.W_OK):
+        folder = package
+    else:
+        folder = Path(os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache') \
+            / 'numba'
+    files = [file for suffix in ('nbi', 'nbc') for file in folder.rglob(f'*.{suffix}')] \
+        if folder.is_dir() else []
+    size = sum(file.stat().st_size for file in files) / 1e6
+    there = folder
+    while not there.exists():
+        there = there.parent
+    if not os.access(there, os.W_OK):
+        return Finding('kernel cache', 'wrong', f'{folder} cannot be written: each start compiles '
+                       'anew; set NUMBA_CACHE_DIR to a folder of yours')
+    return Finding('kernel cache', 'ok', f'{len(files)} files, {size:.0f} MB in {folder}')
+
+
+def _ros() -> Iterator[Finding]:
+    found = find_spec('rclpy')
+    if found is None:
+        yield Finding('ROS 2', 'absent', 'only for simulator, replay, listener and rerun_bridge: '
+                      'source ROS 2 Jazzy, or take `make build` of the checkout')
+        return
+    distribution = os.environ.get('ROS_DISTRO', 'not sourced')
+    place = Path(found.origin or '').parent
+    domain = os.environ.get('ROS_DOMAIN_ID', '0')
+    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
+    yield Finding('ROS 2', 'ok', f'{distribution}, rclpy in {place}, domain {domain}, discovery '
+                  f'{reach}')
+    if shutil.which('ros2') is None:
+        yield Finding('ros2', 'absent', 'the command of ROS 2 is not on the PATH; nodes run '
+                      'without it, by hnn simulator')
+
+
+def _viewer() -> Finding:
+    beside = Path(sys.prefix) / 'bin' / 'rerun'
+    found = str(beside) if beside.exists() else shutil.which('rerun')
+    if found is None:
+        return Finding('viewer', 'absent', f'no command rerun; install it with: '
+                       f'{_pip("rerun-sdk")}')
+    shown = os.environ.get('WAYLAND_DISPLAY') or os.environ.get('DISPLAY')
+    text = 'a screen' if shown or sys.platform == 'darwin' else \
+        'no screen here: open recordings elsewhere, or take rerun_sink:=serve'
+    return Finding('viewer', 'ok', f'{found}, {text}')
+
+
+def _pip(name: str) -> str:
+    return f'{sys.executable} -m pip install "{name}"'

@@ -1,0 +1,39 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write a scene file to begin from: a copy of a shipped one, which editors check."""
+
+import re
+
+from hnn_vi_ros.command_line import command
+from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.scene import load_scene
+
+# By which editors find the schema; in a shipped scene it lies beside its folder.
+_SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
+
+
+def main(argv: list[str]) -> int:
+    """Write the file, and print what can be done with it."""
+    options = arguments.new_scene().parse_args(argv)
+    path = options.file if options.file.suffix in ('.yaml', '.yml') else \
+        options.file.with_name(f'{options.file.name}.yaml')
+    scene = load_scene(options.like)
+    schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
+    text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
+    for name, file in scene.model_files().items():
+        # What it names from its own folder is not found from that of the copy.
+        if '/' in name and '://' not in name:
+            text = text.replace(name, str(file.resolve()))
+    try:
+        with path.open('x', encoding='utf-8') as stream:
+            stream.write(text)
+    except FileExistsError as problem:
+        raise ParameterError(f'{path}: exists already; name another file') from problem
+    except OSError as problem:
+        raise ParameterError(f'{path}: cannot be written ({problem.strerror})') from problem
+    print(path)
+    print(f'  change it; check it by: {command(f"scene --check {path}")}')
+    print(f'  run it by: {command(f"run {path}")}')
+    return 0

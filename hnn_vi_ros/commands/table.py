@@ -1,0 +1,77 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What ``hnn`` can do: every executable, and some commands besides."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.errors import did_you_mean
+
+# Each executable, and the module whose ``main(argv)`` it calls.
+EXECUTABLES = {
+    'bag_to_model': 'hnn_vi_ros.studies.bag_to_model',
+    'evaluate': 'hnn_vi_ros.learning.evaluate',
+    'hard_cases': 'hnn_vi_ros.studies.hard_cases',
+    'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
+    'listener': 'hnn_vi_ros.ros.listener_node',
+    'paper_figures': 'hnn_vi_ros.studies.paper_figures',
+    'published_tables': 'hnn_vi_ros.studies.published_tables',
+    'recover_bag': 'hnn_vi_ros.bags.recover_bag',
+    'replay': 'hnn_vi_ros.ros.replay_node',
+    'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
+    'scene': 'hnn_vi_ros.studies.scene_tool',
+    'simulator': 'hnn_vi_ros.ros.simulator_node',
+    'sweep': 'hnn_vi_ros.sweeps.sweep',
+    'train': 'hnn_vi_ros.learning.train',
+    'work_precision': 'hnn_vi_ros.studies.work_precision',
+}
+# What only ``hnn`` has comes first: it is what a user without ROS begins with.
+COMMANDS = {
+    'run': 'hnn_vi_ros.commands.run',
+    'new_scene': 'hnn_vi_ros.commands.new_scene',
+    'doctor': 'hnn_vi_ros.commands.doctor',
+    'completion': 'hnn_vi_ros.commands.completion',
+} | EXECUTABLES
+
+
+def module_of(name: str, argv: Sequence[str]) -> str:
+    """Return the name of the module that does what a command is asked for."""
+    if name == 'sweep' and {'mcap', '--episodes=mcap'} & {*argv}:
+        # Bags are made of messages of ROS, which no other sweep takes.
+        return 'hnn_vi_ros.ros.episode_bags'
+    return COMMANDS[name]
+
+
+def parser_of(name: str) -> Parser:
+    """Return the parser of a command, without the libraries that its work takes."""
+    arguments = import_module(f'{COMMANDS[name].rpartition(".")[0]}.arguments')
+    return getattr(arguments, name)()
+
+
+def hnn() -> Parser:
+    """Return the parser of the one command, whose help tells what there is."""
+    width = max(map(len, COMMANDS))
+    lines = [f'  {name:{width}}  {first_line(parser_of(name))}' for name in COMMANDS]
+    parser = Parser('', 'Simulate learned and exact Hamiltonians with variational integrators.', [
+        'hnn run pendulum --duration 20 --plot pendulum.png', 'hnn scene --list',
+        'hnn train --help', 'hnn doctor'], '\n'.join(['commands:', *lines]))
+    parser.add_argument('command', metavar='COMMAND', help='what to do, see below')
+    parser.add_argument('words', nargs='*', metavar='...', help=(
+        'its own arguments, which hnn COMMAND --help tells'))
+    return parser
+
+
+def first_line(parser: Parser) -> str:
+    """Return the first sentence of what a command does, as far as a line goes."""
+    return ' '.join((parser.description or '').partition('\n\n')[0].split())
+
+
+def refuse(word: str) -> NoReturn:
+    """Print help or the version, if that is the word, or that there is no such command."""
+    parser = hnn()
+    if word.startswith('-'):
+        parser.parse_args([word])
+    parser.error(f'unknown command {word!r}{did_you_mean(word, COMMANDS)}; valid: '
+                 f'{", ".join(COMMANDS)}')

@@ -1,0 +1,143 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The one command: it runs every executable, and what it has besides does what it says."""
+
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from hnn_vi_ros.commands import completion, doctor, new_scene, run
+from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES
+from hnn_vi_ros.errors import MissingPackage, ParameterError
+from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.run.ensemble import simulate
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.version import __version__
+import numpy as np
+import pytest
+
+SETUP = (Path(__file__).resolve().parents[2] / 'setup.py').read_text()
+
+
+def hnn(*words: str) -> subprocess.CompletedProcess:
+    """Run the command; the last line that it prints is what it has imported."""
+    code = ('import atexit, sys; atexit.register(lambda: print(*sys.modules)); '
+            'from hnn_vi_ros.cli import main; main()')
+    return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
+                          timeout=60, check=False)
+
+
+def test_every_executable_is_a_command():
+    assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
+    assert set(COMMANDS) - set(EXECUTABLES) == {'run', 'new_scene', 'doctor', 'completion'}
+
+
+def test_help_tells_all_commands_without_what_they_take():
+    result = hnn('--help')
+    assert (result.returncode, result.stderr) == (0, '')
+    *text, imported = result.stdout.splitlines()
+    assert text[0].startswith('usage: hnn ')
+    assert all(any(line.startswith(f'  {name} ') for line in text) for name in COMMANDS)
+    assert not {'numpy', 'numba', 'rclpy', 'yaml', 'pydantic'} & set(imported.split())
+    assert hnn('--version').stdout.startswith(f'hnn_vi_ros {__version__}\n')
+
+
+@pytest.mark.parametrize('name', ['import-checkpoint', 'run', 'train'])
+def test_help_of_a_command_names_it_as_it_was_called(name):
+    *text, _ = hnn(name, '--help').stdout.splitlines()
+    shown = name.replace('-', '_')
+    assert text[0].startswith(f'usage: hnn {shown} ')
+    assert any(line.startswith(f'  hnn {shown} ') for line in text)
+    assert 'ros2 run' not in '\n'.join(text)
+
+
+@pytest.mark.parametrize('words, status, begin', [
+    (['trian'], 2, "hnn: unknown command 'trian'; did you mean train?; valid: run, "),
+    (['train', '--confg', 'x'], 2, 'hnn train: unknown option --confg; did you mean --config?'),
+    (['run', 'pendulumm'], 1, "hnn run: no scene 'pendulumm'; did you mean pendulum?; shipped: "),
+    (['run', 'kepler', '--duration', '-1'], 1, 'hnn run: duration = -1.0 must be a number of'),
+    (['run', 'kepler', '--csv', '/dev/null'], 1, 'hnn run: --csv /dev/null: exists already'),
+])
+def test_mistake_is_one_line_with_the_command(words, status, begin):
+    result = hnn(*words)
+    assert result.returncode == status
+    assert result.stderr.startswith(begin) and result.stderr.count('\n') == 1
+
+
+def test_model_that_must_be_trained_is_told_with_its_data_and_a_command_that_is_there():
+    result = hnn('run', 'air_track')
+    assert result.returncode == 1 and result.stderr.count('\n') == 1
+    assert 'train it with: hnn train --config air_track --data FILE, which is real_linear_h_1' \
+        in result.stderr
+
+
+def test_run_writes_what_was_asked_for(tmp_path, capsys):
+    files = {name: tmp_path / f'motion.{suffix}' for name, suffix in (
+        ('csv', 'csv'), ('plot', 'png'), ('portrait', 'svg'))}
+    options = [word for name, path in files.items() for word in (f'--{name}', str(path))]
+    assert run.main(['exact_harmonic_oscillator', '--duration', '0.5', *options]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[0].startswith('Trajectory(exact_harmonic_oscillator, ')
+    assert printed.out.splitlines()[1:] == [str(path) for path in files.values()]
+    assert printed.err == '' and all(path.stat().st_size > 0 for path in files.values())
+    header, *_ = files['csv'].read_text().splitlines()
+    trajectory = simulate('exact_harmonic_oscillator', 0.5)
+    assert header == 't,x,p_x,H'
+    # Not a digit is lost.
+    assert np.array_equal(np.loadtxt(files['csv'], delimiter=',', skiprows=1), np.column_stack(
+        [trajectory.t, trajectory.q, trajectory.p, trajectory.energy]))
+    with pytest.raises(ParameterError, match='motion.csv: exists already'):
+        run.main(['exact_harmonic_oscillator', *options])
+    with pytest.raises(ParameterError, match="no folder .*nowhere'; make it first"):
+        run.main(['exact_harmonic_oscillator', '--csv', str(tmp_path / 'nowhere' / 'a.csv')])
+
+
+def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
+    path = tmp_path / 'mine.yaml'
+    assert new_scene.main([str(path.with_suffix('')), '--like', 'kepler']) == 0
+    assert capsys.readouterr().out.startswith(f'{path}\n')
+    assert load_scene(path).model_dump() == load_scene('kepler').model_dump()
+    schema = re.search(r'\$schema=(.*)$', path.read_text(), re.M)[1]
+    assert Path(schema).is_file()
+    # What a scene names beside itself is found from the copy.
+    assert new_scene.main([str(tmp_path / 'arm.yml'), '--like', 'two_joint_arm']) == 0
+    assert load_scene(tmp_path / 'arm.yml').model_digests.keys() == {
+        str(shipped_file('scene', '').parents[1] / 'robots' / 'two_joint_arm.urdf')}
+    with pytest.raises(ParameterError, match='mine.yaml: exists already'):
+        new_scene.main([str(path)])
+
+
+def test_doctor_tells_what_is_here_and_what_is_wrong(capsys, monkeypatch):
+    assert doctor.main([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines} <= {'ok', 'absent'}
+    assert any(re.match(rf'ok +hnn_vi_ros +{re.escape(__version__)} in /', line)
+               for line in lines)
+    assert any(re.match(r'ok +kernel cache +\d+ files, ', line) for line in lines)
+    real = doctor.find_spec
+    monkeypatch.setattr(doctor, 'find_spec', lambda name: None if name == 'numba' else real(name))
+    assert doctor.main([]) == 1
+    assert re.search(r'^wrong +numba +absent; install it with: .* -m pip install "numba"$',
+                     capsys.readouterr().out, re.M)
+
+
+def test_completion_offers_commands_options_and_scenes(tmp_path, capsys):
+    pytest.importorskip('shtab')
+    assert completion.main(['bash']) == 0
+    script = tmp_path / 'hnn'
+    script.write_text(capsys.readouterr().out)
+
+    def offered(*words: str) -> list[str]:
+        code = (f'source {script}; COMP_WORDS=({" ".join(words)} ""); '
+                f'COMP_CWORD={len(words)}; _shtab_hnn; printf "%s\\n" "${{COMPREPLY[@]}}"')
+        return subprocess.run(['bash', '-c', code], capture_output=True, text=True, timeout=60,
+                              check=True, cwd=tmp_path).stdout.split()
+    assert set(COMMANDS) <= set(offered('hnn'))
+    assert set(shipped_names('scene')) <= set(offered('hnn', 'run'))
+
+
+def test_completion_without_its_package_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'shtab', None)
+    with pytest.raises(MissingPackage, match='completion takes .* -m pip install "shtab"'):
+        completion.main(['zsh'])
