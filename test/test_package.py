@@ -14,6 +14,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.version import __version__
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'hnn_vi_ros'
@@ -168,7 +169,8 @@ def test_version_is_the_same_everywhere():
     manifest = ElementTree.parse(ROOT / 'package.xml').getroot()
     setup = re.search(r"version='(.*)'", (ROOT / 'setup.py').read_text())
     changelog = re.search(r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.M)
-    assert manifest.findtext('version') == __version__
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text())
+    assert manifest.findtext('version') == citation['version'] == __version__
     assert setup is not None and setup.group(1) == __version__
     assert changelog is not None and changelog.group(1) == __version__
 
