@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.marks import is_own
 import numpy as np
@@ -158,6 +159,11 @@ class Integrator(ABC):
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspaces of a step of n coordinates, none for no such; see workspaces."""
         return ()
+
+    @property
+    def partitioned(self) -> PartitionedTableau | None:
+        """Return the step as a partitioned Runge-Kutta method, for derivatives; None if none."""
+        return None
 
     def substep(self) -> 'Integrator | None':
         """Return the symmetric method of which a failed step is made anew, None for no such."""

@@ -10,6 +10,7 @@ from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.partitioned import in_sequence, PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
@@ -84,6 +85,12 @@ class Composition(Integrator):
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the equations of the base."""
         return self.base.unknowns(n)
+
+    @property
+    def partitioned(self) -> PartitionedTableau | None:
+        """Return the stages of the base's steps, one step after another; see Integrator."""
+        base = self.base.partitioned
+        return None if base is None else in_sequence(base, self.fractions)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspaces of the base, and a point between two steps; see Integrator."""

@@ -4,6 +4,7 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -29,6 +30,11 @@ class ExplicitEuler(Integrator):
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return no options: nothing is solved."""
         return ()
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stage, the state before; see Integrator."""
+        return tableau([[0]], [[0]], [1], [1])
 
     @staticmethod
     @inlined

@@ -9,6 +9,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.workspaces import SolverWork
@@ -158,6 +159,12 @@ class Gauss(ImplicitIntegrator):
         (size,) = self.unknowns(n)
         kept = StageSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype))
         return (GaussWork(kept, SolverWork.empty(size, dtype), np.zeros(size, dtype)),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stages, those of q and of p the same; see Integrator."""
+        matrix, weights, _ = gauss_tableau(self.stages)
+        return PartitionedTableau(matrix, matrix, weights, weights)
 
     @staticmethod
     @inlined

@@ -8,6 +8,7 @@ from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import leapfrog_energy
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
@@ -58,6 +59,12 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         """Return the workspaces of the two equations; see Integrator."""
         first, second = (EquationWork.empty(n, dtype) for _ in range(2))
         return first, HalfwayWork(*second, *np.zeros((2, n), dtype))
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stages (q_n, p_half), (q_(n+1), p_half); see Integrator."""
+        return tableau([[0.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]], [0.5, 0.5],
+                       [0.5, 0.5])
 
     @staticmethod
     @inlined

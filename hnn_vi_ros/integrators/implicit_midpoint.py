@@ -9,6 +9,7 @@ from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.modified import midpoint_energy
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
@@ -74,6 +75,11 @@ class ImplicitMidpoint(ImplicitIntegrator):
         """Return the workspace of the equation; see Integrator."""
         return (MidpointWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
                              *np.zeros((2, 2 * n), dtype)),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stage, the midpoint; see Integrator."""
+        return tableau([[0.5]], [[0.5]], [1], [1])
 
     @staticmethod
     @inlined

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -54,6 +55,13 @@ class RK4(Integrator):
     def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
         """Return space for a stage and the sum over stages; see Integrator."""
         return (StageWork(*np.zeros((4, n), dtype)),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its four stages; see Integrator."""
+        matrix = np.diag([0.5, 0.5, 1.0], -1)
+        weights = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+        return PartitionedTableau(matrix, matrix, weights, weights)
 
     @staticmethod
     @inlined

@@ -5,6 +5,7 @@
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.modified import leapfrog_energy
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -60,6 +61,12 @@ class StormerVerlet(Integrator):
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return no options: nothing is solved."""
         return ()
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stages (q_n, p_half), (q_(n+1), p_half); see Integrator."""
+        return tableau([[0.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]], [0.5, 0.5],
+                       [0.5, 0.5])
 
     @staticmethod
     @inlined

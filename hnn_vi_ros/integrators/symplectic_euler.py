@@ -7,6 +7,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Point
 from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -38,6 +39,11 @@ class SymplecticEuler(ImplicitIntegrator):
     def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
         """Return the workspace of the equation; see Integrator."""
         return (EquationWork.empty(n, dtype),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stage (q_n, p_(n+1)); see Integrator."""
+        return tableau([[0]], [[1]], [1], [1])
 
     @staticmethod
     @inlined

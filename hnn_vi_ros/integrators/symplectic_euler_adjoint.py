@@ -8,6 +8,7 @@ from hnn_vi_ros.integrators.base import Point
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -38,6 +39,11 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
     def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
         """Return the workspace of the equation; see Integrator."""
         return (EquationWork.empty(n, dtype),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stage (q_(n+1), p_n); see Integrator."""
+        return tableau([[1]], [[0]], [1], [1])
 
     @staticmethod
     @inlined
