@@ -1,0 +1,325 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs whose derivatives are known: the exact ones of the steps that were taken."""
+
+from collections.abc import Callable, Iterator, Sequence
+import math
+from typing import Any, NamedTuple, Protocol
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, Joined, Place
+from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import method_name, methods_that
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau
+from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.run.ensemble import BLOCK
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.stages import entry_of, find_stages, pull_back, push_forward, StageWork
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+
+# A central difference of order 6 with this share of a number as its spacing: what is cut off is
+# some 1e-15 for powers of the number, and rounding 1e-13.
+_SPACING, _WEIGHTS = 2e-3, (3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0)
+
+
+class Dependence(Protocol):
+    """How H' depends on something that is no state, at states one after another, (N,) each."""
+
+    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the gradient by it of the sum of weights, shape (2, N), times (H_q, H_p)."""
+
+    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return how (H_q, H_p) change, shape (2, N), where it changes so."""
+
+
+class _OnNumber:
+    """A dependence on a number, by the derivative of (H_q, H_p) with respect to it."""
+
+    def __init__(self, slope: Callable[[np.ndarray, np.ndarray], np.ndarray]):
+        self._slope = slope
+
+    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return a number, shape (); see Dependence."""
+        return np.array((weights * self._slope(q, p)).sum())
+
+    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return the change; see Dependence."""
+        return change * self._slope(q, p)
+
+
+class _Segment(NamedTuple):
+    """Steps that follow one another, of a block of trajectories, and where they begin."""
+
+    first: int
+    count: int
+    snapshot: dict[str, np.ndarray]
+
+
+class DifferentiableRun:
+    """
+    A run of some trajectories, and products of its derivatives with vectors.
+
+    Its states are those of a Simulation, bit by bit, of blocks of trajectories as those of
+    ``simulate_many``. Each step is differentiated as it was taken, by the implicit function
+    theorem (see stages): what comes out is the derivative of the discrete trajectory, to
+    round-off, not an approximation of that of the flow.
+
+    Of N steps only sqrt(N) snapshots are kept. A product takes the steps between two of them once
+    more, bit by bit, so memory grows by the square root of the time.
+
+    Parameters
+    ----------
+    hamiltonian, integrator, step_size, effects
+        As of Simulation. A step that fails ends the run: one taken in parts would be another map.
+
+    Raises
+    ------
+    UnsupportedSystem
+        The method or an effect is not differentiable yet; names those that are.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VI.4, on
+    the tangents of symplectic methods. J. Sanz-Serna, Symplectic Runge-Kutta schemes for adjoint
+    equations, automatic differentiation, optimal control, and more, SIAM Review 58 (2016).
+    A. Griewank, A. Walther, Evaluating Derivatives, 2008, chapter 12, on checkpoints.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
+                 effects: Sequence[Effect] = ()):
+        self._tableau = _differentiable(hamiltonian, integrator, effects)
+        self._h, self._d = float(step_size), hamiltonian.dimension
+        self._kernel = System(hamiltonian, effects, integrator).kernel
+        self._work = StageWork.empty(self._tableau.stages, self._d)
+        self._arguments = hamiltonian, integrator, self._h
+        self._effects = list(effects)
+        self._simulation: Simulation | None = None
+        self._entries: dict[Callable[..., int], Callable[..., int]] = {}
+
+    def record(self, z: np.ndarray, samples: int, every: int = 1) -> np.ndarray:
+        """
+        Take samples every so many steps, from initial states on.
+
+        Parameters
+        ----------
+        z : np.ndarray, shape (m, 2 d)
+            (q, p) of m trajectories.
+        samples, every : int
+            How many, and steps from one to the next.
+
+        Returns
+        -------
+        np.ndarray, shape (samples + 1, m, 2 d)
+            (q, p) at the initial states and at the samples.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite.
+        ValueError
+            The states are not usable.
+
+        """
+        steps = samples * every
+        self._every, self._z = every, z.copy()
+        stride = max(1, math.isqrt(steps))
+        self._blocks: list[tuple[slice, list[_Segment]]] = []
+        sampled = np.empty((samples + 1, *z.shape))
+        sampled[0] = z
+        for a in range(0, len(z), BLOCK):
+            block = slice(a, a + BLOCK)
+            simulation, segments = self._start(block), []
+            for first in range(0, steps, stride):
+                segment = _Segment(first, min(stride, steps - first), simulation.snapshot())
+                states = np.concatenate(simulation.record(segment.count, 1), axis=2)
+                inside, at = self._samples_in(segment)
+                sampled[at, block] = states[inside]
+                segments.append(segment)
+            self._blocks.append((block, segments))
+        return sampled
+
+    def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = ()
+                  ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """
+        Return the gradient of what depends on the samples of the last run.
+
+        Parameters
+        ----------
+        cotangents : np.ndarray, shape (samples + 1, m, 2 d)
+            Its gradient by each of them.
+        dependences : sequence of Dependence
+            On what else its gradient is asked for; see ``on_step_size`` and ``on_number``.
+
+        Returns
+        -------
+        tuple of (np.ndarray, list of np.ndarray)
+            The gradient by the initial states, shape (m, 2 d), and by each of those.
+
+        """
+        gradient, others = cotangents[0].copy(), [np.zeros(()) for _ in dependences]
+        for block, segments in self._blocks:
+            simulation = self._start(block)
+            following = np.zeros_like(gradient[block])
+            for segment in reversed(segments):
+                stages = self._stages(simulation, segment)
+                local = np.zeros((segment.count + 1, *following.shape))
+                inside, at = self._samples_in(segment)
+                local[1 + inside] = cotangents[at, block]
+                local[-1] += following
+                directions = np.empty_like(stages)
+                self._call(pull_back, segment, stages, local, directions)
+                following = local[0]
+                states, weights = self._halves(stages), self._halves(directions)
+                others = [total + dependence.contracted(*states, weights)
+                          for total, dependence in zip(others, dependences, strict=True)]
+            gradient[block] += following
+        return gradient, [np.asarray(total) for total in others]
+
+    def push_forward(self, tangents: np.ndarray,
+                     changes: Sequence[tuple[Dependence, np.ndarray]] = ()) -> np.ndarray:
+        """
+        Return how the samples of the last run change, shape (samples + 1, m, 2 d).
+
+        Parameters
+        ----------
+        tangents : np.ndarray, shape (m, 2 d)
+            How the initial states change.
+        changes : sequence of (Dependence, np.ndarray)
+            What else changes, and by how much; see ``pull_back``.
+
+        """
+        last = max((segment.first + segment.count for segment in self._blocks[0][1]), default=0)
+        sampled = np.empty((last // self._every + 1, *tangents.shape))
+        sampled[0] = tangents
+        for block, segments in self._blocks:
+            simulation, before = self._start(block), tangents[block]
+            for segment in segments:
+                stages = self._stages(simulation, segment)
+                local = np.empty((segment.count + 1, *before.shape))
+                local[0] = before
+                sources = np.zeros((segment.count, len(before), 2, stages.shape[2] // 2))
+                for dependence, change in changes:
+                    both = dependence.changed(*self._halves(stages), change)
+                    sources += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3)
+                self._call(push_forward, segment, stages, sources.reshape(stages.shape), local)
+                inside, at = self._samples_in(segment)
+                sampled[at, block] = local[1 + inside]
+                before = local[-1]
+        return sampled
+
+    @property
+    def on_step_size(self) -> Dependence:
+        """Return the dependence on h: of so many steps, so the time at their end changes too."""
+        # In a step H' stands beside h, and nowhere else.
+        return _OnNumber(lambda q, p: _gradient(self._kernel, q, p) / self._h)
+
+    def _start(self, block: slice) -> Simulation:
+        """Return the simulation with its trajectories at the initial states of a block."""
+        q, p = np.split(self._z[block], 2, axis=1)
+        if self._simulation is None:
+            self._simulation = Simulation(*self._arguments, q, p, self._effects, 'stop')
+        else:
+            self._simulation.restart(q, p)
+        return self._simulation
+
+    def _samples_in(self, segment: _Segment) -> tuple[np.ndarray, np.ndarray]:
+        """Return which of the states after a segment's steps are samples, and which samples."""
+        steps = np.arange(segment.first + 1, segment.first + segment.count + 1)
+        inside = np.flatnonzero(steps % self._every == 0)
+        return inside, steps[inside] // self._every
+
+    def _stages(self, simulation: Simulation, segment: _Segment) -> np.ndarray:
+        """Take the steps of a segment once more; return their stages, shape (K, m, 2 s d)."""
+        simulation.restore(segment.snapshot)
+        states = np.empty((segment.count + 1, len(simulation.q), 2 * self._d))
+        states[0] = np.hstack([simulation.q, simulation.p])
+        states[1:] = np.concatenate(simulation.record(segment.count, 1), axis=2)
+        stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
+        self._call(find_stages, segment, states, stages)
+        return stages
+
+    def _call(self, loop: Callable[..., int], segment: _Segment, *arrays: np.ndarray) -> None:
+        """Run a loop of the module stages over the steps of a segment, or raise."""
+        arguments = self._kernel, self._h, self._tableau, *arrays, self._work
+        if loop not in self._entries:
+            self._entries[loop] = entry_of(loop, *arguments)
+        failed = self._entries[loop](*arguments)
+        if failed >= 0:
+            t = (segment.first + failed) * self._h
+            problem = 'its stages are not found again to round-off' if loop is find_stages else \
+                'the matrix of its equation is singular'
+            raise HnnViRosError(f'the step at t = {t:.9g} s has no derivative: {problem}; use a '
+                                'smaller step_size or another integrator')
+
+    def _halves(self, stages: np.ndarray) -> np.ndarray:
+        """Return what stands for q, then for p, of all stages one after another: (2, N)."""
+        s = self._tableau.stages
+        return np.ascontiguousarray(
+            stages.reshape(-1, 2, s * self._d).swapaxes(0, 1)).reshape(2, -1)
+
+
+def on_number(kernel_of: Callable[[float], Kernel], value: float) -> Dependence:
+    """
+    Return the dependence on a number of H, by differences of H' of order 6.
+
+    Parameters
+    ----------
+    kernel_of : callable
+        Returns the kernel of H with another value of the number.
+    value : float
+        The number.
+
+    """
+    spacing = _SPACING * (abs(value) or 1.0)
+    kernels = [(sign * weight / spacing, kernel_of(value + sign * (k + 1) * spacing))
+               for k, weight in enumerate(_WEIGHTS) for sign in (1.0, -1.0)]
+
+    def slope(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return sum(weight * _gradient(kernel, q, p) for weight, kernel in kernels)
+    return _OnNumber(slope)
+
+
+def _gradient(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return (H_q, H_p), shape (2, N)."""
+    both = np.empty((2, q.size))
+    kernel.gradient(kernel.parameters, q, p, *both)
+    return both
+
+
+def _differentiable(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect]
+                    ) -> PartitionedTableau:
+    """Return the tableau of a method, or raise UnsupportedSystem."""
+    tableau = integrator.partitioned
+    if tableau is None:
+        able = methods_that(lambda method: method.partitioned is not None)
+        raise UnsupportedSystem(f'{method_name(integrator)} is not differentiable yet; methods '
+                                f'that are: {able}')
+    if not hamiltonian.canonical:
+        raise UnsupportedSystem('a model of the family symplectic_form is not differentiable yet: '
+                                'its second derivatives are differences')
+    for effect in effects:
+        if effect.place(integrator) is not Place.ENERGY:
+            raise UnsupportedSystem(
+                f'the effect {_kind(effect)} is not differentiable yet; effects that are: '
+                f'{", ".join(_names(lambda kind: issubclass(kind, Joined)))}; leave others out')
+    unknowns = 2 * tableau.stages * hamiltonian.dimension
+    if unknowns > LARGEST_MATRIX:
+        raise UnsupportedSystem(
+            f'{method_name(integrator)} has {tableau.stages} stages of {hamiltonian.dimension} '
+            f'coordinates, {unknowns} unknowns, of which up to {LARGEST_MATRIX} are '
+            'differentiable; take a method of fewer stages')
+    return tableau
+
+
+def _names(are: Callable[[Any], bool]) -> Iterator[str]:
+    return (name for name, kind in EFFECTS.items() if are(kind))
+
+
+def _kind(effect: Effect) -> str:
+    """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
+    return next(_names(lambda kind: type(effect) is kind), type(effect).__name__)
