@@ -27,7 +27,7 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 FLOORS = (
     'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
     'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
-    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'sweeps', 'envs',
+    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'torch', 'sweeps', 'envs',
     'studies', 'ros', 'commands', 'cli', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
@@ -45,7 +45,8 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
-    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py',
+    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
+             r'|torch\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/peers\.py',
     'diffrax': r'studies/peers\.py',

@@ -1,0 +1,241 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulations that torch differentiates: their states, and their derivatives."""
+
+from pathlib import Path
+import re
+import tracemalloc
+
+import hnn_vi_ros
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.integrators.gauss import gauss_tableau
+from hnn_vi_ros.run.ensemble import BLOCK
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.torch import Motion, simulate
+import numpy as np
+import pytest
+import torch
+from torch.autograd import forward_ad
+
+# Of the pendulum: q, p, mass, length, gravity and h; the step is complex, the numbers are not.
+NAMES = ('q', 'p', 'hamiltonian.mass', 'hamiltonian.length', 'hamiltonian.gravity', 'step_size')
+VALUES = (1.3, 0.7, 1.1, 0.9, 9.81, 0.1)
+METHODS = ('variational_euler', 'generalized_leapfrog', 'implicit_midpoint', 'gauss8')
+
+
+@pytest.fixture(scope='module')
+def pendulum() -> Scene:
+    return load_scene('exact_pendulum')
+
+
+def complex_derivatives(method: str, steps: int) -> np.ndarray:
+    """Return d(q, p)/d(VALUES), shape (2, 6), by complex steps through textbook formulas."""
+    tiny = 1e-100
+    # A column for each step.
+    q, p, mass, length, gravity, h = np.array(VALUES)[:, None] + 1j * tiny * np.eye(len(VALUES))
+    inertia, torque = mass * length * length, mass * gravity * length
+    stages = {'implicit_midpoint': 1, 'gauss8': 4}.get(method, 1)
+    matrix, weights, _ = gauss_tableau(stages)
+    for _ in range(steps):
+        if method == 'variational_euler':
+            q = q + h * p / inertia
+            p = p - h * torque * np.sin(q)
+        elif method == 'generalized_leapfrog':
+            half = p - 0.5 * h * torque * np.sin(q)
+            q = q + h * half / inertia
+            p = half - 0.5 * h * torque * np.sin(q)
+        else:
+            Q = np.tile(q, (stages, 1))
+            # Each time the error shrinks to (h omega)^2 / 4 = 0.03 of what it was, or less.
+            for _ in range(14):
+                P = p - h * (matrix @ (torque * np.sin(Q)))
+                Q = q + h * (matrix @ (P / inertia))
+            q, p = q + h * (weights @ (P / inertia)), p - h * (weights @ (torque * np.sin(Q)))
+    return np.array([q.imag, p.imag]) / tiny
+
+
+def run(scene: Scene, method: str, tensors: list[torch.Tensor], steps: int) -> Motion:
+    """Simulate with the numbers VALUES, of which some may be followed."""
+    q, p, *numbers, h = tensors
+    return simulate(scene.with_overrides(integrator=method), q[None], p[None],
+                    duration=steps * float(h.detach()), step_size=h, every=steps,
+                    parameters=dict(zip(NAMES[2:5], numbers, strict=True)))
+
+
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('steps', [10, 1000], ids=['T = 1', 'T = 100'])
+def test_derivatives_are_those_of_complex_steps(pendulum, method, steps, measured):
+    expected = complex_derivatives(method, steps)
+    tensors = [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in VALUES]
+    last = torch.cat(run(pendulum, method, tensors, steps)[1:], dim=1)[-1]
+    backward = np.array([[float(part) for part in torch.autograd.grad(
+        row, tensors, retain_graph=True)] for row in last])
+    columns = []
+    with forward_ad.dual_level():
+        for i in range(len(VALUES)):
+            duals = [forward_ad.make_dual(
+                tensor.detach(), torch.tensor(float(k == i), dtype=torch.float64))
+                for k, tensor in enumerate(tensors)]
+            motion = run(pendulum, method, duals, steps)
+            columns.append([float(forward_ad.unpack_dual(part[-1, 0]).tangent)
+                            for part in motion[1:]])
+    size = abs(expected).max(axis=0)
+    error = max(float((abs(found - expected) / size).max())
+                for found in (backward, np.array(columns).T))
+    measured('error of the derivatives by state, numbers and h, relative',
+             f'{method}, {steps} steps', error, '<= 1e-10')
+    # Rounding of each step, which grows with the square of the time, and that of the differences
+    # by numbers, 1e-13 each.
+    assert error <= 1e-10
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_states_are_those_of_the_simulation_bit_by_bit(pendulum, method):
+    scene = pendulum.with_overrides(integrator=method, step_size=0.05)
+    expected = hnn_vi_ros.simulate(scene, 5.0, every=4, initial_state=([1.3], [0.7]))
+    q0, p0 = torch.tensor([1.3], dtype=torch.float64), torch.tensor([0.7], dtype=torch.float64)
+    motion = simulate(scene, q0.requires_grad_(), p0, duration=5.0, every=4)
+    (motion.q[-1] + motion.p[7]).sum().backward()
+    assert (motion.q.detach().numpy() == expected.q).all()
+    assert (motion.p.detach().numpy() == expected.p).all()
+    assert motion.t.detach().numpy() == pytest.approx(expected.t, rel=1e-15)
+
+
+def test_gradients_of_many_trajectories_are_those_of_each_alone(pendulum):
+    m = BLOCK + 2
+    q0, p0 = torch.from_numpy(np.random.default_rng(0).uniform(-2.0, 2.0, (2, m, 1)))
+
+    def gradient(q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
+        q, p = q.clone().requires_grad_(), p.clone().requires_grad_()
+        motion = simulate(pendulum, q, p, duration=2.0, every=50)
+        # Every sample counts, the first as well.
+        (motion.q.square() + motion.p.sin()).sum().backward()
+        return torch.cat([q.grad, p.grad], dim=-1)
+
+    together = gradient(q0, p0)
+    for i in (0, BLOCK - 1, BLOCK, m - 1):
+        alone = gradient(q0[i], p0[i])
+        assert (together[i] - alone).abs().max() <= 1e-11 * alone.abs().max()
+
+
+# A central difference of order 6: of spacing 1e-3 some 1e-16 is cut off, and 1e-13 rounded.
+OFFSETS = 1e-3 * np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
+DIFFERENCE = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60e-3
+
+
+def learned_run(scene: str, q0: torch.Tensor, weights: dict[str, torch.Tensor]) -> torch.Tensor:
+    """Return q after 1 s of a learned pendulum."""
+    free = load_scene(scene).with_overrides(step_size=0.05)
+    free = free.changed({'hamiltonian': {**free.hamiltonian.model_dump(), 'confine': False}})
+    return simulate(free, q0, torch.full_like(q0, 0.3), duration=1.0, every=20,
+                    parameters=weights).q[-1]
+
+
+def test_gradient_of_a_learned_hamiltonian_is_that_of_differences():
+    q0 = torch.tensor([1.5], dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(learned_run('pendulum', q0, {})[0], q0)
+    values = learned_run('pendulum', 1.5 + torch.from_numpy(OFFSETS)[:, None], {})[:, 0]
+    assert float(gradient) == pytest.approx(float(DIFFERENCE @ values.numpy()), rel=1e-9)
+
+
+@pytest.mark.parametrize('scene', ['pendulum', 'separable_pendulum'])
+def test_gradient_by_weights_is_that_of_differences_and_of_tangents(scene):
+    checkpoint, rng = load_scene(scene).create_hamiltonian().checkpoint, np.random.default_rng(0)
+    prefixes = {'': 'energy'} if checkpoint.card.networks is None else {
+        f'{name}.': name for name in ('potential', 'kinetic')}
+    weights = {f'hamiltonian.{prefix}linear{k + 1}.{part}': torch.from_numpy(array.copy())
+               for prefix, network in prefixes.items()
+               for part, arrays in zip(('weight', 'bias'), checkpoint.networks[network],
+                                       strict=True)
+               for k, array in enumerate(arrays)}
+    directions = {name: torch.from_numpy(rng.normal(size=tensor.shape))
+                  * tensor.abs().mean() for name, tensor in weights.items()}
+    q0 = torch.tensor([1.5], dtype=torch.float64)
+    for tensor in weights.values():
+        tensor.requires_grad_()
+    gradients = torch.autograd.grad(learned_run(scene, q0, weights)[0], list(weights.values()))
+    along = float(sum((gradient * directions[name]).sum()
+                      for name, gradient in zip(weights, gradients, strict=True)))
+    values = [float(learned_run(scene, q0, {
+        name: (tensor + offset * directions[name]).detach() for name, tensor in weights.items()}))
+        for offset in 0.1 * OFFSETS]
+    assert along == pytest.approx(10.0 * float(DIFFERENCE @ values), rel=1e-8)
+    with forward_ad.dual_level():
+        last = learned_run(scene, q0, {name: forward_ad.make_dual(
+            tensor.detach(), directions[name]) for name, tensor in weights.items()})
+        assert float(forward_ad.unpack_dual(last).tangent) == pytest.approx(along, rel=1e-10)
+
+
+def test_number_of_an_effect_that_joins_h_is_followed(tmp_path):
+    text = ('hamiltonian: {kind: free_particle, mass: 2.0}\n'
+            'effects: [{kind: spring, point: [x], anchor: [0.0], stiffness: 3.0}]\n'
+            'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
+            'initial_state: {q: [1.0], p: [0.0]}\n')
+    path = tmp_path / 'spring.yaml'
+    path.write_text(text)
+    names = 'hamiltonian.mass', 'effects.0.stiffness'
+    numbers = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (2.0, 3.0)]
+    one = torch.ones(1, dtype=torch.float64)
+    motion = simulate(path, one, 0.0 * one, duration=2.0, every=20,
+                      parameters=dict(zip(names, numbers, strict=True)))
+    found = torch.autograd.grad(motion.q[-1, 0], numbers)
+    # In each step the midpoint rule turns by theta, with tan(theta / 2) = h omega / 2.
+    mass, stiffness = numbers
+    theta = 2.0 * torch.atan(0.05 * torch.sqrt(stiffness / mass))
+    expected = torch.autograd.grad(torch.cos(20.0 * theta), numbers)
+    for one, other in zip(found, expected, strict=True):
+        assert float(one) == pytest.approx(float(other), rel=1e-11)
+
+
+def test_memory_grows_with_the_square_root_of_the_steps(pendulum):
+    def peak(steps: int) -> int:
+        q0 = torch.ones(1, dtype=torch.float64, requires_grad=True)
+        tracemalloc.start()
+        simulate(pendulum, q0, torch.zeros(1, dtype=torch.float64), duration=0.01 * steps,
+                 every=steps).q[-1].backward()
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    peak(1)
+    least = peak(1)
+    # Four times as much for 16 times the steps.
+    assert peak(16 * 2500) - least <= 6 * (peak(2500) - least)
+
+
+@pytest.mark.parametrize('changes, error, message', [
+    ({'duration': 1.003}, ValueError, 'duration = 1.003 s is 100.3 samples, one every 0.01 s: '),
+    ({'every': 3}, ValueError, 'duration = 1 s is 33.3333 samples, one every 0.03 s: '),
+    ({'q0': torch.zeros(1)}, TypeError, 'q0 is of torch.float32 on cpu: give one of float64'),
+    ({'q0': [0.0]}, TypeError, 'q0 is a list: give a tensor of float64'),
+    ({'q0': torch.zeros(2, dtype=torch.float64)}, ValueError, 'q0 and p0 have shapes '),
+    ({'parameters': {'mass': torch.ones((), dtype=torch.float64)}}, ValueError,
+     "exact_pendulum has no number 'mass'; it has: hamiltonian.mass, hamiltonian.length, "),
+    ({'parameters': {'hamiltonian.mass': torch.ones(1, dtype=torch.float64)}}, ValueError,
+     'hamiltonian.mass has shape \\(1,\\), expected \\(\\): one number'),
+    ({'scene': 'pendulum', 'parameters': {
+        'hamiltonian.linear9.bias': torch.ones(1, dtype=torch.float64)}}, ValueError,
+     "the model has no tensor 'linear9.bias'; it has: linear1.weight, linear1.bias, "),
+    ({'parameters': {'hamiltonian.linear1.bias': torch.ones(1, dtype=torch.float64)}},
+     UnsupportedSystem, 'weights of Pendulum are not differentiable yet: it is not H of a '),
+    ({'scene': 'bouncing_mass'}, UnsupportedSystem, 'the effect impact is not differentiable')])
+def test_what_cannot_be_differentiated_is_refused_by_name(pendulum, changes, error, message):
+    zero = torch.zeros(1, dtype=torch.float64)
+    arguments = {'scene': pendulum, 'q0': zero, 'p0': zero, 'duration': 1.0} | changes
+    with pytest.raises(error, match=message):
+        simulate(**arguments)
+
+
+def test_example_of_the_docs_runs(capsys):
+    text = (Path(__file__).parents[1] / 'docs' / 'gradients.md').read_text(encoding='utf-8')
+    (example,) = re.findall(r'```python\n(.*?)```', text, re.DOTALL)
+    exec(compile(example, 'gradients.md', 'exec'), {})
+    assert len(re.findall('tensor', capsys.readouterr().out)) == 2
+
+
+def test_events_are_refused_by_name(tmp_path, pendulum):
+    path = tmp_path / 'watched.yaml'
+    path.write_text(Path(pendulum.source).read_text() + 'events: [{when: angle = 0}]\n')
+    zero = torch.zeros(1, dtype=torch.float64)
+    with pytest.raises(ValueError, match='events are not differentiable yet: leave those of '):
+        simulate(path, zero, zero, duration=1.0)
