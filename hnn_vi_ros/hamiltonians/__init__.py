@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hamiltonians: analytic ones by name, robots by the kind of their file."""
 
+from hnn_vi_ros.hamiltonians.ball_joint_pendulum import BallJointPendulum
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
@@ -11,10 +12,12 @@ from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
+from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.hamiltonians.tao import Tao
 
 HAMILTONIANS = {
+    'ball_joint_pendulum': BallJointPendulum,
     'double_pendulum': DoublePendulum,
     'fput_chain': FputChain,
     'free_particle': FreeParticle,
@@ -24,6 +27,7 @@ HAMILTONIANS = {
     'henon_heiles': HenonHeiles,
     'kepler': Kepler,
     'pendulum': Pendulum,
+    'quadrotor': Quadrotor,
     'tao': Tao,
 }
 # What a file describes: its argument ``file`` is found from the scene; see scene.

@@ -25,6 +25,26 @@ def check_positive(**values: float) -> None:
             raise ValueError(f'{name} = {value} must be a positive number')
 
 
+def check_not_negative(**values: float) -> None:
+    """
+    Raise unless every value is finite and at least zero.
+
+    Parameters
+    ----------
+    **values : float
+        Constants by the name that the user gave them.
+
+    Raises
+    ------
+    ValueError
+        Names the first constant that is not, with its value.
+
+    """
+    for name, value in values.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise ValueError(f'{name} = {value} must be a finite number of at least 0')
+
+
 def check_finite(**values: float) -> None:
     """
     Raise unless every value is finite.

@@ -32,7 +32,7 @@ UNEVEN = {
 }
 STATES = 20
 # Those that turn have other columns in p than in q: test_rigid_bodies.py.
-FLAT = [name for name in HAMILTONIANS if name not in ('free_rigid_body', 'heavy_top')]
+FLAT = [name for name in HAMILTONIANS if not HAMILTONIANS[name]().rotations]
 
 
 def uneven(name: str) -> Hamiltonian:

@@ -11,31 +11,48 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 BODIES = {'free_rigid_body': HAMILTONIANS['free_rigid_body']([1.0, 1.4, 0.8]),
-          'heavy_top': HAMILTONIANS['heavy_top']([1.0, 1.4, 0.8], 0.7, 0.6, 3.7)}
+          'heavy_top': HAMILTONIANS['heavy_top']([1.0, 1.4, 0.8], 0.7, 0.6, 3.7),
+          'ball_joint_pendulum': HAMILTONIANS['ball_joint_pendulum'](0.7, 0.6, 1.0, 3.7),
+          'quadrotor': HAMILTONIANS['quadrotor'](0.7, [1.0, 1.4, 0.8], 3.7)}
 
 
-def states(count: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """Return random attitudes, shape (count, 4), and momenta, shape (count, 3)."""
+def states(count: int = 5, places: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return random attitudes and momenta, those of so many coordinates before them."""
     rng = np.random.default_rng(7)
-    q = rng.normal(size=(count, 4))
-    return q / np.linalg.norm(q, axis=1, keepdims=True), rng.normal(size=(count, 3))
+    q = rng.normal(size=(count, places + 4))
+    q[:, places:] /= np.linalg.norm(q[:, places:], axis=1, keepdims=True)
+    return q, rng.normal(size=(count, places + 3))
+
+
+def states_of(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return random states of a body."""
+    return states(places=BODIES[name].rotations[0])
 
 
 @pytest.mark.parametrize('name', BODIES)
 def test_body_has_the_energy_of_its_rotation_matrix(name: str):
-    body, (q, p) = BODIES[name], states()
-    expected = np.sum(p * p / (2.0 * np.array([1.0, 1.4, 0.8])), axis=1)
-    if name == 'heavy_top':
-        expected += 0.7 * 0.6 * 3.7 * Rotation.from_quat(q).as_matrix()[:, 2, 2]
-    np.testing.assert_allclose(body.energy(q, p), expected, rtol=1e-14)
-    np.testing.assert_allclose(spatial_momentum(q, p), Rotation.from_quat(q).apply(p), rtol=1e-13)
+    body, (q, p) = BODIES[name], states_of(name)
+    attitudes, turning = Rotation.from_quat(q[:, -4:]), p[:, -3:]
+    inertia = np.array([1.0, 1.4, 0.8])
+    if name == 'ball_joint_pendulum':
+        # A ball about its middle, and by Steiner's theorem about the joint.
+        inertia = 0.4 * 0.7 + 0.7 * 0.6 ** 2 * np.array([1.0, 1.0, 0.0])
+    expected = np.sum(turning * turning / (2.0 * inertia), axis=1)
+    if name == 'quadrotor':
+        expected += np.sum(p[:, :3] ** 2, axis=1) / (2.0 * 0.7) + 0.7 * 3.7 * q[:, 2]
+    elif name != 'free_rigid_body':
+        middle = {'heavy_top': 0.6, 'ball_joint_pendulum': -0.6}[name]
+        expected += 0.7 * 3.7 * attitudes.apply([0.0, 0.0, middle])[:, 2]
+    np.testing.assert_allclose(body.energy(q, p), expected, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(spatial_momentum(q[:, -4:], turning), attitudes.apply(turning),
+                               rtol=1e-13)
 
 
 @pytest.mark.parametrize('name', BODIES)
 def test_body_has_the_derivatives_of_its_energy(name: str):
-    body, (q, p) = BODIES[name], states()
-    v_q, v_p = np.random.default_rng(8).normal(size=(2, 5, 4))
-    spacing, v_p = 1e-6, v_p[:, :3]
+    body, (q, p) = BODIES[name], states_of(name)
+    v_q, v_p = np.random.default_rng(8).normal(size=(2, *q.shape))
+    spacing, v_p = 1e-6, v_p[:, :-1]
     dH_dq, dH_dp = body.gradient(q, p)
     assert dH_dq.shape == q.shape and dH_dp.shape == p.shape
     slope = (body.energy(q + spacing * v_q, p + spacing * v_p)
@@ -53,7 +70,7 @@ def test_body_has_the_derivatives_of_its_energy(name: str):
     ({'inertia': [1.0, 1.0]}, 'inertia has 2 values, expected 3'),
     ({'inertia': [1.0, 0.0, 1.0]}, r'inertia\[1\] = 0.0 must be a positive number'),
     ({'inertia': [1.0, 1.0, 2.5]}, 'no body has a moment of inertia larger than the sum')])
-@pytest.mark.parametrize('name', BODIES)
+@pytest.mark.parametrize('name', [name for name in BODIES if name != 'ball_joint_pendulum'])
 def test_body_refuses_what_is_no_inertia(name: str, arguments: dict, expected: str):
     with pytest.raises(ValueError, match=expected):
         HAMILTONIANS[name](**arguments)
@@ -63,6 +80,16 @@ def test_body_refuses_what_is_no_inertia(name: str, arguments: dict, expected: s
 def test_heavy_top_refuses_a_constant_out_of_range(name: str):
     with pytest.raises(ValueError, match=f'{name} = nan must be a .*number'):
         HAMILTONIANS['heavy_top'](**{name: float('nan')})
+
+
+@pytest.mark.parametrize('name, arguments, expected', [
+    ('quadrotor', {'mass': 0.0}, 'mass = 0.0 must be a positive number'),
+    ('quadrotor', {'gravity': -9.81}, 'gravity = -9.81 must be a finite number of at least 0'),
+    ('quadrotor', {'gravity': float('inf')}, 'gravity = inf must be'),
+    ('ball_joint_pendulum', {'radius': 0.0}, 'radius = 0.0 must be a positive number')])
+def test_body_refuses_a_constant_out_of_range(name: str, arguments: dict, expected: str):
+    with pytest.raises(ValueError, match=expected):
+        HAMILTONIANS[name](**arguments)
 
 
 def test_known_invariants_are_momenta_in_space_and_the_spin_of_a_symmetric_top():
@@ -75,6 +102,14 @@ def test_known_invariants_are_momenta_in_space_and_the_spin_of_a_symmetric_top()
     top = HAMILTONIANS['heavy_top']().known_invariants
     assert top['vertical_momentum'](q, p) == pytest.approx(space[2], rel=1e-13)
     assert top['spin'](q, p) == p[2]
+    hanging = BODIES['ball_joint_pendulum'].known_invariants
+    assert {name: hanging[name](q, p) for name in hanging} == {
+        name: top[name](q, p) for name in top}
+    (q, *_), (p, *_) = states_of('quadrotor')
+    flying = BODIES['quadrotor'].known_invariants
+    assert list(flying) == ['momentum_x', 'momentum_y', 'spin_x', 'spin_y', 'spin_z']
+    np.testing.assert_allclose([function(q, p) for function in flying.values()],
+                               [*p[:2], *Rotation.from_quat(q[3:]).apply(p[3:])], rtol=1e-13)
 
 
 def test_coordinates_of_every_kind_have_their_columns():

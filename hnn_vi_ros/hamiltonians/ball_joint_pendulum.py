@@ -1,0 +1,68 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A ball on a rod that hangs from a ball joint."""
+
+from collections.abc import Callable
+from functools import cached_property
+
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, turning_body_kernel
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+class BallJointPendulum(Hamiltonian):
+    """
+    A spherical pendulum by its attitude: a ball on a rod without mass, on a ball joint.
+
+    H = sum of p_i^2 / (2 I_i) - m g l cos(theta), with p the angular momentum in the frame of the
+    body, theta between the rod and the way down, I_1 = I_2 = m l^2 + I_3 about the joint, and
+    I_3 = 2 m r^2 / 5. The rod is the third axis of the body; the ball is below where that points
+    up. Unlike a point on a sphere it can spin about the rod; without spin it moves like one, as a
+    spherical pendulum of length I_1 / (m l). It conserves its spin p_3 and the vertical part of
+    the angular momentum in space.
+
+    Parameters
+    ----------
+    mass : float
+        m > 0 [kg].
+    length : float
+        l > 0, from the joint to the middle of the ball [m].
+    radius : float
+        r > 0 of the ball [m].
+    gravity : float
+        g > 0 [m/s^2].
+
+    Raises
+    ------
+    ValueError
+        A constant that is not a positive number.
+
+    References
+    ----------
+    L. Landau, E. Lifshitz, Mechanics, sections 14 and 35.
+
+    """
+
+    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
+
+    def __init__(self, mass: float = 1.0, length: float = 1.0, radius: float = 0.1,
+                 gravity: float = 9.81):
+        check_positive(mass=mass, length=length, radius=radius, gravity=gravity)
+        own = 0.4 * float(mass) * float(radius) ** 2
+        across = float(mass) * float(length) ** 2 + own
+        self.inertia = across, across, own
+        self.moment = -float(mass) * float(gravity) * float(length)
+
+    @property
+    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+        """Return the vertical angular momentum and the spin [kg m^2/s]."""
+        return {'vertical_momentum': lambda q, p: float(spatial_momentum(q, p)[2]),
+                'spin': lambda q, p: float(p[2])}
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions that simulations compile."""
+        return turning_body_kernel(self.inertia, self.moment)
