@@ -74,6 +74,13 @@ def column_units(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str
     return units
 
 
+def scalar_columns(coordinates: Sequence[Coordinate]) -> dict[str, int]:
+    """Return by name the columns of q that are no parts of quaternions."""
+    names, turning = columns(coordinates)[0], rotations(coordinates)
+    parts = {start + i for start in turning for i in range(4)}
+    return {name: i for i, name in enumerate(names) if i not in parts}
+
+
 def angle_columns(coordinates: Sequence[Coordinate]) -> np.ndarray:
     """Return for each column of q whether it is an angle, which is the same a turn further."""
     return np.array([coordinate.q_unit == 'rad' for coordinate in coordinates

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import columns, Coordinate, scalar_columns
 import numpy as np
 
 
@@ -111,6 +111,8 @@ class Effect(ABC):
         Whether a scene takes only one of its kind.
     lockstep : bool
         Whether it can act on several trajectories that step together.
+    turns : bool
+        Whether it acts on systems that turn as well.
     excludes : mapping of Place to str
         Places in which nothing else may act, and why: a clause that follows the other's name.
 
@@ -120,6 +122,7 @@ class Effect(ABC):
     conservative: bool = False
     single: ClassVar[bool] = False
     lockstep: ClassVar[bool] = True
+    turns: ClassVar[bool] = False
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 
     def place(self, integrator: Integrator) -> Place:
@@ -196,6 +199,9 @@ class Joined(Effect):
 
 class Commanded(ABC):
     """An effect that takes commands while the simulation runs."""
+
+    # What each number of a command is for, as far as that has a name.
+    names: Sequence[str] = ()
 
     @abstractmethod
     def take(self, values: Sequence[float], parameters: Any) -> None:
@@ -320,19 +326,7 @@ class Wrapping(Protocol):
 
 
 class Together(Protocol):
-    """
-    The constraints of a scene, which act as one around the step.
-
-    Attributes
-    ----------
-    kind : type
-        What Wrapped puts around a step.
-    settings : tuple
-        What the wrapped step finds in its options.
-    dependent : str
-        The name of the constraint that made a step fail as REDUNDANT.
-
-    """
+    """The constraints of a scene, which act as one around the step."""
 
     @property
     def kind(self) -> type[Wrapping]:
@@ -382,19 +376,18 @@ class Constraint(Effect):
 
 
 def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:
-    """Return the place of a coordinate, or raise ValueError with the valid names."""
-    names = [coordinate.name for coordinate in coordinates]
-    if name not in names:
-        raise ValueError(f'no coordinate {name!r}; valid coordinates: {", ".join(names)}')
-    return names.index(name)
+    """Return the column of a coordinate in q, or raise ValueError with the valid names."""
+    places = scalar_columns(coordinates)
+    if name not in places:
+        raise ValueError(f'no coordinate {name!r}; valid coordinates: {", ".join(places)}')
+    return places[name]
 
 
 def per_coordinate(coordinates: Sequence[Coordinate], name: str, values: float | Sequence[float]
                    ) -> np.ndarray:
-    """Return one number for each coordinate, shape (d,), from one for all or a list."""
-    array = np.array(values, dtype=np.float64)
-    if array.ndim and array.size != len(coordinates):
-        raise ValueError(
-            f'{name} has {array.size} values, expected 1 or one for each of the coordinates '
-            f'{", ".join(coordinate.name for coordinate in coordinates)}')
-    return np.broadcast_to(array, len(coordinates)).copy()
+    """Return one number for each column of p, from one for all or a list."""
+    array, names = np.array(values, dtype=np.float64), columns(coordinates)[1]
+    if array.ndim and array.size != len(names):
+        raise ValueError(f'{name} has {array.size} values, expected 1 or one for each of the '
+                         f'coordinates {", ".join(names)}')
+    return np.broadcast_to(array, len(names)).copy()

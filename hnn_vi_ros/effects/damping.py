@@ -21,7 +21,7 @@ import numpy as np
 
 class Damping(Force, StepEffect):
     """
-    Linear damping, f = -gamma P, one rate for each coordinate.
+    Linear damping, f = -gamma P, one rate for each coordinate; of a body for each part of p.
 
     P belongs to the velocity: p, or p - c A(q) in magnetic fields. Methods of order 1 and 2 take
     its exact flow P -> exp(-gamma h / 2) P before and after a step (Strang splitting); others
@@ -45,7 +45,7 @@ class Damping(Force, StepEffect):
 
     """
 
-    depends_on_momentum = True
+    depends_on_momentum = turns = True
 
     def __init__(self, rate: float | list[float] | None = None, model: str | None = None):
         if (rate is None) == (model is None):
@@ -69,7 +69,7 @@ class Damping(Force, StepEffect):
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Friction:
-        """Return the rates, shape (d,) [1/s], and the gauge of magnetic fields."""
+        """Return the rates, one for each column of p [1/s], and the gauge of magnetic fields."""
         return Friction(per_coordinate(coordinates, 'rate', self.rate), state.gauge)
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
@@ -81,7 +81,7 @@ class Damping(Force, StepEffect):
     def add_force(own: Friction, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add -gamma P."""
-        for i in range(p.size):
+        for i in range(own.rate.size):
             f_p[i] -= own.rate[i] * (p[i] - vector_potential(own.gauge, q, i))
 
     @staticmethod

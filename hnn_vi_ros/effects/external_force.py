@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hnn_vi_ros.effects.base import Commanded, coordinate_index, EffectState, Force
+from hnn_vi_ros.effects.base import Commanded, EffectState, Force
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -23,8 +23,9 @@ class ExternalForce(Force, Commanded):
     The node takes commands from ``~/commands``. A command that is not renewed ends after the
     time-out, in simulated time, so that a controller that died does not push on (watchdog). With
     a model that has learned an input map the command u of its motors drives all coordinates: the
-    force g(q) u of a control-affine network, or A u of a mechanical one. Energy account: the
-    power f . H_p.
+    force g(q) u of a control-affine network, or A u of a mechanical one. On a body of the name
+    body, body_x to body_z are forces along axes of space, body_fx to body_fz along its own, such
+    as thrust, and body_rx to body_rz torques about its own. Energy account: the power f . H_p.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ class ExternalForce(Force, Commanded):
 
     """
 
-    depends_on_momentum, single = False, True
+    depends_on_momentum, single, turns = False, True, True
 
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
                  model: str | None = None):
@@ -63,7 +64,7 @@ class ExternalForce(Force, Commanded):
         if coordinates is not None and (
                 not coordinates or len(set(coordinates)) < len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
-        self.coordinates, self.timeout = coordinates, float(timeout)
+        self.names, self.timeout = tuple(coordinates or ()), float(timeout)
         self._model: Checkpoint | None = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map
@@ -72,18 +73,17 @@ class ExternalForce(Force, Commanded):
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the numbers' places, and what adds their forces."""
         # Imported here: it is compiled, which who only reads a scene has no use for.
-        from hnn_vi_ros.effects.input_map import by_map, by_place
+        from hnn_vi_ros.effects.input_map import by_map, by_name
         if self._model is not None:
-            return by_map(state, self._model, len(coordinates))
-        return by_place(state, np.array([
-            coordinate_index(coordinates, name) for name in self.coordinates or ()]))
+            return by_map(state, self._model, coordinates)
+        return by_name(state, coordinates, self.names)
 
     def take(self, values: Sequence[float], parameters: 'InputParameters') -> None:
         """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
         command, places = parameters.command, parameters.places
         array = np.array(values, dtype=np.float64)
         if array.shape != places.shape or not np.isfinite(array).all():
-            names = f', for {", ".join(self.coordinates)}' if self.coordinates else ''
+            names = f', for {", ".join(self.names)}' if self.names else ''
             raise ValueError(f'command {array.tolist()}: expected {places.size} finite numbers'
                              f'{names}')
         command[places], command[-1] = array, parameters.clock[0] + self.timeout

@@ -45,6 +45,8 @@ class Gravity(Potential):
 
     """
 
+    turns = True
+
     def __init__(self, coordinate: str, mass: float = 1.0, acceleration: float = 9.81):
         check_positive(mass=mass)
         check_finite(weight=mass * acceleration)

@@ -1,15 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces of a command: on named coordinates, or on all of them by a learned input map."""
+"""Forces of a command: on what it names, or on all coordinates by a learned input map."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import EffectState
+from hnn_vi_ros.effects.attitudes import turned
+from hnn_vi_ros.effects.base import coordinate_index, EffectState
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs, PackedOutputs
+from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
 
@@ -44,6 +46,26 @@ class Places(NamedTuple):
     places: np.ndarray
 
 
+class Axes(NamedTuple):
+    """
+    What each number of a command acts on, of coordinates some of which turn.
+
+    Parameters
+    ----------
+    places : np.ndarray
+        The column in p; for a force along an axis of a body that of its momentum along x.
+    axes : np.ndarray
+        0, 1 or 2 for that axis; -1 for none.
+    quaternions : np.ndarray
+        The column in q of the body's quaternion.
+
+    """
+
+    places: np.ndarray
+    axes: np.ndarray
+    quaternions: np.ndarray
+
+
 class InputMap(NamedTuple):
     """The network of g(q), and space for its d m entries."""
 
@@ -69,7 +91,7 @@ class InputParameters(NamedTuple):
         Those of the command's numbers in ``command``.
     add : callable
         Adds the forces of the numbers; see add_by_place.
-    own : Places, InputMap or InputMatrix
+    own : Places, Axes, InputMap or InputMatrix
         What it takes first.
 
     """
@@ -78,17 +100,47 @@ class InputParameters(NamedTuple):
     clock: np.ndarray
     places: np.ndarray
     add: Callable[..., None]
-    own: Places | InputMap | InputMatrix
+    own: Places | Axes | InputMap | InputMatrix
 
 
-def by_place(state: EffectState, places: np.ndarray) -> InputParameters:
-    """Return what adds each number to a coordinate, of these places."""
-    return InputParameters(state.command, state.clock, places, add_by_place, Places(places))
+def by_name(state: EffectState, coordinates: Sequence[Coordinate], names: Sequence[str]
+            ) -> InputParameters:
+    """Return what adds each number to the force on what it names, or raise ValueError."""
+    if not rotations(coordinates):
+        places = np.array([coordinate_index(coordinates, name) for name in names])
+        return InputParameters(state.command, state.clock, places, add_by_place, Places(places))
+    valid = _axes(coordinates)
+    unknown = [name for name in names if name not in valid]
+    if unknown:
+        raise ValueError(f'no coordinate {unknown[0]!r}; valid coordinates: {", ".join(valid)}')
+    if len(names) >= state.command.size:
+        raise ValueError(f'coordinates has {len(names)} entries, expected at most '
+                         f'{state.command.size - 1}: what acts along the axes of a body needs not '
+                         'act along those of space as well')
+    own = Axes(*np.array([valid[name] for name in names]).T.copy())
+    return InputParameters(state.command, state.clock, np.arange(len(names)), add_by_axis, own)
 
 
-def by_map(state: EffectState, model: Checkpoint, d: int) -> InputParameters:
-    """Return what adds g(q) u, or A u, to d coordinates, or raise ValueError."""
-    mechanical = model.card.mechanical
+def _axes(coordinates: Sequence[Coordinate]) -> dict[str, tuple[int, int, int]]:
+    """Return what a number of a command can act on, by name; see Axes."""
+    (q, p), valid = columns(coordinates), {}
+    for coordinate in coordinates:
+        for name in columns([coordinate])[1]:
+            valid[name] = p.index(name), -1, 0
+        if coordinate.kind == 'pose':
+            for axis, letter in enumerate('xyz'):
+                valid[f'{coordinate.name}_f{letter}'] = (
+                    p.index(f'{coordinate.name}_x'), axis, q.index(f'{coordinate.name}_qx'))
+    return valid
+
+
+def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordinate]
+           ) -> InputParameters:
+    """Return what adds g(q) u, or A u, to all coordinates, or raise ValueError."""
+    d, mechanical = len(coordinates), model.card.mechanical
+    if rotations(coordinates):
+        raise ValueError('the model maps numbers to scalar coordinates, which those of H are not '
+                         'all; give coordinates')
     if mechanical is not None:
         matrix = np.array(mechanical.input_map, dtype=np.float64)
         if len(matrix) != d:
@@ -114,6 +166,23 @@ def add_by_place(own: Places, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
+def add_by_axis(own: Axes, command: np.ndarray, q: np.ndarray, p: np.ndarray,
+                f_p: np.ndarray) -> None:
+    """Add each number to a column of p, or along an axis of a body."""
+    places, axes, quaternions = own
+    for k in range(places.size):
+        axis, at, value = axes[k], places[k], command[k]
+        if axis < 0:
+            f_p[at] += value
+        else:
+            force = turned(q, quaternions[k], (value if axis == 0 else 0.0,
+                                               value if axis == 1 else 0.0,
+                                               value if axis == 2 else 0.0))
+            for i in range(3):
+                f_p[at + i] += force[i]
+
+
+@kept(error_model='numpy')
 def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                f_p: np.ndarray) -> None:
     """Add g(q) u, with the entries of g row by row, and u the first numbers of the command."""
@@ -135,6 +204,6 @@ def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.nd
             f_p[i] += matrix[i, k] * command[k]
 
 
-for _function in (add_by_place, add_by_map, add_by_matrix):
+for _function in (add_by_place, add_by_axis, add_by_map, add_by_matrix):
     # They are among the parameters of compiled functions; see identify.
     identify(_function)

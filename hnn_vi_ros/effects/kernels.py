@@ -9,6 +9,7 @@ They call the Hamiltonian by address: what is joined is compiled once, for all H
 from collections.abc import Callable, Sequence
 from functools import cache
 
+from hnn_vi_ros.effects.attitudes import lift_torques
 from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
 from hnn_vi_ros.integrators.arithmetic import largest
 from hnn_vi_ros.kernels.addresses import by_address
@@ -45,7 +46,8 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
 
     Each force brings a channel, a further coordinate and momentum: the coordinate is the time
     since the start of the step, t' = 1, the momentum is the work of the force, w' = power. So
-    every method integrates both at its own nodes, at its own order.
+    every method integrates both at its own nodes, at its own order. Of rotations, f_p holds
+    torques in the frame of the body, and H_q less f_p the columns of quaternions.
     """
     kernel = by_address(kernel)
     d, channels = kernel.dimension, len(forces)
@@ -57,8 +59,10 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
     rounding_q, rounding_p = (sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
+    rotations = np.array(kernel.rotations, dtype=np.int64)
     return composed(
-        kernel, functions, kinds, (kernel.parameters, nested, state.clock, space, d, channels)
+        kernel, functions, kinds,
+        (kernel.parameters, nested, state.clock, space, rotations, d, channels)
     )._replace(dimension=d + channels, channels=channels,
                gradient_scale=(rounding_q, rounding_p))
 
@@ -142,18 +146,20 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
     add_all = _chain(kinds, 0)
 
     def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, _, _, _, d, _ = parameters
+        base, _, _, _, _, d, _ = parameters
         return base_energy(base, q[:d], p[:d])
 
     def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
-        base, forces, clock, space, d, channels = parameters
+        base, forces, clock, space, rotations, d, channels = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
             base_gradient(base, q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b])
             space[2:4] = 0.0
             add_all(forces, clock, q[b:end], q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b],
                     dH_dq[b:end], dH_dp[b:end], space)
+            if rotations.size > 0:
+                lift_torques(rotations, q[a:b], space[3])
             for i in range(d):
                 dH_dq[a + i] -= space[3, i]
                 dH_dp[a + i] += space[2, i]
@@ -161,7 +167,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
     def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
         # Of the forces a central difference; only Newton's method asks, and for no more.
-        base, forces, clock, space, d, channels = parameters
+        base, forces, clock, space, rotations, d, channels = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
             base_hessian_vector(base, q[a:b], p[a:b], v_q[a:b], v_p[a:b],
@@ -180,6 +186,8 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
                     space[2:4] = 0.0
                     add_all(forces, clock, q[b:end], space[4, :d], space[5, :d], space[6, :d],
                             space[7, :d], space[8], space[9], space)
+                    if rotations.size > 0:
+                        lift_torques(rotations, space[4, :d], space[3])
                     for i in range(d):
                         product_q[a + i] -= sign * space[3, i] / (2.0 * spacing)
                         product_p[a + i] += sign * space[2, i] / (2.0 * spacing)

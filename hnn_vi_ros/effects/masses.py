@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What momenta mean: the mass matrix and the vector potential, for effects that act on them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
 
 # States near the initial one at which different rates of friction are tried.
@@ -17,21 +19,33 @@ _COUPLING = 1e-3
 _TOLERANCE = 1e-6
 
 
+def momentum_index(coordinates: Sequence[Coordinate], name: str) -> int:
+    """Return the column in p of what turns or moves, or raise ValueError with the valid names."""
+    names = columns(coordinates)[1]
+    if name not in names:
+        raise ValueError(f'no coordinate {name!r}; valid coordinates: {", ".join(names)}')
+    return names.index(name)
+
+
 def inverse_mass(hamiltonian: Hamiltonian, q: np.ndarray) -> np.ndarray:
-    """Return H_pp at a state q, shape (d,), at p = 0, shape (d, d)."""
-    zero = np.zeros(q.size)
-    return np.column_stack([hamiltonian.hessian_vector(q, zero, zero, unit)[1]
-                            for unit in np.eye(q.size)])
+    """Return H_pp at a state q, shape (d,), at p = 0; as many rows as there are momenta."""
+    still, zero = np.zeros(q.size), np.zeros(q.size - len(hamiltonian.rotations))
+    return np.column_stack([hamiltonian.hessian_vector(q, zero, still, unit)[1]
+                            for unit in np.eye(zero.size)])
 
 
 def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> None:
     """Raise ValueError if the power -v . (rate M v) could be positive near q, shape (m d,)."""
-    _warn_of_drift(hamiltonian, q[:rate.size])
+    d = hamiltonian.dimension
+    _warn_of_drift(hamiltonian, q[:d])
     if (rate == rate[0]).all():
         return
-    states = q.reshape(-1, rate.size)
+    states = q.reshape(-1, d)
     others = np.random.default_rng(0).normal(
-        states[0], 1.0 + np.abs(states[0]), (_STATES, rate.size))
+        states[0], 1.0 + np.abs(states[0]), (_STATES, d))
+    for column in hamiltonian.rotations:
+        attitudes = others[:, column:column + 4]
+        attitudes /= np.linalg.norm(attitudes, axis=1, keepdims=True)
     for state in [*states, *others]:
         inverse = inverse_mass(hamiltonian, state)
         if np.isfinite(inverse).all() and np.linalg.matrix_rank(inverse) == rate.size:
@@ -47,7 +61,7 @@ def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> No
 def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
     """Warn if what has no momentum moves at q, shape (d,), by more than a model's error."""
     base = getattr(hamiltonian, 'base', hamiltonian)
-    zero = np.zeros(q.size)
+    zero = np.zeros(q.size - len(base.rotations))
     drift = np.abs(base.gradient(q, zero)[1]).max()
     # What one has learned from data has some drift, as it has other errors.
     if base.box is None and drift > _COUPLING * np.abs(inverse_mass(base, q)).max():
@@ -58,7 +72,7 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
 
 
 class Friction(NamedTuple):
-    """The rates of friction on P = p - c A(q), shape (d,) [1/s], and EffectState.gauge."""
+    """The rates of friction on P = p - c A(q), of each column [1/s], and EffectState.gauge."""
 
     rate: np.ndarray
     gauge: np.ndarray

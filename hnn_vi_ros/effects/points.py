@@ -21,6 +21,12 @@ class Elastic(NamedTuple):
     rest_length: float
 
 
+def check_pair(other: Sequence[str] | None, anchor: Sequence[float] | None) -> None:
+    """Raise ValueError unless one of the two is given."""
+    if (other is None) == (anchor is None):
+        raise ValueError('give either other (the names of a second point) or anchor (a place)')
+
+
 def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],
                  other: Sequence[str] | None, anchor: Sequence[float] | None
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -50,8 +56,7 @@ def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],
         Unknown coordinates, or not exactly one of ``other`` and ``anchor``, of the same length.
 
     """
-    if (other is None) == (anchor is None):
-        raise ValueError('give either other (the names of a second point) or anchor (a place)')
+    check_pair(other, anchor)
     second: Sequence[object] = (anchor if other is None else other) or ()
     if not point or len(second) != len(point):
         raise ValueError(f'{"anchor" if other is None else "other"} has {len(second)} entries, '
@@ -95,3 +100,22 @@ def add_along(first: np.ndarray, second: np.ndarray, k: int, value: float, targe
     target[first[k]] += value
     if second[k] >= 0:
         target[second[k]] -= value
+
+
+@inlined
+def add_curvature(parameters: Elastic, q: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+    """Add V'' v of a spring."""
+    first, second, anchor, stiffness, rest = parameters
+    r = distance(first, second, anchor, q)
+    bend = rest / r if r != 0.0 and first.size > 1 else 0.0
+    inward = 0.0
+    for k in range(first.size):
+        change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
+        inward += separation(first, second, anchor, q, k) * change
+    for k in range(first.size):
+        change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
+        along = separation(first, second, anchor, q, k)
+        value = change - bend * change
+        if bend != 0.0:
+            value += bend * along * inward / (r * r)
+        add_along(first, second, k, stiffness * value, product)

@@ -5,7 +5,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force
+from hnn_vi_ros.effects.base import EffectState, Force
+from hnn_vi_ros.effects.masses import momentum_index
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -28,7 +29,8 @@ class QuadraticDrag(Force):
     Parameters
     ----------
     coordinates : list of str
-        The coordinates whose velocity meets the fluid [m].
+        The coordinates whose velocity meets the fluid [m]; of a body its place, such as body_x,
+        or its turning, such as body_rx, with a drag in N m s^2.
     coefficient : float
         b > 0 [kg/m], half of density, area and drag coefficient.
 
@@ -43,7 +45,7 @@ class QuadraticDrag(Force):
 
     """
 
-    depends_on_momentum = True
+    depends_on_momentum = turns = True
 
     def __init__(self, coordinates: list[str], coefficient: float):
         check_positive(coefficient=coefficient)
@@ -53,7 +55,7 @@ class QuadraticDrag(Force):
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DragParameters:
         """Return the coordinates' places and b."""
-        return DragParameters(np.array([coordinate_index(coordinates, name)
+        return DragParameters(np.array([momentum_index(coordinates, name)
                                         for name in self.coordinates]), self.coefficient)
 
     @staticmethod

@@ -5,8 +5,11 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.effects.base import EffectState, Potential
-from hnn_vi_ros.effects.points import add_along, distance, Elastic, resolve_pair, separation
-from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
+from hnn_vi_ros.effects.body_points import BodyElastic, BodySpring
+from hnn_vi_ros.effects.points import (
+    add_along, add_curvature, distance, Elastic, resolve_pair, separation)
+from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
+from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -21,15 +24,17 @@ class Spring(Potential):
     Parameters
     ----------
     point : list of str
-        Names of the coordinates of one end [m].
+        Names of the coordinates of one end [m], or of the body that it is fixed to.
     other : list of str, optional
-        Names of the coordinates of the other end, or
+        Names of the coordinates of the other end, or of its body, or
     anchor : list of float, optional
         the fixed place of the other end [m].
     stiffness : float
         k > 0 [N/m].
     rest_length : float
         l >= 0 [m].
+    point_in_body, other_in_body : list of float, optional
+        Where on their bodies the ends are, in the frame of each [m]; in its origin if not given.
 
     Raises
     ------
@@ -42,19 +47,29 @@ class Spring(Potential):
 
     """
 
+    turns = True
+
     def __init__(self, point: list[str], other: list[str] | None = None,
                  anchor: list[float] | None = None, stiffness: float = 1.0,
-                 rest_length: float = 0.0):
+                 rest_length: float = 0.0, point_in_body: list[float] | None = None,
+                 other_in_body: list[float] | None = None):
         check_positive(stiffness=stiffness)
-        check_finite(rest_length=rest_length)
-        if rest_length < 0.0:
-            raise ValueError(f'rest_length = {rest_length} must be at least 0')
-        self.ends = point, other, anchor
-        self.stiffness, self.rest_length = float(stiffness), float(rest_length)
+        check_not_negative(rest_length=rest_length)
+        self.ends, self.elastic = (point, other, anchor), (float(stiffness), float(rest_length))
+        self._on_bodies = BodySpring(self.ends, (point_in_body, other_in_body), *self.elastic)
 
-    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Elastic:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
+                ) -> Elastic | BodyElastic:
         """Return the ends, the stiffness [N/m] and the length at rest [m]."""
-        return Elastic(*resolve_pair(coordinates, *self.ends), self.stiffness, self.rest_length)
+        if self._on_bodies.applies(coordinates):
+            return self._on_bodies.resolve(coordinates, state)
+        return Elastic(*resolve_pair(coordinates, *self.ends), *self.elastic)
+
+    def join(self, kernel: Kernel, parameters: Parameters) -> Kernel:
+        """Return the kernel of H + V, by the formulas of its ends."""
+        if isinstance(parameters, BodyElastic):
+            return self._on_bodies.join(kernel, parameters)
+        return super().join(kernel, parameters)
 
     @staticmethod
     @inlined
@@ -81,17 +96,4 @@ class Spring(Potential):
     def add_hessian_vector(parameters: Elastic, q: np.ndarray, v: np.ndarray, product: np.ndarray
                            ) -> None:
         """Add V'' v."""
-        first, second, anchor, stiffness, rest = parameters
-        r = distance(first, second, anchor, q)
-        bend = rest / r if r != 0.0 and first.size > 1 else 0.0
-        inward = 0.0
-        for k in range(first.size):
-            change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
-            inward += separation(first, second, anchor, q, k) * change
-        for k in range(first.size):
-            change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
-            along = separation(first, second, anchor, q, k)
-            value = change - bend * change
-            if bend != 0.0:
-                value += bend * along * inward / (r * r)
-            add_along(first, second, k, stiffness * value, product)
+        add_curvature(parameters, q, v, product)

@@ -107,7 +107,9 @@ def difference(equation: Callable, problem: Any, x: np.ndarray, v: np.ndarray,
     """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
     size = 0.0
     for i in range(x.size):
-        size = max(size, abs(v[i]) * problem.scale[i])
+        # An integral of a channel has no scale: nothing depends on it.
+        if problem.scale[i] < math.inf:
+            size = max(size, abs(v[i]) * problem.scale[i])
     spacing = _SPACING * (size if size > 0.0 else 1.0)
     for i in range(x.size):
         problem.ahead[i] = x[i] + spacing * v[i]

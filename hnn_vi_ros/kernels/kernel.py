@@ -50,7 +50,7 @@ class Kernel(NamedTuple):
         The columns of q at which unit quaternions (x, y, z, w) begin, in order; H is smooth around
         norm 1 as well, and dH_dq is its derivative by each of the four. The momentum of a
         rotation has three columns: those after it follow at once, and as many columns as there
-        are rotations stay zero at the end of p and of dH_dp.
+        are rotations stay zero at the end of p and of dH_dp, before the channels.
 
     """
 

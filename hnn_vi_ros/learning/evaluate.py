@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> None:
     if not driven:
         # An input map would want its own number of them.
         effects = [effect for effect in effects
-                   if not isinstance(effect, ExternalForce) or effect.coordinates]
+                   if not isinstance(effect, ExternalForce) or effect.names]
     if arguments.baselines is not None:
         known, _ = _motions(arguments, arguments.baselines, names)
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
@@ -128,14 +128,14 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
     for effect in effects:
         if isinstance(effect, ExternalForce):
             effect.timeout = _FOREVER
-            if effect.coordinates is not None:
+            if effect.names:
                 checkpoint = getattr(hamiltonian, 'checkpoint', None)
                 if checkpoint is not None and has_map(checkpoint):
                     raise DataError(f'{model}: its model has learned what the motors do to the '
                                     'joints, and external_force acts on the joints themselves; '
                                     'give it the model in place of coordinates')
                 # Each coordinate has a measured force, in the order of H.
-                effect.coordinates = _names(hamiltonian)
+                effect.names = tuple(_names(hamiltonian))
     return hamiltonian, scene.create_integrator(), scene.step_size, effects
 
 

@@ -59,6 +59,8 @@ class Simulation:
         Whether no effect does work, and whether one takes commands.
     command_size : int
         How many numbers a command has; 0 where none is taken.
+    command_names : sequence of str
+        What each number of a command is for, none where that has no name.
     steps : int
         Steps taken since the initial state.
     q, p : np.ndarray, shape (d,) or (m, d)
@@ -96,6 +98,7 @@ class Simulation:
         self._system = system = System(hamiltonian, effects, integrator)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self.conservative, self.takes_commands = system.conservative, system.takes_commands
+        self.command_names = system.command_names
         self.usual_gradients = system.integrator.usual_gradients
         self.command_size, self.step_size = system.command_size, float(step_size)
         self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)

@@ -179,6 +179,12 @@ class System:
             self._effects, self._parameters, strict=True) if isinstance(effect, Commanded)]
         return sum(parameters.places.size for parameters in taken)
 
+    @property
+    def command_names(self) -> Sequence[str]:
+        """Return what each number of a command is for, none where that has no name."""
+        return next((effect.names for effect in self._effects if isinstance(effect, Commanded)),
+                    ())
+
     def command(self, values: Sequence[float]) -> None:
         """Pass a command to the effects that take it, or raise ValueError and change nothing."""
         if not self.takes_commands:
@@ -238,11 +244,14 @@ class System:
 
     def _check_coordinates(self, hamiltonian: Hamiltonian, integrator: Integrator) -> None:
         check_method(integrator, hamiltonian)
-        if self._effects:
-            names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
-            if hamiltonian.rotations:
-                raise EffectError(0, f'{self.labels[0]} acts on scalar coordinates, which those '
-                                     f'of this H ({names}) are not all; leave all effects out')
+        names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
+        for index, (effect, label) in enumerate(zip(self._effects, self.labels, strict=True)):
+            if hamiltonian.rotations and not effect.turns:
+                able = ', '.join(kind for kind, other in EFFECTS.items() if other.turns)
+                raise EffectError(index, f'{label} acts on scalar coordinates, which those of '
+                                         f'this H ({names}) are not all; leave it out; effects '
+                                         f'that can: {able}')
+        if self._effects and not hamiltonian.canonical:
             raise EffectError(0, f'{self.labels[0]} acts on canonical momenta, which those of '
                                  f'this model ({names}) have not; leave all effects out, or '
                                  'simulate a model of another family')

@@ -8,6 +8,7 @@ from typing import Any
 
 from helpers import exact, python_kernel, python_step, Uncompiled
 from hnn_vi_ros import simulate
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -26,6 +27,7 @@ from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.system import System
 from mpmath import mpf
 import numpy as np
 import pytest
@@ -99,9 +101,9 @@ def check_order(name: str, method: Integrator, steps: list[int], reference: np.n
     assert abs(slope - method.order) < 0.25
 
 
-def step(method: Integrator, h: mpf, z: np.ndarray) -> np.ndarray:
+def step(method: Integrator, h: mpf, z: np.ndarray, hamiltonian: Hamiltonian = TOP) -> np.ndarray:
     """Take one step in 60 digits, of (q, p) in 7 numbers."""
-    end = python_step(method, TOP, h, np.append(z, mpf(0)))
+    end = python_step(method, hamiltonian, h, np.append(z, mpf(0)))
     assert end[7] == 0
     return end[:7]
 
@@ -159,6 +161,16 @@ def test_composition_of_the_leapfrog_is_symplectic_in_left_trivialised_form():
     method, h, z = Yoshida4('lie_leapfrog'), mpf('0.1'), start()
     derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
     assert defect(derivative, z, step(method, h, z)) <= 1e-25
+
+
+def test_spring_on_a_body_leaves_the_leapfrog_symplectic():
+    spring = EFFECTS['spring'](['attitude'], point_in_body=[0.3, -0.4, 0.2], stiffness=4.0,
+                               anchor=[0.1, 0.0, 1.5], rest_length=0.5)
+    method, h, z = LieLeapfrog(), mpf('0.1'), start()
+    joined = System(Uncompiled(TOP), [spring], method).hamiltonian
+    derivative = trivialised_jacobian(lambda z: step(method, h, z, joined), z)
+    assert abs(step(method, h, z, joined) - step(method, h, z)).max() > 1e-3
+    assert defect(derivative, z, step(method, h, z, joined)) <= 1e-25
 
 
 @pytest.mark.parametrize('retraction', RETRACTIONS)
@@ -376,7 +388,8 @@ def test_scene_of_a_body_that_turns_is_simulated_and_refuses_what_it_cannot_take
     assert abs(momenta - momenta[0]).max() < 1e-13
     for changes, expected in (
             ({'integrator': 'rk4'}, r'rk4 adds to .* methods that can: lie_variational_euler, '),
-            ({'effects': [{'kind': 'damping', 'rate': 0.1}]}, 'leave all effects out'),
+            ({'effects': [{'kind': 'thermostat', 'temperature': 1.0, 'rate': 0.1}]},
+             'thermostat acts on scalar .* leave it out; effects that can: gravity, spring, '),
             ({'duration': 0.03}, 'inside of a step of rotations'),
             ({'initial_state': ([0.0, 0.0, 0.0, 1.0], [0.0] * 4)}, 'attitude_rx, attitude_ry'),
             ({'initial_state': ([0.0, 0.0, 0.0, 2.0], [0.0] * 3)}, 'unit quaternion')):

@@ -232,7 +232,7 @@ def test_forces_act_on_all_coordinates_and_models_bring_their_own_friction(tmp_p
              'effects': [{'kind': 'external_force', 'coordinates': ['angle2']}]}
     (tmp_path / 'scene.yaml').write_text(dump_yaml(scene))
     *_, (force,) = evaluate.parts_of(str(tmp_path / 'scene.yaml'))
-    assert force.coordinates == ['angle1', 'angle2']
+    assert force.names == ('angle1', 'angle2')
     models = Path(__file__).parents[2] / 'resource' / 'models'
     for name, kinds in (('discrete_gradient_pendulum', ['ExternalForce', 'Damping']),
                         ('damped_pendulum', ['ExternalForce', 'LearnedDissipation']),

@@ -9,7 +9,9 @@ import warnings
 from helpers import Uncompiled
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.learning.choices import FamilyChoice
 from hnn_vi_ros.models import families
@@ -19,6 +21,7 @@ from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.system import System
 from mechanical_models import random_mechanical
 import numpy as np
 from pydantic import TypeAdapter
@@ -297,6 +300,8 @@ def test_command_acts_through_the_input_map_of_its_model(tmp_path, commands: int
     assert simulation.energy_balance == pytest.approx(0.0, abs=1e-3)
     with pytest.raises(ValueError, match=f'expected {commands} finite numbers'):
         simulation.set_command([1.0] * 3)
+    with pytest.raises(EffectError, match='scalar coordinates, which'):
+        System(Uncompiled(HAMILTONIANS['quadrotor']()), [effect], INTEGRATORS['lie_leapfrog']())
 
 
 def test_external_force_refuses_a_model_without_an_input_map(tmp_path):

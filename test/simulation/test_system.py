@@ -116,9 +116,9 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'base', 'bouncing', 'constraints', 'crossings', 'friction_network', 'input_map',
-          'kernels', 'masses', 'noise', 'ornstein_uhlenbeck', 'points', 'rattle', 'splitting',
-          'wrapped'}
+SHARED = {'attitudes', 'base', 'body_points', 'bouncing', 'constraints', 'crossings',
+          'friction_network', 'input_map', 'kernels', 'masses', 'noise', 'ornstein_uhlenbeck',
+          'points', 'rattle', 'splitting', 'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)

@@ -5,7 +5,7 @@ The two implicit equations of the methods on a group: for the momenta inside a s
 
 Both stand for scalar coordinates as well, where they are those of the symplectic Euler method and
 of its adjoint. Arrays are laid out as Kernel says: the momentum of a rotation is three columns
-where its quaternion is four, and what remains at the end stays zero.
+where its quaternion is four, and what remains before the channels stays zero.
 """
 
 from collections.abc import Callable
@@ -221,8 +221,8 @@ def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Poin
     """Fill z1.q with what is x beyond z.q: g tau(x) of a rotation, a sum of all else."""
     d = kernel.dimension
     for start in range(0, x.size, d):
-        i, passed = 0, 0
-        while i < d:
+        i, passed, end = 0, 0, d - kernel.channels
+        while i < end:
             at = start + i - passed
             if is_rotation(kernel, i, passed):
                 turn(z.q, z.q_carry, start + i, x, at, retraction(0.25 * dot(x, x, at)),
@@ -232,6 +232,8 @@ def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Poin
                 z1.q[start + i], z1.q_carry[start + i] = plus(
                     z.q[start + i], z.q_carry[start + i], x[at])
                 i += 1
+        for j in range(start + end, start + d):
+            z1.q[j], z1.q_carry[j] = plus(z.q[j], z.q_carry[j], x[j])
 
 
 @called
@@ -282,8 +284,8 @@ def fill_forces(kernel: Kernel, q: np.ndarray, dH_dq: np.ndarray, forces: np.nda
     """Fill the left-trivialised derivative of H in the layout of the momenta."""
     d = kernel.dimension
     for start in range(0, q.size, d):
-        i, passed = 0, 0
-        while i < d:
+        i, passed, end = 0, 0, d - kernel.channels
+        while i < end:
             at = start + i - passed
             if is_rotation(kernel, i, passed):
                 forces[at], forces[at + 1], forces[at + 2] = trivialised(q, dH_dq, start + i)
@@ -291,8 +293,10 @@ def fill_forces(kernel: Kernel, q: np.ndarray, dH_dq: np.ndarray, forces: np.nda
             else:
                 forces[at] = dH_dq[start + i]
                 i += 1
-        for j in range(start + d - passed, start + d):
+        for j in range(start + end - passed, start + end):
             forces[j] = 0.0
+        for j in range(start + end, start + d):
+            forces[j] = dH_dq[j]
 
 
 @called
@@ -304,11 +308,14 @@ def _set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np
         own_scale[i] = max(abs(x[i]), abs(h) * kernel.gradient_scale[1])
     for start in range(0, x.size, d):
         # Of a unit quaternion the largest column says little less.
-        size = 1.0
-        for i in range(start, start + d):
+        size, end = 1.0, start + d - kernel.channels
+        for i in range(start, end):
             size = max(size, abs(z.q[i]))
-        for j in range(start, start + d):
+        for j in range(start, end):
             scale[j] = size
+        for j in range(end, start + d):
+            # A time, which is known.
+            scale[j], own_scale[j] = abs(h), abs(h)
 
 
 @inlined
