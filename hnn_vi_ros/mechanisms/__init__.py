@@ -3,8 +3,8 @@
 """
 Bodies to draw: what a scene's coordinates look like as lines and boxes in metres.
 
-A mechanism is a function ``(q, reach) -> {part name: Line | Box}``. It knows no viewer and no
-message type, so that one description serves every display. Axes follow REP 103: z points up.
+A mechanism is a function ``(q, reach) -> {part name: Line | Box | Trail}``. It knows no viewer and
+no message type, so that one description serves every display. Axes follow REP 103: z points up.
 A part that moves carries the leading axes of q; a part that stands still has none.
 """
 
@@ -14,6 +14,7 @@ from hnn_vi_ros.mechanisms.bodies import bouncing_mass, charged_particle, henon_
 from hnn_vi_ros.mechanisms.parts import Mechanism
 from hnn_vi_ros.mechanisms.pendulums import cartesian_pendulum, double_pendulum, pendulum
 from hnn_vi_ros.mechanisms.springs import mass_spring, MOST_PAIRS, spring_chain
+from hnn_vi_ros.mechanisms.turning import turning_body
 
 MECHANISMS: dict[str, Mechanism] = {
     'bouncing_mass': bouncing_mass,
@@ -25,8 +26,11 @@ MECHANISMS: dict[str, Mechanism] = {
     'mass_spring': mass_spring,
     'pendulum': pendulum,
     'spring_chain': spring_chain,
+    'turning_body': turning_body,
 }
-# The numbers of coordinates that each of them draws.
+# Those of bodies that turn.
+TURNING = frozenset(('turning_body',))
+# The numbers of columns of q that each of them draws.
 COORDINATES: dict[str, Sequence[int]] = {
     'bouncing_mass': (1,),
     'cartesian_pendulum': (2, 3),
@@ -37,4 +41,5 @@ COORDINATES: dict[str, Sequence[int]] = {
     'mass_spring': (1,),
     'pendulum': (1,),
     'spring_chain': range(2, 2 * MOST_PAIRS + 1, 2),
+    'turning_body': (4, 7),
 }

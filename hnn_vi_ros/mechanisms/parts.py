@@ -64,7 +64,33 @@ class Box:
         return self.center.ndim > 1
 
 
-Part = Line | Box
+@dataclass(frozen=True)
+class Trail:
+    """
+    A point that leaves a line behind it, as long as a viewer remembers where it was.
+
+    Parameters
+    ----------
+    point : np.ndarray, shape (..., 3)
+        Its place [m].
+    radius : float
+        Radius of the line's cross-section [m].
+    color : tuple of int
+        Red, green, blue, 0 to 255.
+
+    """
+
+    point: np.ndarray
+    radius: float
+    color: Color
+
+    @property
+    def moves(self) -> bool:
+        """Whether the part has a place for each q, rather than one for all."""
+        return self.point.ndim > 1
+
+
+Part = Line | Box | Trail
 Mechanism = Callable[[np.ndarray, float], dict[str, Part]]
 
 
@@ -79,6 +105,8 @@ def bounds_of(parts: dict[str, Part]) -> np.ndarray:
     for part in parts.values():
         if isinstance(part, Line):
             corners.append(part.points.reshape(-1, 3))
+        elif isinstance(part, Trail):
+            corners.append(part.point.reshape(-1, 3))
         else:
             half_size = np.array(part.half_size)
             corners += [part.center.reshape(-1, 3) - half_size,

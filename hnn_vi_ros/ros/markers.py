@@ -5,7 +5,7 @@
 import time
 
 from geometry_msgs.msg import Point
-from hnn_vi_ros.mechanisms.parts import Box, Line, Mechanism, Part
+from hnn_vi_ros.mechanisms.parts import Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from rclpy.publisher import Publisher
@@ -14,13 +14,16 @@ from visualization_msgs.msg import Marker, MarkerArray
 MARKERS_TOPIC: tuple[str, type] = ('~/markers', MarkerArray)
 # Wall time from one message to the next [s].
 _PERIOD = 1.0 / 30.0
+# Points of a trail.
+_LONGEST = 1000
 
 
 class MarkerPublisher:
     """
     Publish the parts of a mechanism while somebody subscribes; otherwise build nothing.
 
-    Each part is one marker whose namespace is its name: a line strip or a cube.
+    Each part is one marker whose namespace is its name: a line strip or a cube. A trail is
+    the line of the places at which it was published.
 
     Parameters
     ----------
@@ -38,7 +41,7 @@ class MarkerPublisher:
     def __init__(self, publisher: Publisher, mechanism: Mechanism, reach: float, frame_id: str):
         self._publisher, self._mechanism, self._reach = publisher, mechanism, reach
         self._frame_id = frame_id
-        self._due = 0.0
+        self._due, self._newest = 0.0, 0
         self._markers: dict[str, Marker] = {}
 
     def publish(self, sample: Sample) -> None:
@@ -52,9 +55,11 @@ class MarkerPublisher:
 
     def _message(self, sample: Sample) -> MarkerArray:
         parts = self._mechanism(sample.q[None], self._reach)
-        if not self._markers:
+        if not self._markers or sample.stamp < self._newest:
+            # A trail does not lead from one run to another.
             self._markers = {name: _marker(name, self._frame_id, part)
                              for name, part in parts.items()}
+        self._newest = sample.stamp
         sec, nanosec = divmod(sample.stamp, 10**9)
         for name, part in parts.items():
             marker = self._markers[name]
@@ -76,6 +81,9 @@ def _marker(name: str, frame_id: str, part: Part) -> Marker:
         marker.type = Marker.LINE_STRIP
         marker.scale.x = 2.0 * part.radius
         marker.points = [Point() for _ in range(part.points.shape[-2])]
+    elif isinstance(part, Trail):
+        marker.type = Marker.LINE_STRIP
+        marker.scale.x = 2.0 * part.radius
     else:
         marker.type = Marker.CUBE
         scale = marker.scale
@@ -87,6 +95,10 @@ def _marker(name: str, frame_id: str, part: Part) -> Marker:
 def _place(marker: Marker, part: Part) -> None:
     if isinstance(part, Box):
         _set(marker.pose.position, part.center.reshape(3))
+        return
+    if isinstance(part, Trail):
+        marker.points = [*marker.points[-_LONGEST:], Point()]
+        _set(marker.points[-1], part.point.reshape(3))
         return
     for point, place in zip(marker.points, part.points.reshape(-1, 3), strict=True):
         _set(point, place)

@@ -20,7 +20,7 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.viewer.phase_portrait import frames_of, reach_of
+from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
 import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -109,11 +109,10 @@ class Topics:
         self._encoder = MessageEncoder(hamiltonian.coordinates)
         self.follow(monitor)
         if mechanism is not None:
-            frames = frames_of(
-                hamiltonian, simulation.q, simulation.p, box, hamiltonian.dimension)
+            ends = ends_of(hamiltonian, simulation.q, simulation.p, box)
             self._markers = MarkerPublisher(
                 self._publisher(*MARKERS_TOPIC, _NEWEST), MECHANISMS[mechanism],
-                reach_of(frames), frame_id)
+                reach_of(hamiltonian, ends), frame_id)
         if simulation.takes_commands:
             heard = self.hear(*COMMANDS_TOPIC, self._on_command)
             self._commands = describe_topic(

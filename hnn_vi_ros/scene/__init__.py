@@ -21,7 +21,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
-from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
+from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS, TURNING
 from hnn_vi_ros.models.checkpoint import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (
@@ -263,6 +263,12 @@ class Scene(StrictModel):
         if self.events and len(names) != len(momenta):
             raise SceneError(f'{self.place("events")}: no states inside of a step of rotations '
                              'are known, at which an event could come; leave events out')
+        if self.mechanism and (self.mechanism in TURNING) != (len(names) != len(momenta)):
+            raise SceneError(
+                f'{self.place("mechanism")}: {self.mechanism} draws '
+                f'{"a body that turns" if self.mechanism in TURNING else "scalar coordinates"}, '
+                f'but H has {", ".join(c.name for c in coordinates)}; leave it out or take '
+                'another')
         if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
             numbers = [str(number) for number in COORDINATES[self.mechanism]]
             if len(numbers) > 3:

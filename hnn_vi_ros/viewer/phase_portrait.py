@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from contourpy import contour_generator
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import scalar_columns
 import numpy as np
 
 GRID, LEVELS = 81, 12
@@ -36,9 +37,19 @@ def frames_of(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
     return [frame_of(axis, hamiltonian, q0, p0, box) for axis in range(count)]
 
 
-def reach_of(frames: list[Frame]) -> float:
-    """Return the largest coordinate in the frames, which mechanisms leave room for."""
-    return max(abs(end) for frame in frames for end in frame.q)
+def ends_of(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
+            box: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+    """Return the lowest and the highest q, shape (2, d), with the attitudes of the start."""
+    ends = np.array([q0, q0], dtype=np.float64)
+    for axis in scalar_columns(hamiltonian.coordinates).values():
+        ends[:, axis] = frame_of(axis, hamiltonian, q0, p0, box).q
+    return ends
+
+
+def reach_of(hamiltonian: Hamiltonian, ends: np.ndarray) -> float:
+    """Return the largest coordinate between the ends; 1 m about a point that does not move."""
+    places = list(scalar_columns(hamiltonian.coordinates).values())
+    return float(abs(ends[:, places]).max()) if places else 1.0
 
 
 def frame_of(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.viewer.rerun_layout import BACKGROUND, phase_path, TIMING
+from hnn_vi_ros.viewer.rerun_layout import BACKGROUND, part_path, phase_path, TIMING
 import numpy as np
 import rerun.blueprint as rrb
 
@@ -69,8 +69,8 @@ class Arrangement:
 
 
 def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Sequence[str]],
-                   arrangement: Arrangement, interval: int, pace: float | None = None
-                   ) -> rrb.Blueprint:
+                   arrangement: Arrangement, interval: int, pace: float | None = None,
+                   trails: Sequence[str] = ()) -> rrb.Blueprint:
     """
     Lay the views out for a window of about 1400 x 900 points.
 
@@ -86,6 +86,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         Simulated time between two samples [ns]; the trail is TRAIL_SAMPLES of them long.
     pace : float, optional
         The real-time factor that is asked for.
+    trails : sequence of str, optional
+        Parts of the mechanism that leave a trail of that length as well.
 
     """
     views = [_phase_view(coordinate, interval, arrangement.side) for coordinate in coordinates]
@@ -93,7 +95,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         *views, grid_columns=arrangement.columns)
     share = arrangement.world_share
     if arrangement.bounds is not None:
-        world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR))
+        world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR),
+                            {part_path(name): _recent(interval) for name in trails})
         left = rrb.Vertical(world, left, row_shares=[share, 1.0 - share])
     energies = [path for path in labels if path in ENERGIES]
     errors = [_series_view('Energy error', ['/energy/error'], labels)]
@@ -141,27 +144,32 @@ def _events_view() -> rrb.TextLogView:
     return rrb.TextLogView(name='Events', origin='/events', columns=columns)
 
 
-def _phase_view(coordinate: Coordinate, interval: int, side: float) -> rrb.Spatial2DView:
-    path = phase_path(coordinate)
+def _recent(interval: int) -> rrb.VisibleTimeRanges:
+    """Return the times that a trail goes back to."""
     seconds = TRAIL_SAMPLES * interval * 1e-9
     recent = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
     now, step_now = (rrb.TimeRangeBoundary.cursor_relative(),
                      rrb.TimeRangeBoundary.cursor_relative(seq=0))
-    trail = rrb.VisibleTimeRanges([
+    return rrb.VisibleTimeRanges([
         rrb.VisibleTimeRange('sim_time', start=recent, end=now),
         rrb.VisibleTimeRange('ros_time', start=recent, end=now),
         rrb.VisibleTimeRange('step', start=rrb.TimeRangeBoundary.infinite(), end=step_now),
     ])
+
+
+def _phase_view(coordinate: Coordinate, interval: int, side: float) -> rrb.Spatial2DView:
+    path = phase_path(coordinate)
     left, right, top, bottom = (1.0 + 2.0 * margin / side for margin in MARGINS)
     return rrb.Spatial2DView(
         name=f'Phase portrait of {coordinate.name}', origin='/phase', contents=f'{path}/**',
-        background=BACKGROUND, overrides={f'{path}/trail': trail},
+        background=BACKGROUND, overrides={f'{path}/trail': _recent(interval)},
         visual_bounds=rrb.VisualBounds2D(x_range=[-left, right], y_range=[-top, bottom]))
 
 
-def _world_view(bounds: np.ndarray, aspect: float) -> rrb.Spatial3DView:
+def _world_view(bounds: np.ndarray, aspect: float,
+                trails: Mapping[str, rrb.VisibleTimeRanges]) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
-        name='Mechanism', origin='/world', background=BACKGROUND,
+        name='Mechanism', origin='/world', background=BACKGROUND, overrides=dict(trails),
         line_grid=rrb.LineGrid3D(visible=False), eye_controls=rrb.EyeControls3D(
             position=eye_of(bounds, aspect), look_target=bounds.mean(axis=0),
             eye_up=[0.0, 0.0, 1.0]))

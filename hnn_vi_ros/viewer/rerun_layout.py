@@ -5,7 +5,7 @@
 from collections.abc import Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms.parts import Line, Part
+from hnn_vi_ros.mechanisms.parts import Line, Part, Trail
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name
 from hnn_vi_ros.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
@@ -142,6 +142,8 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
             still = rr.LineStrips3D.from_fields(
                 strips=None if part.moves else [part.points], radii=[part.radius],
                 colors=[part.color])
+        elif isinstance(part, Trail):
+            still = rr.LineStrips3D.from_fields(radii=[part.radius], colors=[part.color])
         else:
             still = rr.Boxes3D.from_fields(
                 centers=None if part.moves else [part.center], half_sizes=[part.half_size],

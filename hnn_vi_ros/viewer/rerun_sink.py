@@ -7,10 +7,10 @@ from typing import final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism
+from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism, Trail
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_layout as layout
-from hnn_vi_ros.viewer.phase_portrait import frames_of, reach_of
+from hnn_vi_ros.viewer.phase_portrait import ends_of, frames_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, make_blueprint
 from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
 import numpy as np
@@ -90,6 +90,8 @@ class RerunSink:
         self._kept: Sample | None = None
         self._sent: Sample | None = None
         self._reach = 0.0
+        # Where trails end, by name.
+        self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
         self._events: list[tuple[int, int, str, str]] = []
         self._closed = False
@@ -166,20 +168,20 @@ class RerunSink:
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
                     box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
         shown = self._portrayed
-        framed = hamiltonian.dimension if self._mechanism is not None else len(shown)
-        frames = frames_of(hamiltonian, q0, p0, box, framed)
+        frames = frames_of(hamiltonian, q0, p0, box, len(shown))
         parts, bounds = {}, None
         if self._mechanism is not None:
-            self._reach = reach_of(frames)
-            ends = np.array([frame.q for frame in frames]).T
+            ends = ends_of(hamiltonian, q0, p0, box)
+            self._reach = reach_of(hamiltonian, ends)
             parts = self._mechanism(ends, self._reach)
             bounds = bounds_of(parts)
         arrangement = Arrangement(len(shown), bounds)
         self._stream.send_blueprint(
-            make_blueprint(shown, self._labels, arrangement, self._interval, pace))
+            make_blueprint(shown, self._labels, arrangement, self._interval, pace, [
+                name for name, part in parts.items() if isinstance(part, Trail)]))
         recording = self._stream.recording
         layout.log_series_styles(recording, self._labels | layout.TIMING)
-        for frame in frames[:len(shown)]:
+        for frame in frames:
             layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
         if parts:
             layout.log_mechanism_styles(recording, parts)
@@ -242,7 +244,14 @@ class RerunSink:
 
     def _send_mechanism(self, times: list[rr.TimeColumn], q: np.ndarray) -> None:
         for name, part in self._mechanism(q, self._reach).items():
-            if part.moves:
+            if isinstance(part, Trail):
+                # The segments that lead to the new points.
+                before = self._trails.get(name, part.point[0])
+                points = np.vstack([before, part.point])
+                self._trails[name] = points[-1]
+                self._columns(layout.part_path(name), times, rr.LineStrips3D.columns(
+                    strips=np.stack([points[:-1], points[1:]], axis=1)))
+            elif part.moves:
                 columns = rr.LineStrips3D.columns(strips=part.points) \
                     if isinstance(part, Line) else rr.Boxes3D.columns(centers=part.center)
                 self._columns(layout.part_path(name), times, columns)

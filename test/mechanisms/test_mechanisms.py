@@ -2,22 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drawn bodies follow their coordinates and stay in one piece."""
 
+from itertools import pairwise
+
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
-from hnn_vi_ros.mechanisms.parts import bounds_of, Box
+from hnn_vi_ros.mechanisms.parts import bounds_of, Box, Line, Trail
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 REACH = 0.3
 DISPLACEMENTS = np.linspace(-REACH, REACH, 7)[:, None]
 ANGLES = np.random.default_rng(0).uniform(-4.0, 4.0, (7, 2))
 PLACES = np.random.default_rng(1).uniform(-REACH, REACH, (7, 2))
 CHAINS = np.random.default_rng(2).uniform(-REACH, REACH, (7, 6))
+POSES = np.hstack([CHAINS[:, :3], Rotation.from_quat(
+    np.random.default_rng(3).normal(size=(7, 4))).as_quat()])
 STATES = {
     'bouncing_mass': abs(DISPLACEMENTS), 'cartesian_pendulum': PLACES, 'charged_particle': PLACES,
     'double_pendulum': ANGLES, 'henon_heiles': PLACES, 'kepler': PLACES,
-    'mass_spring': DISPLACEMENTS, 'pendulum': ANGLES[:, :1], 'spring_chain': CHAINS}
+    'mass_spring': DISPLACEMENTS, 'pendulum': ANGLES[:, :1], 'spring_chain': CHAINS,
+    'turning_body': POSES}
 
 
 @pytest.mark.parametrize('name', MECHANISMS)
@@ -27,7 +33,7 @@ def test_mechanism_draws_many_states_as_it_draws_each(name: str):
         alone = MECHANISMS[name](q, REACH)
         assert alone.keys() == together.keys()
         for key, part in together.items():
-            field = 'center' if isinstance(part, Box) else 'points'
+            field = {Box: 'center', Line: 'points', Trail: 'point'}[type(part)]
             many, one = getattr(part, field), getattr(alone[key], field)
             np.testing.assert_array_equal(many[i] if part.moves else many, one)
 
@@ -209,3 +215,22 @@ def test_bounds_of_holds_every_corner():
     assert low[0] == pytest.approx(parts['wall'].center[0] - parts['wall'].half_size[0])
     assert high[0] == pytest.approx(parts['floor'].center[0] + parts['floor'].half_size[0])
     assert (parts['spring'].points >= low).all() and (parts['spring'].points <= high).all()
+
+
+def test_turning_body_has_its_axes_and_leaves_the_path_of_its_place():
+    parts, turns = MECHANISMS['turning_body'](POSES, REACH), Rotation.from_quat(POSES[:, 3:])
+    for axis, name in zip(np.eye(3), ('x_axis', 'y_axis', 'z_axis'), strict=True):
+        start, end = np.moveaxis(parts[name].points, -2, 0)
+        np.testing.assert_array_equal(start, POSES[:, :3])
+        np.testing.assert_allclose(end - start, 0.2 * REACH * turns.apply(axis), atol=1e-15)
+    # Every edge of the box, and none that is not one: neighbours differ along one axis.
+    corners = turns[0].inv().apply(parts['body'].points[0] - POSES[0, :3]) / (0.1 * REACH)
+    corners = np.round(corners / [1.0, 1.0, 0.25]).astype(int)
+    edges = {frozenset(map(tuple, pair)) for pair in pairwise(corners)}
+    assert (abs(np.diff(corners, axis=0)).sum(axis=1) == 2).all() and len(edges) == 12
+    np.testing.assert_array_equal(parts['path'].point, POSES[:, :3])
+    # About a point it is the end of the third axis whose path is drawn.
+    about = MECHANISMS['turning_body'](POSES[:, 3:], 1.0)
+    np.testing.assert_allclose(about['path'].point, 0.8 * turns.apply([0.0, 0.0, 1.0]),
+                               atol=1e-15)
+    np.testing.assert_array_equal(about['path'].point, about['z_axis'].points[:, 1])

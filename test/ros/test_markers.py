@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import time
 
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import Box
+from hnn_vi_ros.mechanisms.parts import Box, Trail
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
@@ -19,7 +19,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 STATES = {'bouncing_mass': [0.3], 'cartesian_pendulum': [0.6, -0.8],
           'charged_particle': [0.2, 0.1], 'double_pendulum': [1.0, -2.0],
           'henon_heiles': [0.1, 0.2], 'kepler': [0.5, 0.5], 'mass_spring': [-0.4],
-          'pendulum': [2.0], 'spring_chain': [0.3, -0.2, 0.1, 0.05]}
+          'pendulum': [2.0], 'spring_chain': [0.3, -0.2, 0.1, 0.05],
+          'turning_body': [0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5]}
 
 
 class FakePublisher:
@@ -91,7 +92,11 @@ def check_geometry(marker: Marker, part) -> None:
     else:
         assert marker.type == Marker.LINE_STRIP
         assert marker.scale.x == 2.0 * part.radius
-        assert [[p.x, p.y, p.z] for p in marker.points] == part.points.tolist()
+        points = [[p.x, p.y, p.z] for p in marker.points]
+        if isinstance(part, Trail):
+            assert len(points) >= 2 and points[-1] == part.point.tolist()
+        else:
+            assert points == part.points.tolist()
         assert marker.pose.position.x == marker.pose.position.z == 0.0
     assert (marker.pose.orientation.w, marker.id, marker.action) == (1.0, 0, Marker.ADD)
 
@@ -118,3 +123,20 @@ def test_markers_reach_a_subscriber_with_the_geometry_of_every_part(name: str, e
             stamp = marker.header.stamp
             assert (stamp.sec, stamp.nanosec) == (second, 5)
             check_geometry(marker, parts[marker.ns])
+
+
+def test_trail_grows_to_its_length_and_begins_anew_with_the_run():
+    publisher = FakePublisher(1)
+    markers = MarkerPublisher(publisher, MECHANISMS['turning_body'], 1.0, 'map')
+
+    def trail(x: float, stamp: int) -> list[float]:
+        markers._due = 0.0
+        markers.publish(sample_of([x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], stamp))
+        found, = (marker for marker in publisher.messages[-1].markers if marker.ns == 'path')
+        return [point.x for point in found.points]
+    assert [trail(float(i), i + 1) for i in range(3)] == [
+        [0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 2.0]]
+    for i in range(3, 1005):
+        newest = trail(float(i), i + 1)
+    assert len(newest) == 1001 and newest[-2:] == [1003.0, 1004.0]
+    assert trail(7.0, 1) == [7.0, 7.0]

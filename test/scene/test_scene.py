@@ -207,6 +207,8 @@ def test_scene_path_that_is_missing_or_a_folder_is_refused(tmp_path):
 @pytest.mark.parametrize('old, new, error, expected', [
     ('step_size', 'mechanism: double_pendulum\nstep_size', SceneError,
      'draws 2 coordinates, but H has 1'),
+    ('step_size', 'mechanism: turning_body\nstep_size', SceneError,
+     'turning_body draws a body that turns, but H has x'),
     ('mass: 2.0', 'mass: -1.0', SceneError,
      'mine.yaml:1: hamiltonian.mass: harmonic_oscillator: mass = -1.0 must be a positive'),
     ('q: [1.0]', 'q: [1.0, 2.0]', SceneError,
@@ -225,6 +227,18 @@ def test_scene_that_cannot_be_built_says_why(write, old, new, error, expected):
     with pytest.raises(error, match=expected) as caught:
         build(scene)
     assert '\n' not in str(caught.value)
+
+
+def test_mechanism_of_scalar_coordinates_draws_no_body_that_turns(write):
+    scene = load_scene(write("""\
+hamiltonian: {kind: heavy_top}
+integrator: {kind: lie_leapfrog}
+step_size: 0.01
+initial_state: {q: [0, 0, 0, 1], p: [0, 0, 1]}
+mechanism: pendulum
+"""))
+    with pytest.raises(SceneError, match='pendulum draws scalar coordinates, but H has attitude'):
+        build(scene)
 
 
 def test_scene_python_factory_gives_a_hamiltonian(write):
