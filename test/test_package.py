@@ -65,7 +65,7 @@ HOMES = {
     'tqdm': r'learning/\w+\.py|studies/\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
-       'diagnostic_msgs', 'geometry_msgs', 'visualization_msgs', 'ament_index_python',
+       'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',
        'lifecycle_msgs', 'std_srvs', 'rosidl_runtime_py'}
 
 

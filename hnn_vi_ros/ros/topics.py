@@ -5,6 +5,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC, AccuracyEncoder
@@ -14,8 +15,10 @@ from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.graph import UNDELIVERED, wait_for_delivery
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
+from hnn_vi_ros.ros.odometry import ODOMETRY_TOPIC, OdometryEncoder
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.ros.remapped_topics import remapped
+from hnn_vi_ros.ros.wrench import body_of, command_of, WRENCH_TOPIC
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
@@ -45,9 +48,9 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
         *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
-        EVENTS_TOPIC)),
-    Endpoint('~/scene', 'publisher'),
-    Endpoint('~/commands', 'subscription'), Endpoint('~/initial_state', 'subscription'))
+        EVENTS_TOPIC, ODOMETRY_TOPIC)),
+    Endpoint('~/scene', 'publisher'), *(Endpoint(name, 'subscription') for name in (
+        '~/commands', '~/initial_state', '~/wrench')))
 
 
 class Topics:
@@ -81,12 +84,13 @@ class Topics:
             self._publisher(*CLOCK_TOPIC, CLOCK_QOS)) if clock else None
         self._accuracy: AccuracyEncoder | None = None
         self._markers: MarkerPublisher | None = None
+        self._odometry: tuple[OdometryEncoder, Publisher] | None = None
 
     def open(self, simulation: Simulation, monitor: Monitor,  # noqa: A003
              mechanism: str | None, box: tuple[np.ndarray, np.ndarray], frame_id: str,
              record: Callable[[Topic, bytes], None]) -> None:
         """
-        Make what depends on the scene: messages, markers, and hearing commands.
+        Make what depends on the scene: messages, odometry, markers, and hearing commands.
 
         Parameters
         ----------
@@ -99,7 +103,7 @@ class Topics:
         box : tuple of np.ndarray, shape (d, 2) each
             Lowest and highest q and p that the drawing leaves room for.
         frame_id : str
-            Frame of the markers.
+            Frame of the markers and of odometry.
         record : callable
             Takes a command that acts from now on: its topic, and the message.
 
@@ -108,6 +112,9 @@ class Topics:
         self._simulation, self._record = simulation, record
         self._encoder = MessageEncoder(hamiltonian.coordinates)
         self.follow(monitor)
+        if hamiltonian.rotations:
+            self._odometry = (OdometryEncoder(hamiltonian.coordinates, frame_id),
+                              self._publisher(*ODOMETRY_TOPIC, _TICKS))
         if mechanism is not None:
             ends = ends_of(hamiltonian, simulation.q, simulation.p, box)
             self._markers = MarkerPublisher(
@@ -117,6 +124,9 @@ class Topics:
             heard = self.hear(*COMMANDS_TOPIC, self._on_command)
             self._commands = describe_topic(
                 heard.topic_name, Float64MultiArray, heard.qos_profile)
+            self._body = body_of(hamiltonian.coordinates, simulation.command_names)
+            if self._body is not None:
+                self.hear(*WRENCH_TOPIC, self._on_wrench)
 
     def open_events(self) -> Publisher:
         """Make the topic of events, for a scene that has any."""
@@ -180,6 +190,10 @@ class Topics:
             payloads = (*payloads, self._accuracy.encode(sample))
         for publisher, payload in zip(self._publishers, payloads, strict=True):
             publisher.publish(payload)
+        if self._odometry is not None:
+            encoder, publisher = self._odometry
+            for payload in encoder.encode(sample):
+                publisher.publish(payload)
         if self._markers is not None:
             self._markers.publish(sample)
         return payloads
@@ -212,3 +226,8 @@ class Topics:
         self._simulation.set_command(list(message.data))
         # Anew, not as it came: the padding is the sender's, which no two runs have in common.
         self._record(self._commands, serialize(message))
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        # What is recorded is the command that it is, by which the run is simulated again.
+        self._on_command(Float64MultiArray(data=command_of(
+            message, self._body or '', self._simulation.command_names)))

@@ -8,6 +8,7 @@ differ, and what is recorded holds bytes of the process that are nobody's busine
 """
 
 from collections.abc import Sequence
+import re
 import struct
 from typing import Any, final
 
@@ -18,6 +19,7 @@ _ENCAPSULATION = b'\0\1\0\0'
 _CODES = {'boolean': '?', 'octet': 'c', 'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H',
           'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float': 'f', 'double': 'd'}
 _SEQUENCE = 'sequence<'
+_FIXED = re.compile(rf'({"|".join(_CODES)})\[\d+\]')
 
 
 def serialize(message: Any) -> bytes:
@@ -29,7 +31,7 @@ def serialize(message: Any) -> bytes:
     Raises
     ------
     TypeError
-        A field is of a kind that no message of ours has, such as an array of fixed length.
+        A field is of a kind that no message of ours has, such as a wide string.
 
     """
     data = _Writer(message).data
@@ -84,6 +86,8 @@ class _Writer:
             self._put_sequence(kind.removeprefix(_SEQUENCE).removesuffix('>'), value)
         elif kind in _CODES:
             self._put_numbers(kind, [value])
+        elif (array := _FIXED.fullmatch(kind)) is not None:
+            self._put_numbers(array[1], value)
         elif kind == 'string':
             text = value.encode() + b'\0'
             self._put_numbers('uint32', [len(text)])

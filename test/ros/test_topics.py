@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 import time
 
+from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.ros.accuracy import ENTRIES
@@ -16,6 +17,7 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.sample import Sample
+from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 import rclpy
@@ -52,6 +54,13 @@ hamiltonian: {kind: tao}
 integrator: {kind: variational_euler, solver: fixed_point}
 step_size: 0.4
 initial_state: {q: [1.0], p: [-1.0]}
+"""
+QUADROTOR = """\
+hamiltonian: {kind: quadrotor, mass: 2.0, inertia: [0.5, 0.5, 0.5], gravity: 0.0}
+effects: [{kind: external_force, coordinates: [body_fz, body_rx, body_ry, body_rz]}]
+integrator: {kind: lie_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0, 2.0, 3.0, 0.0, 0.6, 0.0, 0.8], p: [2.0, 0.0, 0.0, 0.0, 0.0, 0.5]}
 """
 BOX = (np.array([[-1.0, 1.0]]), np.array([[-1.0, 1.0]]))
 
@@ -120,7 +129,11 @@ ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy
     (OSCILLATOR, True, None, {'/simulator/accuracy'}, set()),
     (OSCILLATOR, False, 'mass_spring', {'/simulator/markers'}, set()),
     (COMMANDED, False, None, set(), {'/simulator/commands'}),
-], ids=['bare', 'accuracy', 'mechanism', 'commands'])
+    (QUADROTOR, False, None, {'/simulator/odometry'}, {
+        '/simulator/commands', '/simulator/wrench'}),
+    (QUADROTOR.replace('body_fz', 'body_z'), False, None, {'/simulator/odometry'}, {
+        '/simulator/commands'}),
+], ids=['bare', 'accuracy', 'mechanism', 'commands', 'body', 'forces in space'])
 def test_topics_that_are_not_called_for_do_not_exist(
         tmp_path, nodes, text, accuracy, mechanism, published, heard):
     node, _, _ = nodes
@@ -231,6 +244,32 @@ def test_command_that_is_not_valid_is_ignored_whole(commanded, bad):
     send(bad)
     simulation.advance(10)
     assert simulation.p[0] == pytest.approx(0.3, rel=1e-13)
+
+
+def test_wrench_in_the_frame_of_a_body_is_the_command_that_is_recorded(tmp_path, nodes):
+    node, other, executor = nodes
+    simulation, recorded = simulation_of(tmp_path, QUADROTOR), []
+    topics = Topics(node, False)
+    topics.open(simulation, Monitor(simulation, 10, 0.1, None, pytest.fail), None, BOX, 'map',
+                lambda topic, payload: recorded.append((topic, payload)))
+    received: list[Odometry] = []
+    other.create_subscription(Odometry, '/simulator/odometry', received.append, 10)
+    publisher = other.create_publisher(WrenchStamped, '/simulator/wrench', 1)
+    spin_until(executor, publisher.get_subscription_count)
+    message = WrenchStamped()
+    message.header.frame_id = 'body'
+    message.wrench.force.z, message.wrench.torque.x = 4.0, 0.3
+    publisher.publish(message)
+    spin_until(executor, lambda: recorded)
+    (topic, payload), = recorded
+    assert topic.name == '/simulator/commands' and topic.type == 'std_msgs/msg/Float64MultiArray'
+    assert list(deserialize_message(payload, Float64MultiArray).data) == [4.0, 0.3, 0.0, 0.0]
+    # Thrust along the third axis of the body, turned about y by 2 atan(0.6 / 0.8).
+    assert -simulation.dH_dq[:3] == pytest.approx([4.0 * 0.96, 0.0, 4.0 * 0.28], rel=1e-14)
+    while not received:
+        topics.publish(sample_of(simulation))
+        executor.spin_once(timeout_sec=0.02)
+    assert (received[0].header.frame_id, received[0].child_frame_id) == ('map', 'body')
 
 
 def test_scene_reaches_a_subscriber_that_comes_later(tmp_path, nodes):

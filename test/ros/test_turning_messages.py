@@ -2,19 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages, bags and pictures of bodies that turn, whose q has other columns than p."""
 
+from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.state_message import decode_state
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.messages import MessageEncoder, TICK_TOPICS
+from hnn_vi_ros.ros.odometry import OdometryEncoder
 from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.ros.wrench import body_of, command_of
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
+from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from recorded import record_run
+from rerun_reader import read
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
 MIXED = [Coordinate('slide', 'm'), Coordinate('body', kind='pose'), Coordinate('angle', 'rad'),
@@ -77,10 +84,71 @@ def test_bag_of_a_body_that_turns_agrees_bit_by_bit_with_its_run_simulated_again
     assert verdict.good and '50 samples agree bit by bit' in verdict.text, verdict.text
 
 
-def test_picture_of_a_body_that_turns_has_its_columns_and_no_portrait(tmp_path):
-    top, q, p = HAMILTONIANS['heavy_top'](), np.array([0.6, 0.0, 0.0, 0.8]), np.ones(3)
-    path = tmp_path / 'top.rrd'
-    sink = RerunSink('top', path, top, q, p)
-    sink.write(sample_of(q, p, *top.gradient(q, p)))
-    sink.close()
-    assert path.stat().st_size > 1000
+@pytest.mark.parametrize('kind, place', [('heavy_top', []), ('quadrotor', [0.0, 0.0, 2.0])])
+def test_picture_of_a_body_that_turns_has_its_columns_its_axes_and_its_path(
+        tmp_path, kind: str, place: list[float]):
+    body, q = HAMILTONIANS[kind](), np.array([*place, 0.6, 0.0, 0.0, 0.8])
+    p, path = np.ones(q.size - 1), tmp_path / 'body.rrd'
+    for mechanism in (None, MECHANISMS['turning_body']):
+        sink = RerunSink('body', path, body, q, p, mechanism=mechanism)
+        sink.write(sample_of(q, p, *body.gradient(q, p)))
+        sink.close()
+        assert path.stat().st_size > 1000
+        if mechanism is not None:
+            # What stands still has no time.
+            parts = {part for part in read(path) if part.startswith('/world/')}
+            assert parts == {f'/world/{name}' for name in (
+                'body', 'x_axis', 'y_axis', 'z_axis', 'path')}
+        path.unlink()
+
+
+def test_odometry_has_poses_in_space_and_twists_in_the_frames_of_the_bodies():
+    rng = np.random.default_rng(4)
+    q, (p, dH_dp) = rng.normal(size=13), rng.normal(size=(2, 11))
+    for start in (4, 9):
+        q[start:start + 4] /= np.linalg.norm(q[start:start + 4])
+    body, wheel = (deserialize_message(payload, Odometry) for payload in
+                   OdometryEncoder(MIXED, 'map').encode(sample_of(q, p, q, dH_dp)))
+    assert [body.child_frame_id, wheel.child_frame_id] == ['body', 'wheel']
+    for message in (body, wheel):
+        assert (message.header.frame_id, message.header.stamp.nanosec) == ('map', 5)
+        assert not message.pose.covariance.any() and not message.twist.covariance.any()
+
+    def numbers(part: object, *names: str) -> list[float]:
+        return [getattr(part, name) for name in names]
+    assert numbers(body.pose.pose.position, 'x', 'y', 'z') == q[1:4].tolist()
+    assert numbers(body.pose.pose.orientation, 'x', 'y', 'z', 'w') == q[4:8].tolist()
+    np.testing.assert_allclose(numbers(body.twist.twist.linear, 'x', 'y', 'z'),
+                               Rotation.from_quat(q[4:8]).inv().apply(dH_dp[1:4]), rtol=1e-13)
+    # H_p of a rotation is the angular velocity in the frame of the body already.
+    assert numbers(body.twist.twist.angular, 'x', 'y', 'z') == dH_dp[4:7].tolist()
+    assert numbers(wheel.pose.pose.position, 'x', 'y', 'z') == [0.0] * 3
+    assert numbers(wheel.pose.pose.orientation, 'x', 'y', 'z', 'w') == q[9:].tolist()
+    assert numbers(wheel.twist.twist.linear, 'x', 'y', 'z') == [0.0] * 3
+    assert numbers(wheel.twist.twist.angular, 'x', 'y', 'z') == dH_dp[8:].tolist()
+
+
+def test_wrench_is_the_command_of_a_body_or_refused():
+    names = ['body_fz', 'body_rx', 'body_ry', 'body_rz']
+    assert body_of(MIXED, names) == 'body' and body_of(MIXED, ['wheel_rx']) == 'wheel'
+    # Along other axes, of two bodies, of none, or by a model.
+    for other in (['body_x'], ['body_rx', 'wheel_rx'], ['slide'], ['wheel_fx'], []):
+        assert body_of(MIXED, other) is None
+    message = WrenchStamped()
+    message.header.frame_id = 'body'
+    message.wrench.force.z, message.wrench.torque.y = 2.0, -0.5
+    assert command_of(message, 'body', names) == [2.0, 0.0, -0.5, 0.0]
+    message.wrench.force.x = float('nan')
+    with pytest.raises(ValueError, match='body_fx = nan: nothing drives it; valid: body_fz, '):
+        command_of(message, 'body', names)
+    message.header.frame_id = 'map'
+    with pytest.raises(ValueError, match="frame_id = 'map': expected 'body'"):
+        command_of(message, 'body', names)
+
+
+def test_commands_of_a_quadrotor_are_recorded_and_it_flies_again_bit_by_bit(tmp_path):
+    hover = [0.8 * 9.81, 0.0, 0.0, 0.0]
+    bag = record_run(tmp_path / 'bag', load_scene('quadrotor'), 20, rate=100.0, commands={
+        0: [hover], 40: [[9.0, 1e-3, -2e-3, 3e-3]]})
+    verdict = check_replay(bag)
+    assert verdict.good and '20 samples agree bit by bit' in verdict.text, verdict.text
