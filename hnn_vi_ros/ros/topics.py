@@ -114,7 +114,7 @@ class Topics:
         self.follow(monitor)
         if hamiltonian.rotations:
             self._odometry = (OdometryEncoder(hamiltonian.coordinates, frame_id),
-                              self._publisher(*ODOMETRY_TOPIC, _TICKS))
+                              self._publisher(*ODOMETRY_TOPIC, TICKS))
         if mechanism is not None:
             ends = ends_of(hamiltonian, simulation.q, simulation.p, box)
             self._markers = MarkerPublisher(

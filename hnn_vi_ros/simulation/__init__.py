@@ -55,10 +55,8 @@ class Simulation:
     ----------
     hamiltonian : Hamiltonian
         H with the potentials among the effects.
-    conservative, takes_commands : bool
-        Whether no effect does work, and whether one takes commands.
-    command_size : int
-        How many numbers a command has; 0 where none is taken.
+    conservative, takes_commands, command_size : bool, bool, int
+        Whether no effect does work; whether one takes commands, and of how many numbers.
     command_names : sequence of str
         What each number of a command is for, none where that has no name.
     steps : int
@@ -98,9 +96,8 @@ class Simulation:
         self._system = system = System(hamiltonian, effects, integrator)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self.conservative, self.takes_commands = system.conservative, system.takes_commands
-        self.command_names = system.command_names
-        self.usual_gradients = system.integrator.usual_gradients
-        self.command_size, self.step_size = system.command_size, float(step_size)
+        self.command_names, self.command_size = system.command_names, system.command_size
+        self.usual_gradients, self.step_size = system.integrator.usual_gradients, float(step_size)
         self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
         if not self._kernel.compiled:
             warnings.warn(
