@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism, Part
+from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.run.trajectory_data import TrajectoryData
 from hnn_vi_ros.run.trajectory_portrait import draw_portrait, portrayed
 from hnn_vi_ros.run.trajectory_style import COLOURS, new_figure
@@ -106,6 +106,13 @@ def _draw(axes: 'Axes', part: Part, across: int, up: int) -> _Show:
             points = part.points[k] if part.moves else part.points
             line.set_data(points[:, across], points[:, up])
         return move_line
+    if isinstance(part, Trail):
+        path = np.reshape(part.point, (-1, 3))
+        trail, = axes.plot([], [], color=colour, linewidth=0.5 * _LINE_WIDTH, zorder=1)
+
+        def move_trail(k: int) -> None:
+            trail.set_data(path[:k + 1, across], path[:k + 1, up])
+        return move_trail
     from matplotlib.patches import Rectangle
     half = np.array(part.half_size)[[across, up]]
     box = Rectangle((0.0, 0.0), *2.0 * half, color=colour, zorder=3)
