@@ -16,10 +16,11 @@ the s stages one after another, then p.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.integrators.base import OK
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
+from hnn_vi_ros.integrators.solvers import anderson
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
@@ -28,7 +29,7 @@ from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
-_MOST_ITERATIONS = 20
+_MOST = 20
 # Relative to a state: a step that ends further from the next one was not taken by the tableau.
 _SAME = 1e-9
 
@@ -196,19 +197,27 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
     scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
     for k in range(2 * d):
         work.change[k] = (z1[k] - z[k]) / h
-    for i in range(s):
-        a, b = i * d, (s + i) * d
-        set_scale(scale[a:a + d], own[a:a + d], z[:d], work.change[:d], h, kernel, 1)
-        set_scale(scale[b:b + d], own[b:b + d], z[d:], work.change[d:], h, kernel, 0)
-        node_q, node_p = 0.0, 0.0
-        for j in range(s):
-            node_q += tableau.q_matrix[i, j]
-            node_p += tableau.p_matrix[i, j]
-        for k in range(d):
-            x[a + k] = z[k] + node_q * (z1[k] - z[k])
-            x[b + k] = z[d + k] + node_p * (z1[d + k] - z[d + k])
     problem = _Problem(kernel, h, tableau, z, work.product_q, work.product_p)
-    outcome, _, _ = newton(_equation, _tangent, problem, x, work.solver, _MOST_ITERATIONS)
+    outcome = NO_CONVERGENCE
+    # Newton's method takes a matrix more: it is for what the other does not solve.
+    for attempt in range(2):
+        for i in range(s):
+            a, b = i * d, (s + i) * d
+            set_scale(scale[a:a + d], own[a:a + d], z[:d], work.change[:d], h, kernel, 1)
+            set_scale(scale[b:b + d], own[b:b + d], z[d:], work.change[d:], h, kernel, 0)
+            node_q, node_p = 0.0, 0.0
+            for j in range(s):
+                node_q += tableau.q_matrix[i, j]
+                node_p += tableau.p_matrix[i, j]
+            for k in range(d):
+                x[a + k] = z[k] + node_q * (z1[k] - z[k])
+                x[b + k] = z[d + k] + node_p * (z1[d + k] - z[d + k])
+        if attempt == 0:
+            outcome, _, _ = anderson(_equation, _tangent, problem, x, work.solver, _MOST)
+        else:
+            outcome, _, _ = newton(_equation, _tangent, problem, x, work.solver, _MOST)
+        if outcome == OK:
+            break
     if outcome != OK:
         return False
     for k in range(d):
