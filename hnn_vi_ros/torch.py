@@ -96,14 +96,14 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
 
     """
     _check_tensors({'q0': q0, 'p0': p0, **(parameters or {})})
-    if q0.shape != p0.shape or q0.ndim not in (1, 2) or q0.numel() == 0:
-        raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
-                         'expected (d,) or (m, d) twice')
     check_count('every', every)
     check_seconds('duration', duration)
     scene, run, others = _prepared(
         scene if isinstance(scene, Scene) else load_scene(scene), parameters or {}, step_size)
-    samples = _samples(duration, scene.known_step_size, every)
+    samples, d = _samples(duration, scene.known_step_size, every), len(scene.initial_state.q)
+    if q0.shape != p0.shape or q0.ndim not in (1, 2) or q0.shape[-1] != d or not len(q0):
+        raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
+                         f'expected ({d},) or (m, {d}) twice')
     z0 = torch.cat([q0, p0], dim=-1)
     z = _Run.apply(run, [dependence for dependence, _ in others], samples, every,
                    z0.reshape(-1, z0.shape[-1]), *(tensor for _, tensor in others))
