@@ -13,7 +13,7 @@ from processes import finish, start
 import pytest
 
 POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
-# All that a scene can call for: commands, events, and a mechanism that is drawn.
+# With a body that turns, all that scenes can call for: commands, events, and what is drawn.
 SCENE = """\
 hamiltonian: {kind: double_pendulum}
 effects: [{kind: external_force, coordinates: [angle1]}]
@@ -65,15 +65,19 @@ def describe(rights: dict[str, list[str]]) -> str:
 def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         tmp_path: Path, request: pytest.FixtureRequest):
     (tmp_path / 'arms.yaml').write_text(SCENE)
-    process = start(tmp_path, scene='arms.yaml', record='false', rerun_sink='none',
-                    publish_clock='true', publish_accuracy='true', use_sim_time='true')
-    with peer() as other:
-        # All of its topics are there once it publishes.
-        other.spin_until(lambda: other.states)
-        other.spin(1.0)
-        found = describe(rights_in_the_graph(other))
-        process.send_signal(signal.SIGINT)
-        assert finish(process)[0] == 0
+    rights: dict[str, set[str]] = {}
+    for scene in ('arms.yaml', 'quadrotor'):
+        process = start(tmp_path, scene=scene, record='false', rerun_sink='none',
+                        publish_clock='true', publish_accuracy='true', use_sim_time='true')
+        with peer() as other:
+            # All of its topics are there once it publishes.
+            other.spin_until(lambda other=other: other.states)
+            other.spin(1.0)
+            for right, names in rights_in_the_graph(other).items():
+                rights.setdefault(right, set()).update(names)
+            process.send_signal(signal.SIGINT)
+            assert finish(process)[0] == 0
+    found = describe({right: sorted(names) for right, names in rights.items()})
     if request.config.getoption('--policy'):
         POLICY.write_text(found, encoding='utf-8')
     assert POLICY.read_text(encoding='utf-8') == found, (
@@ -83,7 +87,7 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
 def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():
     profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     heard = [name.text for name in profile.find("topics[@subscribe='ALLOW']")]
-    assert heard == ['/clock', '~/commands', '~/initial_state']
+    assert heard == ['/clock', '~/commands', '~/initial_state', '~/wrench']
 
 
 def test_policy_holds_no_wildcard_and_no_right_to_call_others():
