@@ -117,7 +117,7 @@ def _check_commands(commands: Commands, samples: int) -> Commands:
 def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands,
                       watch: Watch) -> tuple[np.ndarray, np.ndarray]:
     """Take samples times every steps, with a command before each step."""
-    q, p = np.empty((2, samples, simulation.q.size))
+    q, p = (np.empty((samples, part.size)) for part in (simulation.q, simulation.p))
     watch.update(look(simulation))
     for sample in range(samples):
         try:

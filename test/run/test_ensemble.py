@@ -192,6 +192,12 @@ def test_last_part_of_a_run_takes_the_command_of_its_own_row(tmp_path, more):
     assert run.p[:, 0] == pytest.approx([0.0, 0.1, 0.3, 0.3 + 3.0 * 0.055], abs=1e-14)
 
 
+def test_commands_of_a_run_hold_a_quadrotor_where_it_is():
+    run = simulate('quadrotor', 0.1, commands=lambda t: [0.8 * 9.81, 0.0, 0.0, 0.0], every=10)
+    assert run.q.shape == (6, 7) and run.p.shape == (6, 6)
+    assert (run.q == run.q[0]).all() and (run.p == 0.0).all()
+
+
 @pytest.mark.parametrize('every', [np.int64(10), np.int32(10), 10])
 def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
     assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.1, 0.2]
