@@ -3,6 +3,7 @@
 """Check, list, explain and compile scenes, and print their JSON schema."""
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 import math
 import sys
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.phase_space import column_units, columns, Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.studies import arguments
@@ -109,9 +111,7 @@ def explain(scene: Scene) -> Iterator[str]:
     yield f'file: {scene.source}'
     yield from _choice('hamiltonian', scene.hamiltonian)
     yield from (f'  {name}: {value}' for name, value in hamiltonian.provenance.items())
-    for i, c in enumerate(hamiltonian.coordinates):
-        yield (f'  coordinate {c.name} [{c.q_unit}] from {scene.initial_state.q[i]:g}, its '
-               f'momentum [{c.p_unit}] from {scene.initial_state.p[i]:g}')
+    yield from _coordinates(hamiltonian.coordinates, scene)
     for choice, effect in zip(scene.effects, scene.create_effects(), strict=True):
         yield from _choice('effect', choice)
         yield f'  {"conservative" if effect.conservative else "does work"}'
@@ -125,6 +125,22 @@ def explain(scene: Scene) -> Iterator[str]:
     print('measuring ...', file=sys.stderr)
     yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)
     yield from _times(measure_effects(scene))
+
+
+def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
+    """Tell the coordinates and where they start, of what turns column by column."""
+    q, p = (zip(names, units, values, strict=True) for names, units, values in zip(
+        columns(coordinates), column_units(coordinates),
+        (scene.initial_state.q, scene.initial_state.p), strict=True))
+    for coordinate in coordinates:
+        if coordinate.kind == 'scalar':
+            (name, unit, start), (_, p_unit, p_start) = next(q), next(p)
+            yield (f'  coordinate {name} [{unit}] from {start:g}, its '
+                   f'momentum [{p_unit}] from {p_start:g}')
+            continue
+        for what, rows, own in zip(('', ', momenta'), (q, p), columns([coordinate]), strict=True):
+            yield f'  {coordinate.kind} {coordinate.name}{what}: ' + ', '.join(
+                f'{name} [{unit}] from {start:g}' for name, unit, start in islice(rows, len(own)))
 
 
 def _choice(role: str, choice: BaseModel) -> Iterator[str]:

@@ -123,6 +123,15 @@ def test_explain_tells_the_system_and_what_each_effect_is_and_adds(tmp_path, cap
         assert re.search(expected, out), expected
 
 
+def test_explain_tells_where_a_body_starts_column_by_column(capsys):
+    assert main(['--explain', 'heavy_top']) == 0
+    out = capsys.readouterr().out
+    for expected in (
+            r'  rotation attitude: attitude_qx \[1\] from 0.258819, .* attitude_qw \[1\] from 0.96',
+            r'  rotation attitude, momenta: attitude_rx \[kg m2/s\] from 0, .*_rz .* from 6\n'):
+        assert re.search(expected, out), expected
+
+
 def test_explain_tells_what_auto_chose_and_that_a_regular_motion_is_not_chaotic(
         tmp_path, capsys, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
