@@ -228,14 +228,6 @@ def test_lie_leapfrog_keeps_energy_momentum_and_norm_over_a_million_steps(measur
     measured('energy band [J], 1e6 steps', 'lie_leapfrog, heavy_top', band, 'that of the start')
     assert abs(last.max() - first.max()) < 1e-2 * band
     assert abs(last.min() - first.min()) < 1e-2 * band
-    # The same machine code, another H: what tumbles near its middle axis.
-    body, p0 = FreeRigidBody(), np.array([1e-3, 2.0, 1e-3])
-    run = Simulation(body, LieLeapfrog(), 0.02, Q, p0)
-    q, p = run.record(n // 100, 100)
-    drift = abs(spatial_momentum(q, p) - spatial_momentum(Q, p0)).max()
-    measured('spatial momentum, 1e6 steps', 'lie_leapfrog, free_rigid_body', drift, '<= 1e-12')
-    assert drift <= 1e-12
-    assert p[:, 1].min() < -1.9, 'it did not turn over'
 
 
 def test_free_rigid_body_follows_jacobi_elliptic_functions(measured):
