@@ -6,9 +6,12 @@ from collections import Counter
 import json
 import os
 from pathlib import Path
+import re
+import secrets
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
@@ -21,10 +24,12 @@ from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import main, sweep
 from hnn_vi_ros.sweeps.trajectories import Runner
 import numpy as np
+from ports import free_port
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+DOCS = Path(__file__).resolve().parents[2] / 'docs' / 'scale.md'
 STATE = ['initial_state.q.angle', 'initial_state.p.angle']
 BOX = {'kind': 'box', 'keys': STATE, 'low': [-2.0, -2.0], 'high': [2.0, 2.0]}
 # Three lengths of 70 states each, and 64 trajectories in a shard: blocks have two lengths in them.
@@ -355,6 +360,42 @@ def test_worker_that_is_killed_is_replaced(deadly, tmp_path, way):
     assert (deadly / 'done').exists()
     assert contents(tmp_path / 'out') == contents(deadly / 'whole')
     assert len(contents(tmp_path / 'out')) == 6
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """Return the address of a Ray cluster of two workers, begun as docs/scale.md says."""
+    pytest.importorskip('ray', reason='ray is not installed')
+    command = re.search(r'^ray (start --head [^#\n]*)', DOCS.read_text(), re.MULTILINE)[1].split()
+    address = f'127.0.0.1:{free_port()}'
+    # With a token of its own; Ray's default is the one that an earlier cluster may have left.
+    monkeypatch.setenv('RAY_AUTH_MODE', 'token')
+    monkeypatch.setenv('RAY_AUTH_TOKEN', secrets.token_hex(32))
+    # In a short folder of its own, as its sockets ask for, and in the foreground, so that it ends
+    # with the process that is ended here: `ray stop` ends all that there are on a machine.
+    with tempfile.TemporaryDirectory(prefix='ray', ignore_cleanup_errors=True) as folder, \
+            subprocess.Popen(
+                [sys.executable, '-m', 'ray.scripts.scripts', *command, '--block', '--temp-dir',
+                 folder, '--node-ip-address', '127.0.0.1', '--port', address.partition(':')[2],
+                 '--include-dashboard', 'false'], stdout=subprocess.PIPE, text=True) as head:
+        try:
+            assert any('Ray runtime started' in line for line in head.stdout)
+            yield address
+        finally:
+            head.terminate()
+            head.communicate(timeout=60.0)
+
+
+def test_cluster_begun_by_the_documented_command_makes_the_same_bytes(deadly, tmp_path, cluster):
+    (deadly / 'done').unlink(missing_ok=True)
+    code = 'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()'
+    run = subprocess.run(
+        [sys.executable, '-c', code, str(deadly / 'a.yaml'), '--out', str(tmp_path / 'out'),
+         '--ray', cluster], capture_output=True, text=True, check=False, timeout=300.0)
+    assert run.returncode == 0, run.stderr
+    # A worker was killed on the way.
+    assert (deadly / 'done').exists()
+    assert contents(tmp_path / 'out') == contents(deadly / 'whole')
 
 
 def test_ray_cluster_that_is_not_there_is_one_line(tmp_path):
