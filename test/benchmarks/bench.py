@@ -20,6 +20,7 @@ GROUPS = {
     'euler_step': ('benchmarks.euler_step', 20.0),
     'path_error': ('benchmarks.path_error', 105.0),
     'many': ('benchmarks.many', 180.0),
+    'scale': ('benchmarks.scale', 600.0),
     'effects': ('benchmarks.effects', 180.0),
     'auto': ('benchmarks.auto', 60.0),
     'guards': ('benchmarks.guards', 60.0),

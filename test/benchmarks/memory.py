@@ -87,7 +87,7 @@ def _reset(count: int) -> tuple[int, float]:
                     # Refused until the node has loaded and opened everything.
                     done += future.result().success
                 seen.append((len(os.listdir(f'/proc/{process.pid}/task')),
-                             _resident(process.pid)))
+                             resident(process.pid)))
         finally:
             process.terminate()
             process.wait()
@@ -97,7 +97,8 @@ def _reset(count: int) -> tuple[int, float]:
     return threads_after - threads, memory_after - memory
 
 
-def _resident(pid: int | str) -> float:
+def resident(pid: int | str) -> float:
+    """Return the memory that a process holds [MB]."""
     pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
     return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
 
@@ -120,14 +121,14 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
             topics.descriptions, box, scene_report(scene, simulation), sampler)
         for tick in range(ticks):
             if tick == round(_WARM_SHARE * ticks):
-                before = _resident('self')
+                before = resident('self')
             monitor.advance(1)
             sample = sampler.sample()
             monitor.add(sample)
             recording.write(sample, topics.publish(sample))
             if monitor.evaluate():
                 recording.timing(monitor.timing.figures)
-        growth = _resident('self') - before
+        growth = resident('self') - before
         recording.close()
     return growth
 
