@@ -189,13 +189,14 @@ initial_state: {q: [1.0], p: [0]}
     ('file: package://no_such_package/a.urdf',
      r"mine.yaml:3: hamiltonian.file: package://.*: no package 'no_such_package' is in what"),
     ('file: package://x', r'mine.yaml:3: hamiltonian.file: .* must be package://PACKAGE/PATH'),
-    ('file: .', r"mine.yaml:3: hamiltonian.file: no file '"),
+    ('file: .', r"mine.yaml:3: hamiltonian.file: '.*' is a folder; give a path"),
     ('file: robot.urdf\n  base: x', r"mine.yaml:4: hamiltonian.base: urdf: base = 'x' is no link"),
     ('file: robot.urdf\n  locked: {x: 0}', 'mine.yaml:4: hamiltonian.locked: urdf: locked names'),
     ('file: robot.urdf\n  gravity: [0]', 'mine.yaml:4: hamiltonian.gravity: urdf: gravity = '),
     ('file: robot.urdf\n  joints: j1', 'mine.yaml:4: hamiltonian.joints: .*list'),
     ('file: robot.urdf\n  locked: {j1: .inf}', 'mine.yaml:4: hamiltonian.locked.j1: .*finite'),
-    ('file: robot.urdf\n  joint: [j1]', 'mine.yaml:4: hamiltonian.joint: unknown key; valid keys'),
+    ('file: robot.urdf\n  joint: [j1]',
+     r'mine.yaml:4: hamiltonian.joint: unknown key; did you mean joints\?; valid keys'),
     ('file: bad.urdf', 'mine.yaml:1: hamiltonian: urdf: .*bad.urdf:1: no XML'),
 ])
 def test_mistake_in_a_scene_of_a_robot_is_answered_with_its_line(tmp_path, line, expected):
