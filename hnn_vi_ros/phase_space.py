@@ -70,7 +70,7 @@ def column_units(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str
         if coordinate.kind == 'pose':
             # Behind the position and its momentum: a quaternion, and an angular momentum.
             units[0][-4:] = ['1'] * 4
-            units[1][-3:] = [f'({own[1]}) {own[0]}'] * 3
+            units[1][-3:] = ['kg m2/s' if own == ('m', 'kg m/s') else f'({own[1]}) {own[0]}'] * 3
     return units
 
 

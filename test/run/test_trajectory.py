@@ -65,7 +65,7 @@ def test_names_in_html_are_text():
 def test_units_of_a_pose_are_those_of_its_parts():
     pose = replace(TURNING, coordinates=(Coordinate('b', 'm', 'kg m/s', 'pose'),)).units
     assert [pose[name] for name in ('b_x', 'b_qw', 'p_b_x', 'p_b_rz')] == [
-        'm', '1', 'kg m/s', '(kg m/s) m']
+        'm', '1', 'kg m/s', 'kg m2/s']
 
 
 def test_one_of_many_is_selected():
