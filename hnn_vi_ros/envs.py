@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.effects.base import Commanded
+from hnn_vi_ros.effects.commands import Commanded, NUMBERS
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -208,7 +208,8 @@ class SceneEnv(gymnasium.Env):
     def _check_commands(self) -> None:
         """Raise ValueError if no effect takes commands, or one would not last its steps."""
         holds = [choice.timeout for choice, effect in zip(
-            self._scene.effects, self._effects, strict=True) if isinstance(effect, Commanded)]
+            self._scene.effects, self._effects, strict=True)
+            if isinstance(effect, Commanded) and NUMBERS in effect.takes]
         if not holds:
             raise ValueError(
                 f'{self._scene.name} takes no commands, which actions are: add an effect, such as '

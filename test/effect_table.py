@@ -80,6 +80,8 @@ def create_effect(kind: str, arguments: dict[str, Any], folder: Path) -> Effect:
 _DAMPING = ('damping', {'rate': 0.8})
 _DRIVE = ('periodic_drive', {'coordinate': 'angle', 'amplitude': 3.0, 'frequency': 0.8,
                              'phase': 0.3})
+_SERVO = ('servo', {'coordinates': ['angle'], 'stiffness': 6.0, 'damping': 0.5,
+                    'position': [-0.4]})
 _SPRING = ('spring', {'point': ['angle'], 'anchor': [0.2], 'stiffness': 5.0, 'rest_length': 0.1})
 _IMPACT = ('impact', {'coordinate': 'angle', 'position': 0.3, 'side': 'above',
                       'restitution': 0.7})
@@ -109,6 +111,7 @@ EFFECT_ROWS = [
     EffectRow('periodic_drive', (_DRIVE,)),
     EffectRow('external_force', (('external_force', {
         'coordinates': ['angle'], 'timeout': 100.0}),)),
+    EffectRow('servo', (_SERVO,)),
     EffectRow('learned_dissipation', (('learned_dissipation', {'model': 1}),)),
     EffectRow('learned_friction', (('learned_friction', {'model': 'joint'}),)),
     EffectRow('learned_friction of a network', (('learned_friction', {'model': 'eccentric'}),)),
@@ -130,6 +133,7 @@ UNKNOWN = {
     'quadratic_drag': {'coordinates': ['x', 'w'], 'coefficient': 1.0},
     'periodic_drive': {'coordinate': 'w', 'amplitude': 1.0, 'frequency': 1.0},
     'external_force': {'coordinates': ['w']},
+    'servo': {'coordinates': ['w'], 'stiffness': 1.0},
     'holonomic_constraint': {'point': ['x', 'w'], 'anchor': [0.0, 0.0]},
     'impact': {'coordinate': 'w'},
 }
@@ -151,6 +155,8 @@ COMPILED = {
         ('quadratic_drag', {'coordinates': ['x', 'y'], 'coefficient': 0.2}),
         ('periodic_drive', {'coordinate': 'y', 'amplitude': 0.5, 'frequency': 0.7}),
         ('external_force', {'coordinates': ['y'], 'timeout': 0.25}),
+        ('servo', {'coordinates': ['y', 'x'], 'stiffness': 2.0, 'damping': [0.5, 0.0],
+                   'effort_limit': [0.3, 1.0], 'position': [0.1, 0.2]}),
         ('learned_dissipation', {'model': 2}),
         ('learned_friction', {'model': 'worn'})]),
     'bath and wall': ('stormer_verlet', 'pendulum', (), (1.0,), (0.0,), [

@@ -14,6 +14,7 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.effects.quadratic_drag import QuadraticDrag
+from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.effects.soft_wall import SoftWall
 from hnn_vi_ros.effects.spring import Spring
 from hnn_vi_ros.effects.thermostat import Thermostat
@@ -28,6 +29,7 @@ EFFECTS: dict[str, type[Effect]] = {
     'quadratic_drag': QuadraticDrag,
     'periodic_drive': PeriodicDrive,
     'external_force': ExternalForce,
+    'servo': Servo,
     'learned_dissipation': LearnedDissipation,
     'learned_friction': LearnedFriction,
     'thermostat': Thermostat,

@@ -8,6 +8,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+from hnn_vi_ros.effects.commands import Reference
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
@@ -53,6 +54,8 @@ class EffectState(NamedTuple):
         belongs to the velocity, M v, is p - gauge q.
     resting : np.ndarray, shape (K,)
         1 where the effect is a wall on which its coordinate rests.
+    reference : Reference
+        What servos follow.
 
     """
 
@@ -63,18 +66,20 @@ class EffectState(NamedTuple):
     draws: np.ndarray
     gauge: np.ndarray
     resting: np.ndarray
+    reference: Reference
 
     @classmethod
-    def empty(cls, effects: int, dimension: int) -> 'EffectState':
-        """Return the state before the first step."""
+    def empty(cls, effects: int, dimension: int, knots: int = 0) -> 'EffectState':
+        """Return the state before the first step, with room for the knots of a path."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
-                   np.zeros((dimension, dimension)), np.zeros(effects))
+                   np.zeros((dimension, dimension)), np.zeros(effects),
+                   Reference.empty(dimension, knots))
 
     def reset(self, stream: int) -> None:
         """Go back to before the first step, on a stream of random numbers."""
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
-                      self.resting):
+                      self.resting, *self.reference):
             array[...] = 0
         self.draws[2] = stream
 
@@ -113,6 +118,8 @@ class Effect(ABC):
         Whether it can act on several trajectories that step together.
     turns : bool
         Whether it acts on systems that turn as well.
+    knots : int
+        How many knots of a path it may follow; see Reference.
     excludes : mapping of Place to str
         Places in which nothing else may act, and why: a clause that follows the other's name.
 
@@ -123,6 +130,7 @@ class Effect(ABC):
     single: ClassVar[bool] = False
     lockstep: ClassVar[bool] = True
     turns: ClassVar[bool] = False
+    knots: ClassVar[int] = 0
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 
     def place(self, integrator: Integrator) -> Place:
@@ -195,17 +203,6 @@ class Joined(Effect):
 
     def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:
         """Add its share to the linear vector potential, shape (d, d); see EffectState."""
-
-
-class Commanded(ABC):
-    """An effect that takes commands while the simulation runs."""
-
-    # What each number of a command is for, as far as that has a name.
-    names: Sequence[str] = ()
-
-    @abstractmethod
-    def take(self, values: Sequence[float], parameters: Any) -> None:
-        """Take a command [N] or [N m] whole, or raise ValueError and leave the last one."""
 
 
 class Potential(Joined):

@@ -102,6 +102,12 @@ class InputParameters(NamedTuple):
     add: Callable[..., None]
     own: Places | Axes | InputMap | InputMatrix
 
+    def hold(self, places: np.ndarray, values: np.ndarray, timeout: float) -> None:
+        """Put some numbers of a command into effect; the others stay, unless they have ended."""
+        if not self.clock[0] < self.command[-1]:
+            self.command[:] = 0.0
+        self.command[places], self.command[-1] = values, self.clock[0] + timeout
+
 
 def by_name(state: EffectState, coordinates: Sequence[Coordinate], names: Sequence[str]
             ) -> InputParameters:

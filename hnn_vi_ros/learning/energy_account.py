@@ -5,7 +5,8 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Commanded, Effect, EffectState, Force
+from hnn_vi_ros.effects.base import Effect, EffectState, Force
+from hnn_vi_ros.effects.commands import Commanded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.evaluation import momentum
 from hnn_vi_ros.learning.motions import Motion
@@ -95,7 +96,7 @@ def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.nd
         f_q[:], f_p[:] = 0.0, 0.0
         for effect, own in forces:
             if isinstance(effect, Commanded):
-                effect.take(commands[k], own)
+                effect.prepare(commands[k], own, q[k])()
             effect.add_force(own, t[k], q[k], p[k], H_p[k], f_q, f_p)
         power[k] = H_q[k] @ f_q + H_p[k] @ f_p
     return power

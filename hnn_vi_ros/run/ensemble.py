@@ -59,8 +59,8 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     effects : sequence of mapping, optional
         In place of the scene's, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
     commands : callable or array, shape (N, c), optional
-        Of the effect external_force: a function of the time [s] that is asked before each step,
-        or a row for each sample, which holds until the next.
+        Of external_force: a function of the time [s] that is asked before each step, or a row for
+        each sample, which holds until the next. For a servo, a function that returns JointCommand.
     every : int, optional
         Steps from one sample to the next.
     times : sequence of float, optional

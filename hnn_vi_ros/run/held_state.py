@@ -76,6 +76,9 @@ def _of_today(found: dict[str, np.ndarray], own: Mapping[str, np.ndarray]
     general = {name.rpartition('.')[0] for name in found if name.endswith('.triangle')}
     state = {name: array for name, array in found.items()
              if name.rpartition('.')[0] not in general or name in own}
+    # Those of before there were servos follow nothing.
+    state |= {name: np.zeros_like(array) for name, array in own.items()
+              if name.startswith('live.reference.') and name not in found}
     for name in own.keys() - found.keys():
         place, field = '.'.join(name.split('.')[:2]), '.'.join(name.split('.')[2:])
         array, row = _EARLIER.get(field, ('', ...))

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 
+from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.simulation import Simulation
@@ -17,7 +18,7 @@ MOST_NUMBERS = 2**28
 _MOST_STEPS = 2**63 - 1
 
 # What a command is in time: values at a time [s], or at each sample.
-Commands = Callable[[float], Sequence[float]] | Sequence[Sequence[float]]
+Commands = Callable[[float], Command] | Sequence[Sequence[float]]
 # What takes samples: q and p, shape (k, d) each.
 Recorder = Callable[[], tuple[np.ndarray, np.ndarray]]
 
@@ -146,6 +147,6 @@ def _advance_commanded(simulation: Simulation, steps: int, commands: Commands, s
         simulation.advance(1)
 
 
-def _command(commands: Commands, time: float, sample: int) -> Sequence[float]:
+def _command(commands: Commands, time: float, sample: int) -> Command:
     """Return the command at a time, which lies after a sample."""
     return commands(time) if callable(commands) else commands[sample]

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.commands import Command, NUMBERS
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
@@ -55,10 +56,12 @@ class Simulation:
     ----------
     hamiltonian : Hamiltonian
         H with the potentials among the effects.
-    conservative, takes_commands, command_size : bool, bool, int
-        Whether no effect does work; whether one takes commands, and of how many numbers.
-    command_names : sequence of str
-        What each number of a command is for, none where that has no name.
+    conservative, takes_commands : bool
+        Whether no effect does work, and whether one takes commands that are plain numbers.
+    command_size, command_names : int, sequence of str
+        How many numbers such a command has, and what each is for, as far as that has a name.
+    motors : Motors
+        The effects that take commands.
     steps : int
         Steps taken since the initial state.
     q, p : np.ndarray, shape (d,) or (m, d)
@@ -70,10 +73,9 @@ class Simulation:
         solver came to another solution than that which is connected to h = 0.
     residual : float
         Relative residual of the last implicit step [1].
-    gradients : int
-        Gradients and Hessian-vector products evaluated in steps since the initial state.
-    usual_gradients : int
-        How many a step takes at most as a rule; 0 where there is no rule.
+    gradients, usual_gradients : int
+        Gradients and Hessian-vector products evaluated in steps since the initial state, and how
+        many a step takes at most as a rule, 0 where there is none.
     costliest : tuple of (int, int)
         How many the costliest step took, and the number of steps at its end.
 
@@ -95,8 +97,9 @@ class Simulation:
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
         self._system = system = System(hamiltonian, effects, integrator)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
-        self.conservative, self.takes_commands = system.conservative, system.takes_commands
-        self.command_names, self.command_size = system.command_names, system.command_size
+        self.conservative, self.motors = system.conservative, system.motors
+        self.takes_commands = NUMBERS in self.motors.takes
+        self.command_names, self.command_size = self.motors.names, self.motors.size
         self.usual_gradients, self.step_size = system.integrator.usual_gradients, float(step_size)
         self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
         if not self._kernel.compiled:
@@ -150,9 +153,9 @@ class Simulation:
         self._kernel.gradient(
             self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
 
-    def set_command(self, values: Sequence[float]) -> None:
-        """Set the external force [N] or [N m] from now on, or raise ValueError and leave it."""
-        self._system.command(values)
+    def set_command(self, command: Command) -> None:
+        """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
+        self.motors.command(command, self.q.reshape(-1, self.hamiltonian.dimension)[0])
         self._evaluate_gradient()
         self._update_gradient()
 
@@ -300,11 +303,7 @@ class Simulation:
         self.record(1, n)
 
     def dense_step(self) -> DenseStep:
-        """
-        Take one step, and return it with the states inside of it, or raise StepFailure.
-
-        UnsupportedSystem where there are rotations: no polynomial leads from one to the next.
-        """
+        """Take one step, and return it with the states inside of it, or raise StepFailure."""
         if self.hamiltonian.rotations:
             raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
                                     'events out, and ask for times that are whole steps')

@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_point, largest
 from hnn_vi_ros.integrators.base import (
     BEYOND, Integrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.workspaces import forget
+from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.simulation.assembly import Loop
@@ -161,7 +161,7 @@ class Rescue:
     def _in_parts(self, loop: Loop, method: Integrator, parts: int, most: int, h: float,
                   z: Point, z1: Point) -> tuple[bool, int]:
         """Take the step in equal parts; leave z and what the effects keep if one fails."""
-        state = self._system.effect_state
+        state = [array for _, array in arrays_of('state', self._system.effect_state)]
         before = [array.copy() for array in state]
         end = Point(*[array.copy() for array in z])
         ok, gradients = loop(h, parts, most, end, z1, method.memory(z.q.size))

@@ -9,8 +9,7 @@ import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import (
-    Commanded, Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together,
-    Wrapping)
+    Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together, Wrapping)
 from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -19,6 +18,7 @@ from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, REASONS, REDUNDANT
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.simulation.motors import Motors
 import numpy as np
 
 _KINDS = {effect: kind for kind, effect in EFFECTS.items()}
@@ -117,6 +117,8 @@ class System:
         A name for each effect: its kind, with its place where that stands more than once.
     conservative : bool
         Whether no effect does work.
+    motors : Motors
+        The effects that take commands.
 
     Raises
     ------
@@ -130,7 +132,8 @@ class System:
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator):
         self._effects, self.method = list(effects), integrator
-        self.effect_state = EffectState.empty(len(effects), hamiltonian.dimension)
+        self.effect_state = EffectState.empty(
+            len(effects), hamiltonian.dimension, max((one.knots for one in effects), default=0))
         kinds = [_kind(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
@@ -145,6 +148,7 @@ class System:
         self._check_together()
         self._check(integrator)
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
+        self.motors = Motors(list(zip(effects, self._parameters, strict=True)))
         joined = [(cast(Joined, effects[i]), self._parameters[i]) for i in self._in(Place.ENERGY)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
         check_method(integrator, self.hamiltonian)
@@ -166,34 +170,6 @@ class System:
         # An effect that cuts steps counts in its parameters how often it does.
         counts = (getattr(self._parameters[i], 'cuts', None) for i in self._in(Place.OUTSIDE))
         return sum(int(count[0]) for count in counts if count is not None)
-
-    @property
-    def takes_commands(self) -> bool:
-        """Whether an effect takes commands."""
-        return any(isinstance(effect, Commanded) for effect in self._effects)
-
-    @property
-    def command_size(self) -> int:
-        """Return how many numbers a command has; 0 where no effect takes any."""
-        taken: list[Any] = [parameters for effect, parameters in zip(
-            self._effects, self._parameters, strict=True) if isinstance(effect, Commanded)]
-        return sum(parameters.places.size for parameters in taken)
-
-    @property
-    def command_names(self) -> Sequence[str]:
-        """Return what each number of a command is for, none where that has no name."""
-        return next((effect.names for effect in self._effects if isinstance(effect, Commanded)),
-                    ())
-
-    def command(self, values: Sequence[float]) -> None:
-        """Pass a command to the effects that take it, or raise ValueError and change nothing."""
-        if not self.takes_commands:
-            able = [kind for kind, effect in EFFECTS.items() if issubclass(effect, Commanded)]
-            raise ValueError(f'no effect of the scene is an {" or ".join(able)}: it takes no '
-                             'commands')
-        for effect, parameters in zip(self._effects, self._parameters, strict=True):
-            if isinstance(effect, Commanded):
-                effect.take(values, parameters)
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
         """

@@ -19,7 +19,7 @@ import pytest
 
 pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 # What every effect is made of.
-BASES = {'', 'base', 'kernels', 'wrapped'}
+BASES = {'', 'base', 'commands', 'kernels', 'wrapped'}
 
 
 class Kick(StepEffect):

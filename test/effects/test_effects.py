@@ -9,6 +9,7 @@ from helpers import (
     EPS, exact, jacobian, python_step, random_checkpoint, symplectic_defect, Uncompiled)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
+from hnn_vi_ros.effects.commands import NUMBERS
 from hnn_vi_ros.effects.noise import fill_normals
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -61,6 +62,11 @@ def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path
     ('periodic_drive', {'coordinate': 'x', 'amplitude': NAN, 'frequency': 1.0}, 'amplitude'),
     ('external_force', {'coordinates': ['x'], 'timeout': 0.0}, 'timeout = 0.0'),
     ('external_force', {'coordinates': ['x', 'x']}, 'each once'),
+    ('servo', {'coordinates': ['x'], 'stiffness': -1.0}, 'stiffness = -1.0 must be at least 0'),
+    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'damping': [NAN]}, 'damping = '),
+    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'effort_limit': 0.0}, 'effort_limit = 0.0'),
+    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'position': [INF]}, 'position = '),
+    ('servo', {'coordinates': ['x', 'x'], 'stiffness': 1.0}, 'each once'),
     ('thermostat', {'temperature': 0.0, 'rate': 1.0}, 'temperature = 0.0'),
     ('thermostat', {'temperature': 1.0, 'rate': [1.0, 0.0]}, 'rate = 0.0'),
     ('thermostat', {'temperature': 1.0, 'rate': 1.0, 'mass': -1.0}, 'mass = -1.0'),
@@ -182,8 +188,8 @@ def test_hessian_vector_with_an_effect_is_the_derivative_of_its_gradient(
     effects = row.create(tmp_path)
     system = System(row.uncompiled, effects, INTEGRATORS['gauss4']())
     kernel, (D, d) = system.kernel, (system.kernel.dimension, len(row.q))
-    if system.takes_commands:
-        system.command([2.0])
+    if NUMBERS in system.motors.takes:
+        system.motors.command([2.0], np.array(row.q))
     rng = np.random.default_rng(1)
     q, p, v_q, v_p = rng.normal(size=(4, D))
     # Of a channel nothing acts back; time is not differentiated.

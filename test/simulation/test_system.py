@@ -10,6 +10,7 @@ from effect_table import create_effect, EFFECT_ROWS, EffectRow
 from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
+from hnn_vi_ros.effects.commands import JointPath
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -55,7 +56,7 @@ def test_system_without_effects_is_the_hamiltonian_and_the_method_themselves(int
     assert system.integrator is method
     assert system.integrator.step is INTEGRATORS[integrator].step
     assert system.conservative
-    assert not system.takes_commands
+    assert not system.motors.takes
     assert system.labels == []
 
 
@@ -116,9 +117,9 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'attitudes', 'base', 'body_points', 'bouncing', 'constraints', 'crossings',
+SHARED = {'attitudes', 'base', 'body_points', 'bouncing', 'commands', 'constraints', 'crossings',
           'friction_network', 'input_map', 'kernels', 'masses', 'noise', 'ornstein_uhlenbeck',
-          'points', 'rattle', 'splitting', 'wrapped'}
+          'points', 'rattle', 'servo_targets', 'splitting', 'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
@@ -243,7 +244,17 @@ def commanded() -> Simulation:
     return simulation
 
 
-SIMULATIONS = [brownian, rods, resting, commanded]
+def following() -> Simulation:
+    """Return a pendulum whose servo follows a path, from one rest to another."""
+    simulation = Simulation(
+        Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss4'](), 0.05, [0.7], [0.0],
+        [effect('servo', ['angle'], 20.0, 2.0, 15.0)])
+    simulation.set_command(JointPath(
+        ['angle'], 0.0, np.array([1.03, 4.0]), np.array([[-0.5], [0.9]])))
+    return simulation
+
+
+SIMULATIONS = [brownian, rods, resting, commanded, following]
 
 
 def assert_same(one: Simulation, other: Simulation) -> None:

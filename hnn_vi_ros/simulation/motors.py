@@ -1,0 +1,80 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The effects of a simulation that take commands."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from hnn_vi_ros.effects.base import Effect, Force
+from hnn_vi_ros.effects.commands import Aim, Command, Commanded, contents, EFFORT, NUMBERS
+import numpy as np
+
+
+class Motors:
+    """
+    What drives a system as it is commanded.
+
+    Parameters
+    ----------
+    effects : sequence of (Effect, tuple)
+        All of a scene, each with what ``resolve`` returned.
+
+    Attributes
+    ----------
+    takes : frozenset of str
+        What a command may hold; see ``contents``.
+    size : int
+        How many numbers a command of plain ones has; 0 where none is taken.
+    names : sequence of str
+        What each of them is for, none where that has no name.
+
+    """
+
+    def __init__(self, effects: Sequence[tuple[Effect, Any]]):
+        self._effects: list[tuple[Any, Any]] = [
+            (effect, own) for effect, own in effects if isinstance(effect, Commanded)]
+        self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
+        driven = [(effect.names, own.places.size) for effect, own in self._effects
+                  if NUMBERS in effect.takes]
+        # There is at most one.
+        self.names: Sequence[str] = driven[0][0] if driven else ()
+        self.size: int = driven[0][1] if driven else 0
+
+    def command(self, command: Command, q: np.ndarray) -> None:
+        """
+        Pass a command to the effects that take it.
+
+        Parameters
+        ----------
+        command : Command
+            Of forces, of joints or of a path.
+        q : np.ndarray, shape (d,)
+            The coordinates now.
+
+        Raises
+        ------
+        ValueError
+            No effect takes it, or it cannot be used; nothing has changed.
+
+        """
+        held = contents(command)
+        for content in sorted(held - self.takes):
+            kind = 'an external_force' if content in (NUMBERS, EFFORT) else 'a servo'
+            raise ValueError(f'no effect of the scene is {kind} of joints: it takes no {content}')
+        for put in [effect.prepare(command, own, q) for effect, own in self._effects
+                    if effect.takes & held]:
+            put()
+
+    def forces(self, t: float, q: np.ndarray, p: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return the generalised forces of all motors at a state, shape (d,) [N] or [N m]."""
+        f_q, f_p = np.zeros((2, p.size))
+        for effect, own in self._effects:
+            if isinstance(effect, Force):
+                effect.add_force(own, t, q, p, velocity, f_q, f_p)
+        return f_p
+
+    @property
+    def aim(self) -> Aim | None:
+        """Return what a servo follows now; None where there is none."""
+        aims = (effect.aim(own) for effect, own in self._effects)
+        return next((aim for aim in aims if aim is not None), None)

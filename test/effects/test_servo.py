@@ -1,0 +1,263 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Servos: their answers to steps, their limits, and the paths that they follow."""
+
+from helpers import EPS, Uncompiled
+from hnn_vi_ros.effects.commands import JointCommand, JointPath
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.servo import Servo
+from hnn_vi_ros.effects.servo_targets import MOST_KNOTS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+from numpy.polynomial import Polynomial
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.linalg import expm
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
+NAN, INF = float('nan'), float('inf')
+MASS, STIFFNESS, DAMPING = 2.0, 18.0, 3.0
+
+
+def servo(*names: str, h: float = 0.02, integrator: str = 'gauss8', q=0.0, p=0.0,
+          system: str = 'free_particle', more=(), **arguments) -> Simulation:
+    """Return a servo for each of some free masses, or for a pendulum."""
+    hamiltonian = HAMILTONIANS[system](*[MASS, names] if system == 'free_particle' else [])
+    arguments = {'stiffness': STIFFNESS, 'damping': DAMPING} | arguments
+    return Simulation(Uncompiled(hamiltonian), INTEGRATORS[integrator](), h,
+                      np.full(len(names), q), np.full(len(names), p),
+                      [Servo(list(names), **arguments), *more])
+
+
+def command(names: str | list[str], position=NAN, velocity=NAN, effort=NAN) -> JointCommand:
+    """Return a command of joints whose names are letters."""
+    return JointCommand(tuple(names), *(
+        np.broadcast_to(np.array(values, dtype=float), len(names))
+        for values in (position, velocity, effort)))
+
+
+def path(t: list[float], *columns, names: str = 'x', delay: float = 0.0) -> JointPath:
+    """Return a path of one joint, or of several that do the same."""
+    return JointPath(tuple(names), delay, np.array(t), *(
+        np.tile(np.array(column, dtype=float)[:, None], len(names)) for column in columns))
+
+
+@pytest.mark.parametrize('integrator, tolerance', [
+    # The rounding of 100 steps, and their error: of order 2 at w h = 0.06.
+    ('gauss8', 1e-11), ('generalized_leapfrog', 2e-3)])
+def test_servo_answers_a_step_as_a_damped_oscillator(integrator, tolerance):
+    simulation = servo('x', integrator=integrator)
+    simulation.set_command(command('x', position=0.5))
+    q, p = (part[:, 0] for part in simulation.record(100, 1))
+    rate, t = DAMPING / (2.0 * MASS), 0.02 * np.arange(1, 101)
+    omega = np.sqrt(STIFFNESS / MASS - rate**2)
+    decay = 0.5 * np.exp(-rate * t)
+    exact = 0.5 - decay * (np.cos(omega * t) + rate / omega * np.sin(omega * t))
+    assert np.abs(q - exact).max() < tolerance
+    assert np.abs(p / MASS - decay * (omega + rate**2 / omega) * np.sin(omega * t)).max() \
+        < 5.0 * tolerance
+    # All energy is its work; the rest of the method's error is of its order as well.
+    assert simulation.works == {'servo': pytest.approx(simulation.energy, abs=tolerance)}
+
+
+@pytest.mark.parametrize('limit, tolerance', [
+    # Order 8 at w h = 0.1 or, where the force has kinks inside of steps, 2: h^2 of 50 rad/s^2.
+    (None, 1e-10), (4.0, 1e-2)])
+def test_servo_of_a_pendulum_answers_a_step_as_dop853_does(limit, tolerance):
+    def slope(t: float, z: np.ndarray) -> list[float]:
+        force = STIFFNESS * (-0.8 - z[0]) - DAMPING * z[1]
+        return [z[1], -9.81 * np.sin(z[0]) + np.clip(force, -(limit or INF), limit or INF)]
+
+    exact = solve_ivp(slope, (0.0, 2.0), [0.7, 0.0], 'DOP853', rtol=1e-12, atol=1e-12,
+                      max_step=0.005)
+    simulation = servo('angle', system='pendulum', q=0.7, effort_limit=limit)
+    simulation.set_command(command(['angle'], position=-0.8))
+    simulation.advance(100)
+    assert [*simulation.q, *simulation.p] == pytest.approx(exact.y[:, -1], abs=tolerance)
+    assert simulation.energy_balance == pytest.approx(0.0, abs=tolerance)
+
+
+def test_servo_without_a_position_brings_the_velocity_to_what_is_commanded():
+    simulation = servo('x')
+    simulation.set_command(command('x', velocity=-0.4))
+    simulation.advance(100)
+    # m v' = c (v_r - v).
+    assert simulation.p[0] / MASS == pytest.approx(-0.4 * -np.expm1(-DAMPING * 2.0 / MASS),
+                                                   abs=1e-12)
+
+
+@pytest.mark.parametrize('integrator', ['variational_euler', 'generalized_leapfrog', 'rk4'])
+def test_servo_applies_no_more_than_its_limit(integrator):
+    simulation = servo('x', 'y', integrator=integrator, effort_limit=[0.25, INF],
+                       position=[100.0, 0.0])
+    simulation.set_command(command('y', effort=NAN, position=0.0))
+    simulation.advance(10)
+    # A constant force, and none.
+    assert simulation.p == pytest.approx([0.25 * 0.2, 0.0], abs=1e-15)
+    assert simulation.motors.forces(0.2, simulation.q, simulation.p, simulation.dH_dp).tolist() \
+        == [0.25, 0.0]
+    simulation.set_command(command('x', position=-100.0))
+    simulation.advance(10)
+    assert simulation.p[0] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_joints_that_are_not_named_do_what_they_did_and_no_command_is_no_force():
+    simulation = servo('x', 'y', 'z')
+    simulation.advance(5)
+    assert (simulation.p == 0.0).all()
+    simulation.set_command(command('yx', position=[0.1, NAN], velocity=[0.3, 0.2]))
+    aim = simulation.motors.aim
+    assert aim.names == ['x', 'y', 'z'] and not aim.on_path
+    np.testing.assert_array_equal(aim.targets, [[NAN, 0.1, NAN], [0.2, 0.3, NAN], [0.0] * 3])
+    simulation.set_command(command('z', position=1.0))
+    np.testing.assert_array_equal(simulation.motors.aim.targets[0], [NAN, 0.1, 1.0])
+    simulation.restart(simulation.q, simulation.p)
+    assert np.isnan(simulation.motors.aim.targets[:2]).all()
+
+
+def test_effort_beside_a_position_is_that_of_the_external_force():
+    simulation = servo('x', 'y', more=[ExternalForce(['y', 'x'], 0.1)])
+    simulation.set_command(command('xy', position=[0.0, NAN], effort=[1.5, -2.0]))
+    forces = simulation.motors.forces(0.0, simulation.q, simulation.p, simulation.dH_dp)
+    assert forces.tolist() == [1.5, -2.0] == (-simulation.dH_dq).tolist()
+    # One that is named alone leaves the other until they end, and does not renew what has ended.
+    simulation.set_command(command('x', effort=0.5))
+    assert simulation.dH_dq.tolist() == [-0.5, 2.0]
+    simulation.advance(10)
+    simulation.set_command(command('x', effort=0.5, position=simulation.q[0]))
+    assert simulation.dH_dq[1] == 0.0
+
+
+@pytest.mark.parametrize('given, message', [
+    (command('xw', position=1.0), "no joint 'w' is driven so; valid joints: x, y"),
+    (command('xx', position=1.0), 'names a joint twice'),
+    (command('x', position=INF), 'infinite'), (command('x'), 'holds no number'),
+    (command('x', effort=1.0), 'is an external_force of joints: it takes no effort'),
+    ([1.0, 2.0], 'it takes no commands'),
+    (path([1.0], [0.0]), r'joint_names = \[x\] must be x, y'),
+    (path([], [], names='xy'), '0 points'),
+    (path(range(MOST_KNOTS), [0.0] * MOST_KNOTS, names='xy'), f'1 to {MOST_KNOTS - 1}'),
+    (path([1.0, 1.0], [0.0] * 2, names='xy'), 'must rise'),
+    (path([NAN], [0.0], names='xy'), 'must rise'),
+    (path([1.0], [INF], names='xy'), 'positions must be 2 numbers'),
+    (path([1.0], [1.0], [0.0], [NAN], names='xy'), 'accelerations must be 2 numbers'),
+    (path([1.0], [1.0], names='xy')._replace(accelerations=np.zeros((1, 2))), 'no velocities'),
+    (path([1.0], [1.0], [0.5], names='xy'), 'velocities of the last point must be 0'),
+    (path([0.0], [1.0], names='xy'), 'was to be reached 0 s ago'),
+    (path([1.0], [1.0], names='xy', delay=-3.0), 'was to be reached 2 s ago'),
+    (path([1.0], [1.0], names='xy', delay=1.7e9), 'begins in 1.7e'),
+    (path([1.0, 2.0], [1e13, 0.0], names='xy'), r'positions .* at most 1e\+12')])
+def test_command_that_cannot_be_used_is_refused_whole(given, message):
+    simulation = servo('x', 'y')
+    simulation.set_command(command('xy', position=0.3))
+    before = simulation.motors.aim.targets
+    with pytest.raises(ValueError, match=message):
+        simulation.set_command(given)
+    assert np.array_equal(simulation.motors.aim.targets, before)
+
+
+def test_half_of_a_command_that_cannot_be_used_leaves_the_other_half():
+    simulation = servo('x', more=[ExternalForce(['x'])])
+    with pytest.raises(ValueError, match='infinite|finite'):
+        simulation.set_command(command('x', position=1.0, effort=INF))
+    assert np.isnan(simulation.motors.aim.targets[0, 0]) and simulation.dH_dq[0] == 0.0
+
+
+def aims(simulation: Simulation, steps: int) -> np.ndarray:
+    """Return the targets of the first joint after each step, shape (steps, 3)."""
+    found = []
+    for _ in range(steps):
+        simulation.advance(1)
+        found.append(simulation.motors.aim.targets[:, 0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize('degree', [3, 5])
+def test_path_through_points_of_a_polynomial_is_that_polynomial(degree):
+    """By knots that are no whole steps, from a rest at x = 0 to one at t = 1."""
+    exact = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0] if degree == 5 else [0.0, 0.0, 3.0, -2.0])
+    derivatives = [exact, exact.deriv(), exact.deriv(2)]
+    t, simulation = np.array([0.217, 0.5, 0.831, 1.0]), servo('x', h=0.025)
+    simulation.set_command(path(t, *(one(t) for one in derivatives[:(degree + 1) // 2])))
+    found, times = aims(simulation, 44), 0.025 * np.arange(1, 45)
+    inside = times < 1.0 - 1e-9
+    for one, column in zip(derivatives, found.T, strict=True):
+        # Differences of positions, over the square of a segment of 0.17 s.
+        assert np.abs(column - one(times))[inside].max() < 1e5 * EPS
+    # It stays at its end.
+    assert found[~inside, 0] == pytest.approx(1.0, abs=1e-14)
+    assert found[~inside][1:, 1:] == pytest.approx(0.0)
+
+
+def test_path_of_positions_alone_is_the_cubic_spline_that_rests_at_its_ends():
+    t, q = np.array([0.2, 0.5, 0.6, 1.0]), np.array([0.3, -0.1, 0.2, 0.4])
+    simulation = servo('x', h=0.025)
+    simulation.set_command(path(t, q))
+    spline = CubicSpline([0.0, *t], [0.0, *q], bc_type='clamped')
+    found, times = aims(simulation, 39), 0.025 * np.arange(1, 40)
+    for n, column in enumerate(found.T):
+        assert column == pytest.approx(spline(times, n), abs=1e-10)
+
+
+def test_path_begins_where_the_joints_are_to_be_then():
+    simulation = servo('x', h=0.01)
+    simulation.set_command(path([1.0], [1.0], [0.0], [0.0]))
+    simulation.advance(30)
+    before = simulation.motors.aim.targets
+    # Points that are past do not count.
+    simulation.set_command(path([0.1, 1.0], [7.0, -1.0], [0.0] * 2, [0.0] * 2, delay=-0.15))
+    assert simulation.motors.aim.targets == pytest.approx(before, abs=1e-12)
+    assert aims(simulation, 85)[-1] == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
+    # And so does one that is commanded while nothing was: from where the joint is.
+    other = servo('x', q=0.25)
+    other.set_command(path([1.0], [1.0], delay=0.5))
+    assert other.motors.aim.targets[:2, 0] == pytest.approx([0.25, 0.0], abs=1e-15)
+    other.set_command(command('x', position=0.5))
+    assert not other.motors.aim.on_path
+
+
+def test_servo_follows_1000_paths_with_the_analytic_tracking_error(measured):
+    """Solve m e'' + c e' + k e = m r'' for quintics r from rest to rest: 25 joints, 40 paths."""
+    names, rng, h, worst = [f'x{i}' for i in range(25)], np.random.default_rng(7), 0.02, 0.0
+    for _ in range(40):
+        simulation = servo(*names, h=h, integrator='rk4')
+        ends, steps = rng.uniform(-2.0, 2.0, 25), int(rng.integers(25, 60))
+        duration = steps * h * rng.uniform(1.0, 1.2)
+        still = np.zeros((1, 25))
+        simulation.set_command(
+            JointPath(names, 0.0, np.array([duration]), ends[None], still, still))
+        simulation.advance(steps)
+        shape = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0], [0.0, duration], [0.0, 1.0])
+        forcing = [shape.deriv(n)(0.0) for n in range(2, 6)]
+        # (e, e') with r'' and its three derivatives, of which the last is constant.
+        chain = np.eye(6, k=1)
+        chain[1] = [-STIFFNESS / MASS, -DAMPING / MASS, 1.0, 0.0, 0.0, 0.0]
+        lag = (expm(chain * steps * h) @ [0.0, 0.0, *forcing])[0]
+        worst = max(worst, np.abs(simulation.q - ends * (shape(steps * h) - lag)).max())
+    # Order 4 at w h = 0.06: (w h)^5 / 120 of paths up to 2, in each of 60 steps.
+    measured('tracking error of a servo against its exact one', '1000 paths, rk4', worst,
+             '<= 1e-6')
+    assert worst <= 1e-6
+
+
+@pytest.mark.parametrize('integrator, lengths', [
+    ('generalized_leapfrog', (40, 80)), ('gauss4', (10, 20)), ('rk4', (40, 80))])
+def test_method_keeps_its_order_and_the_balance_along_a_path(integrator, lengths):
+    def run(n: int, method: str = integrator) -> Simulation:
+        simulation = servo('angle', h=1.0 / n, integrator=method, system='pendulum', q=0.7)
+        simulation.set_command(path([1.2], [-0.4], [0.0], [0.0], names=['angle']))
+        simulation.advance(n)
+        return simulation
+
+    exact = run(40, 'gauss8')
+    assert abs(exact.energy_balance) < 1e-11
+    errors, balances = np.transpose([
+        (np.abs(simulation.q - exact.q).max(), abs(simulation.energy_balance))
+        for simulation in map(run, lengths)])
+    order = INTEGRATORS[integrator]().order
+    for values in (errors, balances):
+        assert np.log2(values[0] / values[1]) > order - 0.35
