@@ -57,7 +57,7 @@ class BagData(StrictModel):
     mass: Mass | None = Field(None, description=(
         'p = M dq/dt: one mass for each coordinate, or M by rows; default 1'))
     dp_dt: Topic | None = Field(None, description=(
-        'topic of all forces, as the efforts of the simulator are, or ~/state; default: '
+        'topic of all forces, as efforts that include the weight, or ~/state; default: '
         'estimated from p'))
     commands: Topic | None = Field(None, description=(
         'topic of commands, an array; each holds until the next, before the first all are 0'))

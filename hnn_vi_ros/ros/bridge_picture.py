@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.state_message import State
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros.accuracy import ENTRIES
 from hnn_vi_ros.ros.bridge_parameters import BridgeSettings
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
@@ -81,10 +82,12 @@ class BridgePicture:
             error, work = accuracy['energy_error'], accuracy['work']
         elif self._conservative:
             error, work = self._error(energy, 0.0), 0.0
-        self._write(
-            State(stamp.sec * 10**9 + stamp.nanosec, np.array(messages['q'].data),
-                  np.array(messages['p'].data), np.array(joints.effort), energy, work),
-            np.array(joints.velocity), error)
+        q, p = np.array(messages['q'].data), np.array(messages['p'].data)
+        # The effort is that of motors, or in earlier bags p'.
+        rates = momentum_rates(
+            self._hamiltonian.rotations, q, p, *self._hamiltonian.gradient(q, p))
+        self._write(State(stamp.sec * 10**9 + stamp.nanosec, q, p, rates, energy, work),
+                    np.array(joints.velocity), error)
 
     def tell(self, message: DiagnosticArray, simulator: str) -> None:
         """

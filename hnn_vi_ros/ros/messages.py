@@ -75,8 +75,8 @@ class MessageEncoder:
         """
         Return the serialised messages of a sample, in the order of `TICK_TOPICS`.
 
-        The joint states' position is q, their velocity q', their effort the generalised force
-        p', never p.
+        The joint states' position is q, their velocity q', and their effort what motors make
+        of commands, as on a robot.
         """
         q, p, dp_dt = self._parts
         q[:] = self._q.numbers[0][:] = sample.q
@@ -87,7 +87,7 @@ class MessageEncoder:
             # There are none of a message without joints.
             position, velocity, effort = self._joints.numbers
             position[:], velocity[:] = sample.q[self._of_q], sample.dH_dp[self._of_p]
-            effort[:] = dp_dt[self._of_p]
+            effort[:] = 0.0 if sample.motors is None else sample.motors[self._of_p]
         self._scalars[0] = self._energy.numbers[0][0] = sample.energy
         self._scalars[1] = sample.work
         self._state.set_stamp(sample.stamp)

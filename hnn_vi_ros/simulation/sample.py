@@ -31,6 +31,8 @@ class Sample:
         (H - H0 - W) / |H0|, or H - H0 - W [J] where H0 is zero.
     work : float
         W that the scene's effects have done on the system since the start [J].
+    motors : np.ndarray, shape (d,), or None
+        The generalised forces that commands make [N] or [N m]; None for none.
 
     """
 
@@ -44,3 +46,4 @@ class Sample:
     modified_energy: float
     energy_error: float
     work: float = 0.0
+    motors: np.ndarray | None = None

@@ -38,9 +38,9 @@ HARD_VALUES = (-0.0, 5e-324, np.nextafter(1.0, 2.0), -np.finfo(float).max, np.in
 def sample_of(dimension: int, step: int) -> Sample:
     """Return a sample whose arrays all differ."""
     rng = np.random.default_rng(step)
-    q, p, dH_dq, dH_dp = rng.normal(size=(4, dimension))
+    q, p, dH_dq, dH_dp, motors = rng.normal(size=(5, dimension))
     return Sample(step, step * 10_000_000, q, p, dH_dq, dH_dp, rng.normal(), 0.0, 0.0,
-                  rng.normal())
+                  rng.normal(), motors)
 
 
 def encoder_of(names: list[str]) -> messages.MessageEncoder:
@@ -79,7 +79,7 @@ def test_messages_equal_the_sample_bit_for_bit(dimension):
         assert state.header == joints.header
         for field, values in ((state.position, everything), (q.data, sample.q), (p.data, sample.p),
                               (joints.position, sample.q), (joints.velocity, sample.dH_dp),
-                              (joints.effort, -sample.dH_dq)):
+                              (joints.effort, sample.motors)):
             assert field.tobytes() == values.tobytes()
         assert np.float64(energy.data).tobytes() == np.float64(sample.energy).tobytes()
         assert joints.name == names
@@ -88,7 +88,7 @@ def test_messages_equal_the_sample_bit_for_bit(dimension):
 def test_messages_keep_hard_values_bit_for_bit():
     values = np.array(HARD_VALUES)
     names = [f'x{i}' for i in range(len(values))]
-    sample = Sample(0, 0, values, -values, values, -values, -0.0, 0.0, 0.0)
+    sample = Sample(0, 0, values, -values, values, -values, -0.0, 0.0, 0.0, motors=-values)
     state, q, p, energy, joints = decode(encoder_of(names).encode(sample))
     assert state.position[:15].tobytes() == np.concatenate([values, -values, -values]).tobytes()
     assert q.data.tobytes() == joints.position.tobytes() == values.tobytes()
@@ -96,13 +96,14 @@ def test_messages_keep_hard_values_bit_for_bit():
     assert np.signbit(energy.data)
 
 
-def test_effort_is_the_generalised_force_and_not_p():
+@pytest.mark.parametrize('motors, effort', [(None, 0.0), (np.array([8.0]), 8.0)])
+def test_effort_is_what_motors_apply_and_not_the_generalised_force(motors, effort):
     sample = Sample(0, 0, np.array([1.0]), np.array([2.0]), np.array([3.0]), np.array([4.0]),
-                    5.0, 6.0, 7.0)
+                    5.0, 6.0, 7.0, motors=motors)
     joints = decode(encoder_of(['x']).encode(sample))[-1]
     assert list(joints.position) == [1.0]
     assert list(joints.velocity) == [4.0]
-    assert list(joints.effort) == [-3.0]
+    assert list(joints.effort) == [effort]
 
 
 @pytest.mark.parametrize('stamp', [0, 999_999_999, 1_000_000_000, 123_456_789_012_345_678])
@@ -228,7 +229,7 @@ def test_log_of_encoded_samples_reads_back_in_rosbags(tmp_path):
         assert p.data.tolist() == sample.p.tolist()
         assert energy.data == sample.energy
         assert joints.velocity.tolist() == sample.dH_dp.tolist()
-        assert joints.effort.tolist() == (-sample.dH_dq).tolist()
+        assert joints.effort.tolist() == sample.motors.tolist()
     assert {name: len(entries) for name, entries in found.items()} == {
         topic.name: 50 for topic in topics}
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages, bags and pictures of bodies that turn, whose q has other columns than p."""
 
+from dataclasses import replace
+
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.state_message import decode_state
@@ -36,7 +38,8 @@ def sample_of(q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
 def test_messages_of_a_mixed_system_hold_every_column_by_name():
     rng = np.random.default_rng(3)
     q, dH_dq, (p, dH_dp) = *rng.normal(size=(2, 13)), rng.normal(size=(2, 11))
-    sample = sample_of(q, p, dH_dq, dH_dp)
+    motors = rng.normal(size=11)
+    sample = replace(sample_of(q, p, dH_dq, dH_dp), motors=motors)
     encoded = MessageEncoder(MIXED).encode(sample)
     state, q_told, p_told, energy, joints = (
         deserialize_message(data, kind) for data, (_, kind) in
@@ -51,7 +54,7 @@ def test_messages_of_a_mixed_system_hold_every_column_by_name():
     # No joint turns by a quaternion.
     assert joints.name == ['slide', 'angle']
     assert list(joints.position) == [q[0], q[8]] and list(joints.velocity) == [dH_dp[0], dH_dp[7]]
-    assert list(joints.effort) == [-dH_dq[0], -dH_dq[8]]
+    assert list(joints.effort) == [motors[0], motors[7]]
     decoded = decode_state(encoded[0])
     assert decoded.q.tolist() == q.tolist() and decoded.p.tolist() == p.tolist()
     rates = momentum_rates(rotations(MIXED), q, p, dH_dq, dH_dp)
