@@ -66,7 +66,7 @@ HOMES = {
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',
-       'lifecycle_msgs', 'std_srvs', 'rosidl_runtime_py'}
+       'lifecycle_msgs', 'std_srvs', 'trajectory_msgs', 'rosidl_runtime_py'}
 
 
 def relative(path: Path) -> str:

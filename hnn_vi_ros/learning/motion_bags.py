@@ -27,7 +27,8 @@ class BagMotions(MotionData):
     forces: str | None = Field(None, description=(
         'generalised forces of the motors: effort, or a topic of commands, of joint states with '
         'efforts or arrays, each of which holds until the next; default: effort where it is '
-        'published, and ~/commands in bags of the simulator, whose efforts are dp/dt'))
+        'published; in bags of the simulator ~/commands, or else, where joints were commanded, '
+        'effort'))
     stamps: Literal['header', 'log'] | None = Field(None, description=(
         "a message's time; default: header, log where forces are arrays, which have none"))
 
@@ -75,9 +76,13 @@ def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[Signal
     forces = data.forces
     if forces is None:
         state = reader.state_topic()
-        commands = f'{state.rpartition("/")[0]}/commands' if state else ''
-        if state:
-            forces = commands if reader.has_topic(commands) else ''
+        node = state.rpartition('/')[0] if state else ''
+        if state and reader.has_topic(f'{node}/commands'):
+            forces = f'{node}/commands'
+        elif state:
+            # In bags of before joints could be commanded the effort was p'.
+            forces = EFFORT if any(reader.has_topic(f'{node}/{name}') for name in (
+                'joint_commands', 'joint_trajectory')) else ''
         else:
             forces = EFFORT if reader.has(data.topic, EFFORT) else ''
     unstamped = forces not in ('', EFFORT) and reader.type_of(forces) == ARRAY

@@ -224,7 +224,7 @@ class Control:
                 time.sleep(max(wait, 0.0))
             elif run.step() == 0:
                 self.set_paused(True)
-            elif run.at_sample and run.pacer.paced and run.simulation.takes_commands:
+            elif run.at_sample and run.pacer.paced and run.simulation.motors.takes:
                 return
 
     def _take_requested(self) -> None:

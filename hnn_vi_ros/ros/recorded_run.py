@@ -10,8 +10,10 @@ from typing import Any
 
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import decode_state, State
+from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.remapped_topics import own_topics
 from hnn_vi_ros.run.held_state import STATE_FILE
 from hnn_vi_ros.run.sampling import steps_between
@@ -183,16 +185,22 @@ class RecordedRun:
         return all(self.state(message).stamp == message.time
                    for message in self.reader.messages(self.states))
 
-    def commands(self) -> Iterator[tuple[int, list[float]]]:
+    def commands(self) -> Iterator[tuple[int, str, Command]]:
         """
-        Yield the step from which on each command acted, and its numbers.
+        Yield the step from which on each command acted, its topic, and what it says.
 
         There are none where the bag does not tell at which step they did.
         """
-        name = f'{self.node}/commands'
-        if name in self._topics and self.stamped:
-            for message in self.reader.messages([self._topics[name]]):
-                yield self.step_of(message.time), self._array(message).tolist()
+        inputs = {self._topics[name]: one for one in INPUTS
+                  if (name := f'{self.node}{one.topic[1:]}') in self._topics}
+        if inputs and self.stamped:
+            for message in self.reader.messages(inputs):
+                one, topic = inputs[message.channel], self.reader.channels[message.channel].topic
+                try:
+                    command = one.read(self.decoded(message, one.message_type), message.time)
+                except ValueError as problem:
+                    raise RecordingError(f'{self.reader.path}: {topic}: {problem}') from problem
+                yield self.step_of(message.time), topic, command
 
     @property
     def own(self) -> bool:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.bags.even_grid import missing_stamps
+from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.kernels.identity import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
@@ -98,7 +99,7 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
     commands = '; the scene takes commands, and the log does not tell at which step any acted' \
-        if simulation.takes_commands and not any(run.commands()) else ''
+        if simulation.motors.takes and not any(run.commands()) else ''
     return Verdict(
         f'{agreed}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
         f'{size:.3g}: {difference.recorded!r} in the log, {difference.simulated!r} now; the '
@@ -156,7 +157,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
         while command is not None and command[0] < step:
             for simulation in simulations:
                 _advance(run, simulation, command[0])
-                _command(run, simulation, command[1])
+                _command(run, simulation, *command[1:])
             command = next(commands, None)
         for simulation in simulations:
             _advance(run, simulation, step)
@@ -183,11 +184,11 @@ def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
                              ) from failure
 
 
-def _command(run: RecordedRun, simulation: Simulation, values: list[float]) -> None:
+def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Command) -> None:
     try:
-        simulation.set_command(values)
+        simulation.set_command(command)
     except ValueError as problem:
-        raise RecordingError(f'{run.reader.path}: {run.node}/commands: {problem}') from problem
+        raise RecordingError(f'{run.reader.path}: {topic}: {problem}') from problem
 
 
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:

@@ -16,6 +16,7 @@ from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublishe
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.graph import (
     Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
+from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.messages import type_hash
 from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.parameters import Value
@@ -150,8 +151,8 @@ class ReplayNode(Node):
         """Return the commands that a recorded simulator heard: they would drive one that runs."""
         topics = own_topics(self._reader)
         heard = {self._reader.channels[number].topic for name, number in topics.items()
-                 if name.endswith('/commands')
-                 and f'{name.removesuffix("commands")}scene' in topics}
+                 for one in INPUTS if name.endswith(one.topic[1:])
+                 and f'{name.removesuffix(one.topic[1:])}/scene' in topics}
         for name in sorted(heard):
             self.get_logger().info(f'{name} is left out, since it would drive a simulator that '
                                    'runs; name it in topics to publish it')

@@ -71,7 +71,7 @@ class Run:
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
         topics.open(self.simulation, monitor, self._scene.mechanism, prepared.box,
-                    settings.frame_id, self._record_heard)
+                    settings.frame_id, lambda: self.sampler.stamp, self._record_beside)
         self._events = EventTopic(node, topics.open_events, self._scene.name, self.simulation)
         self._begin(monitor)
         self._tell_scene(prepared.report)
@@ -112,8 +112,8 @@ class Run:
         self._report = report
         self._topics.publish_scene(dump_yaml(report))
 
-    def _record_heard(self, topic: Topic, payload: bytes) -> None:
-        """Record what acts from the next step on, stamped with the state it finds."""
+    def _record_beside(self, topic: Topic, payload: bytes) -> None:
+        """Record what is said of the state, or acts from the next step on, with its stamp."""
         self.recording.write_other(topic, self.sampler.stamp, payload)
 
     def _errors(self) -> list[str]:
@@ -215,7 +215,7 @@ class Run:
 
     @property
     def _moved_by_others(self) -> bool:
-        return self.simulation.takes_commands or self._start is not self._own_start
+        return bool(self.simulation.motors.takes) or self._start is not self._own_start
 
     def set_start(self, q: Sequence[float], p: Sequence[float]) -> None:
         """Begin at this state from the next reset on."""

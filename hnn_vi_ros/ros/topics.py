@@ -3,6 +3,7 @@
 """The topics of the simulator: what a scene does not call for does not exist."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -13,11 +14,13 @@ from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublishe
 from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
 from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
 from hnn_vi_ros.ros.graph import UNDELIVERED, wait_for_delivery
+from hnn_vi_ros.ros.inputs import Input, INPUTS
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.odometry import ODOMETRY_TOPIC, OdometryEncoder
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.ros.remapped_topics import remapped
+from hnn_vi_ros.ros.trajectory_feedback import TRAJECTORY_STATE_TOPIC, TrajectoryFeedback
 from hnn_vi_ros.ros.wrench import body_of, command_of, WRENCH_TOPIC
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import serialize
@@ -35,7 +38,6 @@ from std_msgs.msg import Float64MultiArray, String
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
 SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
-COMMANDS_TOPIC: tuple[str, type] = ('~/commands', Float64MultiArray)
 TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An alarm is not to be replaced by the next report before it has arrived.
@@ -48,9 +50,9 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
         *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
-        EVENTS_TOPIC, ODOMETRY_TOPIC)),
+        EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC)),
     Endpoint('~/scene', 'publisher'), *(Endpoint(name, 'subscription') for name in (
-        '~/commands', '~/initial_state', '~/wrench')))
+        *(one.topic for one in INPUTS), '~/initial_state', '~/wrench')))
 
 
 class Topics:
@@ -76,6 +78,7 @@ class Topics:
 
     def __init__(self, node: Node, accuracy: bool, clock: bool = False):
         self._node, self._opened = node, []
+        self._heard: dict[str, Topic] = {}
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
         self._publishers = [self._publisher(*topic, TICKS) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
@@ -85,10 +88,11 @@ class Topics:
         self._accuracy: AccuracyEncoder | None = None
         self._markers: MarkerPublisher | None = None
         self._odometry: tuple[OdometryEncoder, Publisher] | None = None
+        self._feedback: tuple[TrajectoryFeedback, Publisher, Topic] | None = None
 
     def open(self, simulation: Simulation, monitor: Monitor,  # noqa: A003
              mechanism: str | None, box: tuple[np.ndarray, np.ndarray], frame_id: str,
-             record: Callable[[Topic, bytes], None]) -> None:
+             stamp: Callable[[], int], record: Callable[[Topic, bytes], None]) -> None:
         """
         Make what depends on the scene: messages, odometry, markers, and hearing commands.
 
@@ -104,12 +108,14 @@ class Topics:
             Lowest and highest q and p that the drawing leaves room for.
         frame_id : str
             Frame of the markers and of odometry.
+        stamp : callable
+            Returns that of the state [ns].
         record : callable
-            Takes a command that acts from now on: its topic, and the message.
+            Takes a message that belongs to the state: its topic, and the bytes.
 
         """
         hamiltonian = simulation.hamiltonian
-        self._simulation, self._record = simulation, record
+        self._simulation, self._stamp, self._record = simulation, stamp, record
         self._encoder = MessageEncoder(hamiltonian.coordinates)
         self.follow(monitor)
         if hamiltonian.rotations:
@@ -120,13 +126,16 @@ class Topics:
             self._markers = MarkerPublisher(
                 self._publisher(*MARKERS_TOPIC, _NEWEST), MECHANISMS[mechanism],
                 reach_of(hamiltonian, ends), frame_id)
-        if simulation.takes_commands:
-            heard = self.hear(*COMMANDS_TOPIC, self._on_command)
-            self._commands = describe_topic(
-                heard.topic_name, Float64MultiArray, heard.qos_profile)
-            self._body = body_of(hamiltonian.coordinates, simulation.command_names)
-            if self._body is not None:
-                self.hear(*WRENCH_TOPIC, self._on_wrench)
+        for one in INPUTS:
+            if one.holds & simulation.motors.takes:
+                self._hear_commands(one)
+        self._body = body_of(hamiltonian.coordinates, simulation.command_names)
+        if self._body is not None:
+            self.hear(*WRENCH_TOPIC, self._on_wrench)
+        if (aim := simulation.motors.aim) is not None:
+            publisher = self._publisher(*TRAJECTORY_STATE_TOPIC, TICKS)
+            self._feedback = TrajectoryFeedback(aim), publisher, describe_topic(
+                publisher.topic_name, TRAJECTORY_STATE_TOPIC[1], publisher.qos_profile)
 
     def open_events(self) -> Publisher:
         """Make the topic of events, for a scene that has any."""
@@ -137,10 +146,10 @@ class Topics:
         if len(self._publishers) > len(TICK_TOPICS):
             self._accuracy = AccuracyEncoder(self._simulation, monitor)
 
-    def hear(self, topic: str, message_type: type, take: Callable[[Any], None]
-             ) -> Subscription:
+    def hear(self, topic: str, message_type: type, take: Callable[[Any], None],
+             qos: QoSProfile = _NEWEST) -> Subscription:
         """
-        Hear a topic: the newest message counts, and what cannot be used is reported and ignored.
+        Hear a topic; what cannot be used is reported and ignored.
 
         Parameters
         ----------
@@ -150,6 +159,8 @@ class Topics:
             Of its messages.
         take : callable
             Uses a message, or raises ValueError and leaves all as it was.
+        qos : QoSProfile
+            By default the newest message counts.
 
         """
         def on_message(payload: bytes) -> None:
@@ -164,7 +175,7 @@ class Topics:
                     throttle_duration_sec=1.0)
 
         subscription = create_subscription(
-            self._node, message_type, topic, on_message, _NEWEST, raw=True)
+            self._node, message_type, topic, on_message, qos, raw=True)
         self._opened.append(subscription)
         return subscription
 
@@ -196,6 +207,11 @@ class Topics:
                 publisher.publish(payload)
         if self._markers is not None:
             self._markers.publish(sample)
+        if self._feedback is not None and (aim := self._simulation.motors.aim).on_path:
+            encoder, publisher, topic = self._feedback
+            payload = encoder.encode(sample, aim)
+            publisher.publish(payload)
+            self._record(topic, payload)
         return payloads
 
     @property
@@ -222,12 +238,18 @@ class Topics:
         self._opened.append(publisher)
         return publisher
 
-    def _on_command(self, message: Float64MultiArray) -> None:
-        self._simulation.set_command(list(message.data))
+    def _hear_commands(self, one: Input) -> None:
+        """Hear a topic of commands, and record what acts."""
+        heard = self.hear(one.topic, one.message_type, partial(self._take, one), one.qos)
+        self._heard[one.topic] = describe_topic(
+            heard.topic_name, one.message_type, heard.qos_profile)
+
+    def _take(self, one: Input, message: Any) -> None:
+        self._simulation.set_command(one.read(message, self._stamp()))
         # Anew, not as it came: the padding is the sender's, which no two runs have in common.
-        self._record(self._commands, serialize(message))
+        self._record(self._heard[one.topic], serialize(message))
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         # What is recorded is the command that it is, by which the run is simulated again.
-        self._on_command(Float64MultiArray(data=command_of(
+        self._take(INPUTS[0], Float64MultiArray(data=command_of(
             message, self._body or '', self._simulation.command_names)))

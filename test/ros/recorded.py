@@ -9,8 +9,9 @@ from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
-from hnn_vi_ros.ros.topics import COMMANDS_TOPIC, LATCHED, SCENE_TOPIC
+from hnn_vi_ros.ros.topics import LATCHED, SCENE_TOPIC
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -29,13 +30,13 @@ EPOCH = 1_700_000_000 * 10**9
 
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                change: Callable[[Sample], Sample] = lambda sample: sample, close: bool = True,
-               commands: Mapping[int, Sequence[list[float]]] | None = None, begin: int = 0,
+               commands: Mapping[int, Sequence[object]] | None = None, begin: int = 0,
                state: bool = True, **described: object) -> Path:
     """
     Record a run; `change` returns what is recorded in place of a sample.
 
-    Of each step, `commands` are what is heard before it; the bag may begin at a later one. It is
-    one of before ~/state without `state`.
+    Of each step, `commands` are what is heard before it, numbers or messages; the bag may begin at
+    a later one. It is one of before ~/state without `state`.
     """
     simulation = build(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
@@ -48,11 +49,13 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
         if step == first + begin:
             sink = _open(bag, report, sampler, TICK_TOPICS if state else TICK_TOPICS[1:],
                          state_file(simulation) if begin else None)
-        for values in (commands or {}).get(step, ()):
-            simulation.set_command(values)
+        for heard in (commands or {}).get(step, ()):
+            message = Float64MultiArray(data=heard) if isinstance(heard, list) else heard
+            one, = (one for one in INPUTS if isinstance(message, one.message_type))
+            simulation.set_command(one.read(message, sampler.stamp))
             if sink is not None:
-                sink.write_other(_topic(*COMMANDS_TOPIC), sampler.stamp,
-                                 serialize(Float64MultiArray(data=values)))
+                sink.write_other(_topic(one.topic, one.message_type), sampler.stamp,
+                                 serialize(message))
         simulation.advance(1)
         if simulation.steps % sampler.every == 0 and sink is not None:
             sample = change(sampler.sample())

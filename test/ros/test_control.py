@@ -21,7 +21,8 @@ class Steps:
 
     def __init__(self):
         self.simulation = SimpleNamespace(
-            steps=0, time=0.0, q=np.array([1.0]), p=np.array([-0.5]), takes_commands=False)
+            steps=0, time=0.0, q=np.array([1.0]), p=np.array([-0.5]),
+            motors=SimpleNamespace(takes=()))
         self.sampler, self.status = SimpleNamespace(stamp=0, time=0.0), SimpleNamespace()
         self.recording = SimpleNamespace(flush=lambda: None)
         # Nothing is due as long as it is not asked for.

@@ -16,7 +16,9 @@ POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulato
 # With a body that turns, all that scenes can call for: commands, events, and what is drawn.
 SCENE = """\
 hamiltonian: {kind: double_pendulum}
-effects: [{kind: external_force, coordinates: [angle1]}]
+effects:
+  - {kind: external_force, coordinates: [angle1]}
+  - {kind: servo, coordinates: [angle1, angle2], stiffness: 1.0}
 integrator: {kind: generalized_leapfrog}
 step_size: 0.002
 initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
@@ -87,7 +89,8 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
 def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():
     profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     heard = [name.text for name in profile.find("topics[@subscribe='ALLOW']")]
-    assert heard == ['/clock', '~/commands', '~/initial_state', '~/wrench']
+    assert heard == ['/clock', '~/commands', '~/initial_state', '~/joint_commands',
+                     '~/joint_trajectory', '~/wrench']
 
 
 def test_policy_holds_no_wildcard_and_no_right_to_call_others():

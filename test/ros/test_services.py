@@ -9,6 +9,7 @@ import random
 import signal
 import time
 
+from builtin_interfaces.msg import Duration
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics import LARGEST_MESSAGE
@@ -24,13 +25,16 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 import yaml
 
 # Seconds of nonsense in the suite; HNN_FUZZ_SECONDS=60 is the full measure.
 FUZZ_SECONDS = float(os.environ.get('HNN_FUZZ_SECONDS', '10'))
 SCENE = """\
 hamiltonian: {kind: double_pendulum}
-effects: [{kind: external_force, coordinates: [angle1], timeout: 0.1}]
+effects:
+  - {kind: external_force, coordinates: [angle1], timeout: 0.1}
+  - {kind: servo, coordinates: [angle1, angle2], stiffness: 5.0, damping: 1.0}
 integrator: {kind: generalized_leapfrog}
 step_size: 0.002
 initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
@@ -207,6 +211,12 @@ def nonsense(chance: random.Random, kind: type, names: list[str]):
     if kind is Float64MultiArray:
         return Float64MultiArray(data=numbers(chance))
     given = chance.choice((names, names[::-1], [text(chance) for _ in range(3)]))
+    if kind is JointTrajectory:
+        return JointTrajectory(joint_names=given, points=[
+            JointTrajectoryPoint(
+                positions=numbers(chance), velocities=chance.choice(([], numbers(chance))),
+                time_from_start=Duration(sec=chance.choice((0, i, -1)), nanosec=10**8 * i))
+            for i in range(chance.choice((0, 1, 3)))])
     return JointState(name=given, position=numbers(chance), velocity=numbers(chance),
                       effort=numbers(chance))
 
@@ -249,26 +259,27 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
                 'get_parameters': GetParameters, 'describe_parameters': DescribeParameters,
                 'list_parameters': ListParameters}
     with peer() as other:
-        publishers = {kind: other.node.create_publisher(kind, f'{SIMULATOR}/{name}', 1)
-                      for name, kind in (('commands', Float64MultiArray),
-                                         ('initial_state', JointState))}
+        kinds = {'commands': Float64MultiArray, 'initial_state': JointState,
+                 'joint_commands': JointState, 'joint_trajectory': JointTrajectory}
+        publishers = {name: other.node.create_publisher(kind, f'{SIMULATOR}/{name}', 1)
+                      for name, kind in kinds.items()}
         other.spin_until(lambda: other.states and all(
             publisher.get_subscription_count() for publisher in publishers.values()))
         clients = {name: other.client(kind, name) for name, kind in services.items()}
         # There is nothing else to send nonsense to.
         heard = other.topics_of_simulator()[1] - {'/parameter_events'}
-        assert heard <= {f'{SIMULATOR}/commands', f'{SIMULATOR}/initial_state', '/clock'}
+        assert heard <= {f'{SIMULATOR}/{name}' for name in kinds} | {'/clock'}
         sent, until = 0, time.monotonic() + FUZZ_SECONDS
         while time.monotonic() < until:
             assert process.poll() is None, finish(process)
-            for kind, publisher in publishers.items():
-                publisher.publish(nonsense(chance, kind, names))
+            for name, publisher in publishers.items():
+                publisher.publish(nonsense(chance, kinds[name], names))
             for name in chance.sample(list(services), 3):
                 clients[name].call_async(request(chance, services[name]))
-            sent += 5
+            sent += 7
             other.spin(0.005)
         # It can still be brought to do what it is for.
-        publishers[JointState].publish(JointState(
+        publishers['initial_state'].publish(JointState(
             name=names, position=[0.1] * len(names), velocity=[0.0] * len(names)))
         other.spin(1.0)
         assert process.poll() is None, finish(process)
@@ -288,4 +299,5 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
         process.send_signal(signal.SIGINT)
         status, _, error = finish(process)
     assert status == 0, error
-    assert '~/commands: message ignored' in error
+    # One a second at most is told, of whichever topic.
+    assert ': message ignored' in error

@@ -48,6 +48,13 @@ integrator: {{kind: generalized_leapfrog}}
 step_size: 0.01
 initial_state: {{q: [0.0], p: [0.0]}}
 """
+SERVO = f"""\
+hamiltonian: {{kind: free_particle, mass: {MASS}, names: [x, y]}}
+effects: [{{kind: servo, coordinates: [y, x], stiffness: 50.0, damping: [4.0, 5.0]}}]
+integrator: {{kind: generalized_leapfrog}}
+step_size: 0.01
+initial_state: {{q: [0.0, 0.5], p: [0.0, 0.0]}}
+"""
 # The paper's iteration does not converge in its 17th step.
 FAILING = """\
 hamiltonian: {kind: tao}
@@ -82,7 +89,8 @@ def sample_of(simulation: Simulation, **changes: float) -> Sample:
 
 def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = None) -> Monitor:
     monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
-    topics.open(simulation, monitor, mechanism, BOX, 'world', lambda topic, payload: None)
+    topics.open(simulation, monitor, mechanism, BOX, 'world', lambda: 0,
+                lambda topic, payload: None)
     return monitor
 
 
@@ -128,12 +136,14 @@ ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy
     (OSCILLATOR, False, None, set(), set()),
     (OSCILLATOR, True, None, {'/simulator/accuracy'}, set()),
     (OSCILLATOR, False, 'mass_spring', {'/simulator/markers'}, set()),
-    (COMMANDED, False, None, set(), {'/simulator/commands'}),
+    (COMMANDED, False, None, set(), {'/simulator/commands', '/simulator/joint_commands'}),
+    (SERVO, False, None, {'/simulator/joint_trajectory_state'},
+     {'/simulator/joint_commands', '/simulator/joint_trajectory'}),
     (QUADROTOR, False, None, {'/simulator/odometry'}, {
-        '/simulator/commands', '/simulator/wrench'}),
+        '/simulator/commands', '/simulator/joint_commands', '/simulator/wrench'}),
     (QUADROTOR.replace('body_fz', 'body_z'), False, None, {'/simulator/odometry'}, {
-        '/simulator/commands'}),
-], ids=['bare', 'accuracy', 'mechanism', 'commands', 'body', 'forces in space'])
+        '/simulator/commands', '/simulator/joint_commands'}),
+], ids=['bare', 'accuracy', 'mechanism', 'commands', 'servo', 'body', 'forces in space'])
 def test_topics_that_are_not_called_for_do_not_exist(
         tmp_path, nodes, text, accuracy, mechanism, published, heard):
     node, _, _ = nodes

@@ -1,0 +1,94 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of commands, and what their messages say; those in a bag are read by the same."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.effects.commands import (
+    Command, EFFORT, JointCommand, JointPath, NUMBERS, PATH, POSITION, VELOCITY)
+import numpy as np
+from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+
+class Input(NamedTuple):
+    """
+    A topic of commands.
+
+    Parameters
+    ----------
+    topic : str
+        Its name in the node.
+    message_type : type
+        Of its messages.
+    holds : frozenset of str
+        What its commands may hold, of which a scene takes some; see commands.contents.
+    read : callable
+        ``read(message, stamp)`` returns the command of a message that finds the state of that
+        stamp [ns], or raises ValueError.
+    qos : QoSProfile
+        Of the subscription.
+
+    """
+
+    topic: str
+    message_type: type
+    holds: frozenset[str]
+    read: Callable[[Any, int], Command]
+    qos: QoSProfile
+
+
+def read_numbers(message: Float64MultiArray, stamp: int) -> Command:
+    """Return forces, or what the motors of a model take."""
+    return list(message.data)
+
+
+def read_joints(message: JointState, stamp: int) -> JointCommand:
+    """Return what joints are to do; each list has a number for each name, or none."""
+    count, lists = len(message.name), []
+    for name in (POSITION, VELOCITY, EFFORT):
+        values = np.array(getattr(message, name), dtype=np.float64)
+        if values.size not in (0, count):
+            raise ValueError(f'{name} has {values.size} numbers for {count} names: give one for '
+                             'each, or none')
+        lists.append(values if values.size else np.full(count, np.nan))
+    return JointCommand(tuple(message.name), *lists)
+
+
+def read_path(message: JointTrajectory, stamp: int) -> JointPath:
+    """Return the path; its header tells when it begins, zero for now."""
+    begin = _nanoseconds(message.header.stamp.sec, message.header.stamp.nanosec)
+    points, columns = message.points, []
+    for name in ('positions', 'velocities', 'accelerations', 'effort'):
+        rows = [getattr(point, name) for point in points]
+        lengths = {len(row) for row in rows}
+        if len(lengths) > 1 or lengths - {0, len(message.joint_names)}:
+            raise ValueError(f'{name} must have a number for each of joint_names in every point, '
+                             'or none')
+        columns.append(np.array(rows, dtype=np.float64) if lengths - {0} else None)
+    positions, velocities, accelerations, effort = columns
+    if effort is not None:
+        raise ValueError('efforts along a path are not followed: leave them out')
+    if positions is None:
+        positions = np.empty((len(points), 0))
+    times = [_nanoseconds(point.time_from_start.sec, point.time_from_start.nanosec)
+             for point in points]
+    return JointPath(tuple(message.joint_names), (begin - stamp) / 1e9 if begin else 0.0,
+                     np.array(times) / 1e9, positions, velocities, accelerations)
+
+
+def _nanoseconds(seconds: int, nanoseconds: int) -> int:
+    return seconds * 10**9 + nanoseconds
+
+
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+INPUTS = (
+    Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, _NEWEST),
+    # Best effort hears those who publish reliably as well, as ros2_control does.
+    Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}), read_joints,
+          qos_profile_sensor_data),
+    Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, _NEWEST),
+)

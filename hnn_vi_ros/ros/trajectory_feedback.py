@@ -1,0 +1,43 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""How well joints follow the path that they were given."""
+
+from array import array
+
+from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.simulation.motors import Aim
+from hnn_vi_ros.simulation.sample import Sample
+import numpy as np
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+TRAJECTORY_STATE_TOPIC: tuple[str, type] = ('~/joint_trajectory_state', JointTrajectory)
+
+
+class TrajectoryFeedback:
+    """
+    Serialise ~/joint_trajectory_state: three points, the reference, what is, and their difference.
+
+    Parameters
+    ----------
+    aim : Aim
+        Of the servo, whose joints are always the same.
+
+    """
+
+    def __init__(self, aim: Aim):
+        zeros = array('d', [0.0] * len(aim.names))
+        self._template = Template(JointTrajectory(joint_names=list(aim.names), points=[
+            JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),
+            JointTrajectoryPoint(positions=zeros, velocities=zeros, effort=zeros),
+            JointTrajectoryPoint(positions=zeros, velocities=zeros)]))
+
+    def encode(self, sample: Sample, aim: Aim) -> bytes:
+        """Return the message of a sample, and of what a servo follows there."""
+        position, velocity = sample.q[aim.places], sample.dH_dp[aim.places]
+        effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.places]
+        for numbers, values in zip(self._template.numbers, (
+                *aim.targets, position, velocity, effort, aim.targets[0] - position,
+                aim.targets[1] - velocity), strict=True):
+            numbers[:] = values
+        self._template.set_stamp(sample.stamp)
+        return self._template.serialized()
