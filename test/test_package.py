@@ -44,7 +44,7 @@ REGISTRIES = {'effects': EFFECTS, 'hamiltonians': HAMILTONIANS | ROBOTS}
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
-    'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
+    'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
     'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
              r'|torch\.py',
     'torchdiffeq': r'studies/peers\.py',

@@ -1,0 +1,141 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""An arm that another process drives as ros2_control does, and what launches both."""
+
+import json
+from pathlib import Path
+import runpy
+import signal
+import subprocess
+import sys
+from types import ModuleType, SimpleNamespace
+
+from ament_index_python.packages import PackageNotFoundError
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.ros import robot_launching
+from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+from processes import finish, read_bag, start_executable
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOTS = ROOT / 'config' / 'robots'
+ARM = f"""\
+hamiltonian: {{kind: urdf, file: {ROBOTS / 'two_joint_arm.urdf'}}}
+effects:
+  - {{kind: servo, coordinates: [shoulder, elbow], stiffness: [400.0, 100.0],
+     damping: [20.0, 4.0], effort_limit: [40.0, 15.0], position: [0.0, 0.0]}}
+integrator: {{kind: generalized_leapfrog}}
+step_size: 0.001
+initial_state: {{q: [0.0, 0.0], p: [0.0, 0.0]}}
+"""
+
+
+def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
+    (tmp_path / 'arm.yaml').write_text(ARM)
+    values = {'scene': 'arm.yaml', 'publish_rate': 250.0, 'discovery_time': 0,
+              'record_path': 'bag', 'rerun_sink': 'none'}
+    process = start_executable(
+        'simulator', '--ros-args', *[word for name, value in values.items()
+                                     for word in ('-p', f'{name}:={value}')],
+        '-r', 'joint_states:=/robot_joint_states',
+        '-r', '~/joint_commands:=/robot_joint_commands', folder=tmp_path)
+    target = {'elbow': 0.9, 'shoulder': -0.7}
+    ended = subprocess.run(
+        [sys.executable, Path(__file__).parent / 'controller_stand_in.py',
+         json.dumps([target, 1.5])], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    # It is silent from now on; what it said last holds.
+    try:
+        process.wait(1.0)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT)
+    assert finish(process)[0] == 0
+    topics = read_bag(tmp_path / 'bag')
+    states = [message for _, message in topics['/robot_joint_states']]
+    last, commands = states[-1], topics['/robot_joint_commands']
+    assert last.name == ['shoulder', 'elbow'] and 0 < len(commands) <= found['sent']
+    # At rest where the servos carry the weight: k (q_r - q) = V'(q).
+    simulation = build(load_scene(tmp_path / 'arm.yaml'))
+    q = np.array(last.position)
+    weight, _ = simulation.hamiltonian.gradient(q, np.zeros(2))
+    assert [400.0, 100.0] * (np.array([-0.7, 0.9]) - q) == pytest.approx(weight, abs=1e-3)
+    assert last.effort == pytest.approx(weight, abs=1e-3)
+    # Some 0.9 N m over 100 N m/rad.
+    assert np.abs(q - [-0.7, 0.9]).max() < 0.03
+    # Of 1.125 rad/s at most, the damping alone makes up to 0.05 s.
+    print(f'tracking error {found["error"]:.3g} rad, first answer after {found["latency"]:.3g} s, '
+          f'{found["sent"]} commands')
+    verdict = check_replay(tmp_path / 'bag')
+    assert verdict.good, verdict.text
+
+
+def described(monkeypatch, installed: set[str]) -> tuple[list, list]:
+    """Return arguments and entities of robot.launch.py where some packages are installed."""
+    def thing(kind):
+        return lambda *words, **fields: SimpleNamespace(kind=kind, words=words, **fields)
+
+    for name, members in {
+            'launch': {'LaunchDescription': list},
+            'launch.actions': {'DeclareLaunchArgument': thing('argument'), 'LogInfo': thing('log'),
+                               'OpaqueFunction': thing('function')},
+            'launch_ros': {}, 'launch_ros.actions': {'Node': thing('node')}}.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+
+    def share(package: str) -> str:
+        if package != 'hnn_vi_ros' and package not in installed:
+            raise PackageNotFoundError(package)
+        return str(ROOT)
+
+    monkeypatch.setattr(robot_launching, 'get_package_share_directory', share)
+    description = runpy.run_path(
+        str(ROOT / 'launch' / 'robot.launch.py'))['generate_launch_description']()
+    *arguments, function = description
+    given = {argument.words[0]: argument.default_value for argument in arguments}
+    return arguments, function.function(SimpleNamespace(launch_configurations=given))
+
+
+ALL = {'robot_state_publisher', 'controller_manager', 'joint_state_topic_hardware_interface',
+       'joint_state_broadcaster', 'joint_trajectory_controller', 'rviz2'}
+
+
+def test_launch_of_a_robot_starts_what_is_installed_and_joins_its_topics(monkeypatch):
+    arguments, entities = described(monkeypatch, ALL)
+    assert all(Path(argument.default_value).is_file() for argument in arguments[:3])
+    assert [entity.executable for entity in entities] == [
+        'simulator', 'robot_state_publisher', 'ros2_control_node', 'spawner', 'rviz2']
+    simulator, publisher, manager, spawner, _ = entities
+    assert ('~/joint_commands', '/robot_joint_commands') in simulator.remappings
+    assert '<ros2_control' in publisher.parameters[0]['robot_description']
+    controllers = yaml.safe_load(Path(manager.parameters[1]).read_text())
+    assert set(spawner.arguments) <= controllers['controller_manager']['ros__parameters'].keys()
+
+
+def test_launch_of_a_robot_says_what_is_not_installed(monkeypatch):
+    _, entities = described(monkeypatch, {'controller_manager'})
+    told = [entity.msg for entity in entities if entity.kind == 'log']
+    assert all(any(package in line for line in told) == (package != 'controller_manager')
+               for package in ALL)
+    node, = (entity for entity in entities if entity.kind == 'node')
+    # Its joint states move the picture, where there is one.
+    assert node.executable == 'simulator' and node.remappings == []
+
+
+def test_scene_and_controllers_of_the_launched_arm_fit_its_urdf():
+    scene = load_scene(ROBOTS / 'six_joint_arm.yaml')
+    names = [coordinate.name for coordinate in scene.create_hamiltonian().coordinates]
+    controllers = yaml.safe_load((ROBOTS / 'six_joint_arm.controllers.yaml').read_text())
+    joints = controllers['joint_trajectory_controller']['ros__parameters']['joints']
+    servo, = scene.effects
+    assert names == joints == servo.coordinates
+    urdf = (ROBOTS / 'six_joint_arm.urdf').read_text()
+    # Its interface begins where the scene does.
+    for name, start in zip(names, scene.initial_state.q, strict=True):
+        assert f'<joint name="{name}">\n      <command_interface name="position"><param ' \
+            f'name="initial_value">{start}</param>' in urdf
+    assert servo.position == scene.initial_state.q
