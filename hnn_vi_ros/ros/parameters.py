@@ -126,6 +126,9 @@ class Settings:
     reset_time: bool = parameter(
         False, '`~/reset` sets simulated time back to zero as well; else it goes on',
         changes=ALWAYS)
+    reset_on_initial_state: bool = parameter(
+        False, '`~/initial_state` resets to its state at once; else the next `~/reset` does',
+        changes=ALWAYS)
     publish_clock: bool = parameter(False, 'publish `/clock`')
     step_size: float = parameter(0.0, "step size h; 0 takes the scene's", 's', 0.0, 1e6)
     integrator: str = parameter('', "name of the integrator; empty takes the scene's")

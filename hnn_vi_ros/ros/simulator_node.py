@@ -12,11 +12,10 @@ import time
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.control import Answer, Control
 from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.graph import Discovery
-from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.node_parameters import Parameters
@@ -26,13 +25,13 @@ from hnn_vi_ros.ros.rclpy_internals import RCLError
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
+from hnn_vi_ros.ros.state_topic import StateTopic
 from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
 from lifecycle_msgs.msg import State, Transition
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import JointState
 
 # Wall time between two lines about a configuration that takes long [s].
 _PROGRESS = 5.0
@@ -110,7 +109,7 @@ class SimulatorNode(ManagedNode):
                 self.topics.count_subscribers, settings.discovery_time)
             await self.in_thread(lambda: self._prepare(settings, topics, discovery))
             self.run = Run(self, self.topics, self._prepared, settings, self.stop)
-            self.topics.hear('~/initial_state', JointState, self._on_initial_state)
+            StateTopic(self, self.topics, self.run, self._reset_to_state)
         except HnnViRosError:
             self._close_prepared()
             self._forget()
@@ -190,12 +189,11 @@ class SimulatorNode(ManagedNode):
             raise ParameterError('the node was stopped')
         self._stage = stage
 
-    def _on_initial_state(self, message: JointState) -> None:
-        run = self.run
-        q, p = initial_state(message, run.simulation.hamiltonian, run.start[1])
-        run.set_start(q, p)
-        self.get_logger().info(
-            '~/initial_state: taken for the next reset', throttle_duration_sec=1.0)
+    def _reset_to_state(self) -> Answer | None:
+        """Reset at once, if that is what a state to begin at asks for."""
+        settings = self.settings
+        return self.control.reset(
+            settings.reset_time) if settings.reset_on_initial_state else None
 
     def _close_run(self) -> None:
         if self.run is not None and not self.run.close():

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.mechanisms import MECHANISMS
@@ -38,9 +39,10 @@ from std_msgs.msg import Float64MultiArray, String
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
 SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
+STATE_SET_TOPIC: tuple[str, type] = ('~/state_set', DiagnosticArray)
 TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# An alarm is not to be replaced by the next report before it has arrived.
+# An alarm, or an answer, is not to be replaced by the next one before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # Events are rare, and each counts: who subscribes late, or is found late, has them all the same.
 EVENTS_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -50,7 +52,7 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
         *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
-        EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC)),
+        EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC, STATE_SET_TOPIC)),
     Endpoint('~/scene', 'publisher'), *(Endpoint(name, 'subscription') for name in (
         *(one.topic for one in INPUTS), '~/initial_state', '~/wrench')))
 
@@ -140,6 +142,10 @@ class Topics:
     def open_events(self) -> Publisher:
         """Make the topic of events, for a scene that has any."""
         return self._publisher(*EVENTS_TOPIC, EVENTS_QOS)
+
+    def open_answers(self) -> Publisher:
+        """Make the topic that answers states to begin at."""
+        return self._publisher(*STATE_SET_TOPIC, _ALARMS)
 
     def follow(self, monitor: Monitor) -> None:
         """Take the accuracy from what is measured of a run, in its initial state."""

@@ -10,6 +10,7 @@ import signal
 import time
 
 from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics import LARGEST_MESSAGE
@@ -105,6 +106,41 @@ def test_initial_state_is_the_mirror_image_of_joint_states_and_is_used_at_the_ne
     _, velocity = hamiltonian.gradient(np.array(begun['q']), np.array(begun['p']))
     # The tolerance of the solver.
     np.testing.assert_allclose(velocity, seen.velocity, atol=1e-9)
+
+
+def test_initial_state_is_answered_and_can_reset_at_once(folder):
+    process = start(folder, scene='wall.yaml', record='false', rerun_sink='none',
+                    reset_on_initial_state='true', reset_time='true')
+    with peer() as other:
+        answers: list[DiagnosticArray] = []
+        other.node.create_subscription(
+            DiagnosticArray, f'{SIMULATOR}/state_set', answers.append, 10)
+        publisher = other.node.create_publisher(JointState, f'{SIMULATOR}/initial_state', 1)
+        other.spin_until(lambda: other.states and publisher.get_subscription_count()
+                         and other.node.count_publishers(f'{SIMULATOR}/state_set'))
+
+        def answer(**fields: list[float]):
+            count = len(answers)
+            publisher.publish(JointState(name=['x'], **fields))
+            other.spin_until(lambda: len(answers) > count)
+            return answers[-1].status[0]
+
+        good = answer(position=[2.0], velocity=[0.25])
+        assert (good.name, good.level, good.message) == (
+            'hnn_simulator: initial_state', b'\0', 'reset to it')
+        assert {one.key: one.value for one in good.values} == {'x': '2.0', 'p_x': '0.5'}
+        assert stamp(answers[-1]) == 0
+        for bad, why in (({'position': [-1.0], 'velocity': [0.0]}, 'initial state is refused'),
+                         ({'position': [], 'velocity': [0.0]}, 'position must be 1 finite')):
+            status = answer(**bad)
+            assert status.level == b'\2' and why in status.message and not status.values
+        assert other.set_parameters(reset_on_initial_state=False).successful
+        assert answer(position=[3.0], velocity=[0.5]).message == 'taken for the next reset'
+        count = len(other.states)
+        other.spin_until(lambda: len(other.states) > count + 5)
+        assert other.states[-1].velocity[0] == pytest.approx(0.25, rel=1e-12)
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
 
 
 def test_initial_state_behind_a_wall_is_refused_at_the_reset_and_the_run_goes_on(folder):

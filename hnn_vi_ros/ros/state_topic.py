@@ -1,0 +1,66 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""States to begin at, which others publish on ~/initial_state, and the answers on ~/state_set."""
+
+from collections.abc import Callable
+
+from hnn_vi_ros.phase_space import columns
+from hnn_vi_ros.ros.control import Answer
+from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status
+from hnn_vi_ros.ros.initial_state import initial_state
+from hnn_vi_ros.ros.run import Run
+from hnn_vi_ros.ros.topics import Topics
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+_COMPONENT = 'initial_state'
+# Characters of an answer.
+_LONGEST = 1000
+
+
+class StateTopic:
+    """
+    Take states for the next reset, and tell who sent them what came of it.
+
+    An answer is one status: whether the state was taken, and why not; q and p, with all digits.
+
+    Parameters
+    ----------
+    node : Node
+        The simulator.
+    topics : Topics
+        What it publishes and hears.
+    run : Run
+        What begins at the states.
+    reset : callable
+        Resets at once, or returns None where that is not asked for.
+
+    """
+
+    def __init__(self, node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]):
+        self._node, self._run, self._reset = node, run, reset
+        names, momenta = columns(run.simulation.hamiltonian.coordinates)
+        self._names = [*names, *(f'p_{name}' for name in momenta)]
+        self._answers = DiagnosticsPublisher(node, topics.open_answers(), run.scene.name)
+        topics.hear('~/initial_state', JointState, self._take)
+
+    def _take(self, message: JointState) -> None:
+        run = self._run
+        try:
+            q, p = initial_state(message, run.simulation.hamiltonian, run.start[1])
+            run.set_start(q, p)
+            done, text = self._reset(), 'taken for the next reset'
+            if done is not None:
+                if not done.success:
+                    raise ValueError(done.message)
+                text = 'reset to it'
+        except ValueError as problem:
+            self._answer(ERROR, ' '.join(str(problem).split()), {})
+            raise
+        self._answer(OK, text, {name: repr(value) for name, value in zip(
+            self._names, [*q.tolist(), *p.tolist()], strict=True)})
+        self._node.get_logger().info(f'~/initial_state: {text}', throttle_duration_sec=1.0)
+
+    def _answer(self, level: bytes, text: str, values: dict[str, str]) -> None:
+        self._answers.publish(
+            [Status(_COMPONENT, level, text[:_LONGEST], values)], self._run.sampler.stamp)
