@@ -6,8 +6,10 @@ from pathlib import Path
 import signal
 from xml.etree import ElementTree
 
+from hnn_vi_ros.ros.odometry import ODOMETRY_TOPIC
 from hnn_vi_ros.ros.simulate_steps import ACTION
 from hnn_vi_ros.ros.simulation_services import INTERFACES, service_name
+from hnn_vi_ros.ros.wrench import WRENCH_TOPIC
 from peer import Peer, peer, SIMULATOR
 from processes import finish, start
 import pytest
@@ -40,6 +42,9 @@ def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
     services = {name for name, _ in other.node.get_service_names_and_types_by_node(
         SIMULATOR[1:], '/')}
     optional = {f'{SIMULATOR}/{service_name(name)}' for name in INTERFACES if name != ACTION}
+    # Of bodies that turn, which a scene does not have beside joints.
+    published.add(ODOMETRY_TOPIC[0].replace('~', SIMULATOR))
+    heard.add(WRENCH_TOPIC[0].replace('~', SIMULATOR))
     own, replies = ({name for name in names if '/_action/' not in name}
                     for names in (published, services | optional))
     # What an action consists of is allowed by its name.
