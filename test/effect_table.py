@@ -118,7 +118,11 @@ EFFECT_ROWS = [
     EffectRow('thermostat', (('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),),
               order=2),
     EffectRow('holonomic_constraint', (_ROD, _WEIGHT), **_ON_A_ROD),
+    EffectRow('joint_friction', (('joint_friction', {
+        'damping': {'angle': 0.3}, 'friction': {'angle': 1.0}, 'speed': 1.0}),)),
     EffectRow('impact', (_IMPACT,), **_FALLING),
+    EffectRow('joint_limits', (('joint_limits', {
+        'lower': {'angle': 0.3}, 'restitution': 0.7}),), **_FALLING),
     EffectRow('impact with forces', (_IMPACT, _DAMPING, _DRIVE, _SPRING), **_FALLING),
     EffectRow('rod with forces', (_ROD, _WEIGHT, ('damping', {'rate': [0.5, 1.0]}), (
         'periodic_drive', {'coordinate': 'x', 'amplitude': 3.0, 'frequency': 0.8})),
@@ -135,7 +139,8 @@ UNKNOWN = {
     'external_force': {'coordinates': ['w']},
     'servo': {'coordinates': ['w'], 'stiffness': 1.0},
     'holonomic_constraint': {'point': ['x', 'w'], 'anchor': [0.0, 0.0]},
-    'impact': {'coordinate': 'w'},
+    'impact': {'coordinate': 'w'}, 'joint_friction': {'damping': {'x': 1.0, 'w': 1.0}},
+    'joint_limits': {'upper': {'w': 1.0}},
 }
 # Those whose lists have one number too many for two coordinates.
 TOO_LONG = {
@@ -158,10 +163,12 @@ COMPILED = {
         ('servo', {'coordinates': ['y', 'x'], 'stiffness': 2.0, 'damping': [0.5, 0.0],
                    'effort_limit': [0.3, 1.0], 'position': [0.1, 0.2]}),
         ('learned_dissipation', {'model': 2}),
-        ('learned_friction', {'model': 'worn'})]),
+        ('learned_friction', {'model': 'worn'}),
+        ('joint_friction', {'damping': {'x': 0.2}, 'friction': {'y': 0.1}, 'speed': 0.3})]),
     'bath and wall': ('stormer_verlet', 'pendulum', (), (1.0,), (0.0,), [
         ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),
-        ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7})]),
+        ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7}),
+        ('joint_limits', {'upper': {'angle': 1.2}, 'restitution': 1.0})]),
     'rods': ('stormer_verlet', 'free_particle', (1.0, ('x', 'z', 'x2', 'z2')),
              (0.6, 0.8, 0.6, 1.8), (0.8, -0.6, 0.8, -0.6), [
                  ('gravity', {'coordinate': 'z2'}),

@@ -54,7 +54,7 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
         The scene cannot be built, a step fails, or the motion runs away.
     ValueError
         A duration that is negative or not finite; or the scene takes one motion at a time only:
-        thermostat, impact, holonomic_constraint, time_transformed.
+        thermostat, impact, joint_limits, holonomic_constraint, time_transformed.
     TypeError
         The duration is not a number.
 
@@ -113,8 +113,9 @@ class _Pair:
                  integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
                  on_failure: str):
         if not System(hamiltonian, effects, integrator).lockstep:
-            raise ValueError('thermostat, impact, holonomic_constraint and time_transformed take '
-                             'one motion at a time: their Lyapunov time cannot be measured')
+            raise ValueError('thermostat, impact, joint_limits, holonomic_constraint and '
+                             'time_transformed take one motion at a time: their Lyapunov time '
+                             'cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)
         direction = np.random.default_rng(0).normal(size=q.size + p.size)
         self._offset = _DISTANCE * direction / np.linalg.norm(direction)

@@ -9,6 +9,8 @@ from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.gravity import Gravity
 from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
 from hnn_vi_ros.effects.impact import Impact
+from hnn_vi_ros.effects.joint_friction import JointFriction
+from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.effects.magnetic_field import MagneticField
@@ -35,4 +37,6 @@ EFFECTS: dict[str, type[Effect]] = {
     'thermostat': Thermostat,
     'holonomic_constraint': HolonomicConstraint,
     'impact': Impact,
+    'joint_friction': JointFriction,
+    'joint_limits': JointLimits,
 }

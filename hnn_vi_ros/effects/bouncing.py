@@ -5,11 +5,11 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import EffectState
+from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import called, inlined
@@ -17,15 +17,32 @@ import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
 # Impacts in one step before it is given up.
-_MOST_IMPACTS = 10_000
+MOST_IMPACTS = 10_000
 # Of the step: flights shorter than this are no longer followed one by one, where the geometric
 # series of all that are left ends within the step. Their height is below 2e-11 times the way
 # that the same force makes in the step.
-_SHORTEST_FLIGHT = 1e-5
+SHORTEST_FLIGHT = 1e-5
 _NEWTON_ITERATIONS = 50
 # What a body at rest needs of the wall in a step is found to so many roundings, by so many trials
 # at most; or to this share of how far it would sink in, where rounding keeps it from more.
-_HELD, _PUSHES, _STALLED = 8.0, 30, 1e-9
+HELD, PUSHES, STALLED = 8.0, 30, 1e-9
+
+
+class Bouncing(StepEffect):
+    """What turns velocities where coordinates meet something rigid."""
+
+    acts, repeats, lockstep = Place.OUTSIDE, True, False
+    excludes = {Place.MANIFOLD: 'off which its impulses would lead'}
+
+    def accepts(self, integrator: Integrator) -> bool:
+        """Tell whether the method's energy does not drift from impact to impact: order >= 2."""
+        needs = integrator.requirements
+        return needs.hamiltonian and integrator.order >= 2 and needs.from_state
+
+    @staticmethod
+    def inner_step(integrator: Integrator) -> tuple[Step, bool]:
+        """Return the method's step, and whether it is good for steps of more than a turn."""
+        return integrator.step, integrator.order > 2
 
 
 class Wall(NamedTuple):
@@ -115,7 +132,7 @@ def bounce(step: Step, high: bool) -> Step:
         _, wall, state, effect = options
         (start, rates, push), inside = memory[-1], memory[:-1]
         copy_point(z, start)
-        first = draws = _keep(state, wall.kept, 2)
+        first = draws = keep(state, wall.kept, 2)
         rest, rounding, impacts, total = h, 0.0, 0, 0
         slope, bend = _slopes(kernel, start, wall, rates, high)
         begin(wall.search, wall.sign * (start.q[wall.place] - wall.position), slope, bend)
@@ -129,10 +146,10 @@ def bounce(step: Step, high: bool) -> Step:
                 work, rests = _meet(kernel, z1, wall, rates, rest, h, rounding)
             elif outcome == OK and state.resting[effect] > 0.0:
                 work, rests = _hold(kernel, start, z1, wall, push)
-            if np.isnan(work) or (impacts > _MOST_IMPACTS and not rests):
+            if np.isnan(work) or (impacts > MOST_IMPACTS and not rests):
                 outcome = NO_CONVERGENCE
             if outcome != OK:
-                _put_back(state, wall.kept, 2, first)
+                put_back(state, wall.kept, 2, first)
                 return outcome, residual, total
             state.pending[effect] += work
             state.resting[effect] = 1.0 if rests else 0.0
@@ -143,7 +160,7 @@ def bounce(step: Step, high: bool) -> Step:
                 return OK, residual, total
             impacts += 1
             copy_point(z1, start)
-            draws = _keep(state, wall.kept, 0)
+            draws = keep(state, wall.kept, 0)
             slope, bend = _slopes(kernel, start, wall, rates, high)
             begin(wall.search, 0.0, max(0.0, slope), bend)
             forget(inside)
@@ -172,10 +189,10 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, bool, float, flo
             total += gradients
             if outcome == OK and state.resting[effect] > 0.0 and _push(
                     kernel, part, start, z1, wall, rates, push):
-                if push[0] > _PUSHES:
+                if push[0] > PUSHES:
                     outcome = NO_CONVERGENCE
                     break
-                _put_back(state, wall.kept, 0, draws)
+                put_back(state, wall.kept, 0, draws)
                 forget(inside)
                 continue
             if outcome != OK or action != TRY:
@@ -195,18 +212,18 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, bool, float, flo
             part = wanted
             if enough:
                 break
-            _put_back(state, wall.kept, 0, draws)
+            put_back(state, wall.kept, 0, draws)
             # Steps of other lengths are no guide to the next start.
             forget(inside)
         if outcome == OK and action == LAND and part == 0.0:
             copy_point(start, z1)
-            _put_back(state, wall.kept, 0, draws)
+            put_back(state, wall.kept, 0, draws)
         return outcome, action == LAND, part, rounding, residual, total
     return fly
 
 
 @called
-def _keep(state: EffectState, kept: np.ndarray, last: int) -> int:
+def keep(state: EffectState, kept: np.ndarray, last: int) -> int:
     """Keep what the effects did so far, in every second row; return the random numbers drawn."""
     # Element by element: for slices numba compiles the texts of errors as well.
     for row in range(0, last + 1, 2):
@@ -216,7 +233,7 @@ def _keep(state: EffectState, kept: np.ndarray, last: int) -> int:
 
 
 @called
-def _put_back(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
+def put_back(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
     """Forget what the effects did in a part of the step, in row 0, or in the step, in row 2."""
     for k in range(state.pending.size):
         state.pending[k], state.resting[k] = kept[row, k], kept[row + 1, k]
@@ -257,7 +274,7 @@ def _meet(kernel: Kernel, z: Point, wall: Wall, rates: Rates, rest: float, h: fl
     if not pull > 0.0:
         return work, False
     flight = 2.0 * speed / pull
-    ends = flight <= _SHORTEST_FLIGHT * h and flight <= (1.0 - wall.restitution) * rest
+    ends = flight <= SHORTEST_FLIGHT * h and flight <= (1.0 - wall.restitution) * rest
     if not (ends or 0.25 * speed * flight <= rounding):
         return work, False
     return work + _turn(kernel, z, wall, 0.0), True
@@ -286,8 +303,8 @@ def _push(kernel: Kernel, h: float, start: Point, z: Point, wall: Wall, rates: R
         slope = h * rates.product_p[c]
         push[3], push[4] = gap, energy_of(kernel, start)
     else:
-        enough = abs(gap) <= _HELD * _EPS * max(abs(wall.position), abs(push[3]))
-        stalled = abs(gap) >= 0.5 * abs(push[2]) and abs(gap) <= _STALLED * abs(push[3])
+        enough = abs(gap) <= HELD * _EPS * max(abs(wall.position), abs(push[3]))
+        stalled = abs(gap) >= 0.5 * abs(push[2]) and abs(gap) <= STALLED * abs(push[3])
         if enough or stalled:
             return False
         slope = (gap - push[2]) / push[1]

@@ -46,6 +46,11 @@ class Search(NamedTuple):
         """Return a search that has not begun."""
         return cls(np.zeros((_MOST_INTERVALS + 2, 5)), np.zeros(2, dtype=np.int64), np.zeros(3))
 
+    @classmethod
+    def several(cls, number: int) -> 'Search':
+        """Return so many that have not begun, one a row."""
+        return cls(*(np.stack([part] * number) for part in cls.empty()))
+
 
 @called
 def begin(search: Search, distance: float, slope: float, bend: float) -> None:

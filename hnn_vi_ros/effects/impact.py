@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Literal
 
-from hnn_vi_ros.effects.base import coordinate_index, EffectState, Place, StepEffect
-from hnn_vi_ros.effects.bouncing import bounce, BouncingWork, Wall
+from hnn_vi_ros.effects.base import coordinate_index, EffectState
+from hnn_vi_ros.effects.bouncing import bounce, Bouncing, BouncingWork, Wall
 from hnn_vi_ros.effects.crossings import Search
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_finite
-from hnn_vi_ros.integrators.base import Integrator, Step
+from hnn_vi_ros.integrators.base import Step
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-class Impact(StepEffect):
+class Impact(Bouncing):
     """
     A rigid wall at q_c = a: where the coordinate meets it, its velocity v turns into -e v.
 
@@ -50,9 +50,6 @@ class Impact(StepEffect):
 
     """
 
-    acts, repeats, lockstep = Place.OUTSIDE, True, False
-    excludes = {Place.MANIFOLD: 'off which its impulses would lead'}
-
     def __init__(self, coordinate: str, position: float = 0.0,
                  side: Literal['above', 'below'] = 'above', restitution: float = 1.0):
         check_finite(position=position)
@@ -61,11 +58,6 @@ class Impact(StepEffect):
         self.coordinate, self.position = coordinate, float(position)
         self.conservative = restitution == 1.0
         self.sign, self.restitution = {'above': 1.0, 'below': -1.0}[side], float(restitution)
-
-    def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method's energy does not drift from impact to impact: order >= 2."""
-        needs = integrator.requirements
-        return needs.hamiltonian and integrator.order >= 2 and needs.from_state
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Wall:
         """Return the coordinate's place, a, the sign of the free side, e, and space."""
@@ -84,11 +76,6 @@ class Impact(StepEffect):
     def workspace(n: int, settings: tuple[Any, ...]) -> BouncingWork:
         """Return the state before a part of the step, and space; see StepEffect."""
         return BouncingWork.empty(n)
-
-    @staticmethod
-    def inner_step(integrator: Integrator) -> tuple[Step, bool]:
-        """Return the method's step, and whether it is good for steps of more than a turn."""
-        return integrator.step, integrator.order > 2
 
     @staticmethod
     @cache

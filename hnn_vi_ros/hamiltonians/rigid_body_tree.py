@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, SLIDING
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate, SLIDING
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
     compose, displace, force_change_of, force_of, move, place, solve_rate_changes, solve_rates,
     TreeParameters, Work)
@@ -15,7 +15,6 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
@@ -93,9 +92,9 @@ class RigidBodyTree(Hamiltonian):
         return kernel._replace(energy_scale=scale)
 
 
-def _coordinate(joint: Joint) -> Coordinate:
+def _coordinate(joint: Joint) -> JointCoordinate:
     units = ('m', 'kg m/s') if joint.kind == SLIDING else ('rad', 'kg m2/s')
-    return Coordinate(joint.name, *units)
+    return JointCoordinate(joint.name, *units, joint=joint)
 
 
 @inlined

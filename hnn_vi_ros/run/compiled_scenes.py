@@ -88,6 +88,8 @@ def _compile(name: str) -> CompiledScene:
 def _around(scene: Scene) -> list[dict[str, Any]]:
     """Return effects of each kind that takes the method's step, or halves of it, by address."""
     first = scene.create_hamiltonian().coordinates[0].name
+    below = scene.initial_state.q[0] - 1.0
     return [{'kind': 'damping', 'rate': 0.1},
             {'kind': 'thermostat', 'temperature': 0.1, 'rate': 0.1},
-            {'kind': 'impact', 'coordinate': first, 'position': scene.initial_state.q[0] - 1.0}]
+            {'kind': 'impact', 'coordinate': first, 'position': below},
+            {'kind': 'joint_limits', 'lower': {first: below}}]

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
+from keyword import iskeyword
 import os
 from pathlib import Path
 from typing import Any, Literal
@@ -287,7 +288,9 @@ class Scene(StrictModel):
         if arguments.get('file'):
             arguments['file'] = self._origin.robot_file(arguments['file'], *key)
         with self.placed(*key):
-            return classes[kind](**arguments)
+            return classes[kind](**{
+                f'{name}_' if iskeyword(name) else name: value
+                for name, value in arguments.items()})
 
     @contextmanager
     def placed(self, *key: str | int) -> Iterator[None]:

@@ -75,6 +75,20 @@ def test_choices_refuse_a_value_of_another_type(field: str, value: object):
         SAMPLE.validate_python({**GOOD, field: value})
 
 
+def test_key_that_is_a_word_of_python_goes_by_its_own_name():
+    class Named:
+        """Something."""
+
+        def __init__(self, from_: Literal['urdf'] | None = None):  # noqa: D107
+            self.source = from_
+
+    schema = TypeAdapter(choices({'named': Named}))
+    assert schema.validate_python({'kind': 'named', 'from': 'urdf'}).model_dump() == {
+        'kind': 'named', 'from': 'urdf'}
+    with pytest.raises(ValidationError):
+        schema.validate_python({'kind': 'named', 'from_': 'urdf'})
+
+
 @given(rate=strategies.one_of(
     strategies.integers(-2**53, 2**53), strategies.floats(allow_nan=False, allow_infinity=False),
     strategies.lists(strategies.integers(-2**53, 2**53), max_size=4)))

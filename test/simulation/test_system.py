@@ -118,8 +118,9 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 # What several effects are made of.
 SHARED = {'attitudes', 'base', 'body_points', 'bouncing', 'commands', 'constraints', 'crossings',
-          'friction_network', 'input_map', 'kernels', 'masses', 'noise', 'ornstein_uhlenbeck',
-          'points', 'rattle', 'servo_targets', 'splitting', 'wrapped'}
+          'friction_network', 'held', 'input_map', 'joints', 'kernels', 'masses', 'noise',
+          'ornstein_uhlenbeck', 'points', 'rattle', 'servo_targets', 'splitting', 'stops',
+          'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
@@ -134,7 +135,8 @@ def test_scene_calls_the_functions_of_its_own_effects_only(row: EffectRow, tmp_p
     listed = {kind for kind, _ in row.effects}
     assert set(counts) - SHARED <= listed
     # Rods, walls and the field act in shared functions only.
-    assert listed - set(counts) <= {'holonomic_constraint', 'impact', 'magnetic_field'}
+    assert listed - set(counts) <= {'holonomic_constraint', 'impact', 'joint_limits',
+                                    'magnetic_field'}
     assert sum(counts.values()) >= 20
 
 
@@ -152,6 +154,8 @@ def test_system_labels_tell_effects_of_one_kind_apart():
     (INTEGRATORS['yoshida4']('stormer_verlet'), 'magnetic_field', (['x', 'z'],), 'gauss4'),
     (INTEGRATORS['yoshida4']('stormer_verlet'), 'damping', (0.1,), 'gauss4'),
     (INTEGRATORS['variational_euler'](), 'impact', ('x',), 'stormer_verlet'),
+    (INTEGRATORS['variational_euler'](), 'joint_limits', (None, {'x': -1.0}), 'gauss4'),
+    (INTEGRATORS['stormer_verlet'](), 'joint_friction', (None, {'x': 1.0}), 'gauss4'),
     (INTEGRATORS['variational_euler'](), 'thermostat', (1.0, 1.0), 'stormer_verlet'),
     (INTEGRATORS['gauss4'](), 'thermostat', (1.0, 1.0), 'stormer_verlet, generalized_leapfrog'),
     (INTEGRATORS['variational_euler'](), 'holonomic_constraint', (['x', 'z'], None, [0.0, 0.0]),
@@ -185,6 +189,12 @@ def test_discrete_euler_lagrange_takes_no_effect_at_all(row: EffectRow, tmp_path
      'one external_force only'),
     ([('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
       ('impact', {'coordinate': 'x'})], 1, 'impact does not combine with holonomic_constraint'),
+    ([('joint_limits', {'lower': {'x': 0.0, 'z': 0.0}}),
+      ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
+     'joint_limits does not combine with holonomic_constraint'),
+    ([('joint_limits', {'lower': {'x': 0.0, 'z': 0.0}}),
+      ('thermostat', {'temperature': 1.0, 'rate': 1.0}),
+      ('thermostat', {'temperature': 1.0, 'rate': 1.0})], 2, 'one thermostat only'),
     ([('thermostat', {'temperature': 1.0, 'rate': 1.0}),
       ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
      'thermostat does not combine'),

@@ -179,7 +179,7 @@ def test_body_on_a_wall_leaves_it_when_it_is_pulled_away():
 
 def test_step_with_more_impacts_than_can_be_followed_fails(monkeypatch):
     """An elastic ball that bounces for ever must not be taken to rest, nor let through."""
-    monkeypatch.setattr(bouncing, '_MOST_IMPACTS', 20)
+    monkeypatch.setattr(bouncing, 'MOST_IMPACTS', 20)
     simulation = falling('stormer_verlet', 1.0, 1.0, 1e-4)
     with pytest.raises(StepFailure, match='no convergence'):
         simulation.advance(1)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot as a URDF describes it: links and the joints between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 # Joints with one coordinate, and those without.
@@ -104,6 +105,15 @@ class Joint:
         """Whether it has a coordinate."""
         return self.kind in (*TURNING, SLIDING)
 
+    @property
+    def bounds(self) -> tuple[float | None, float | None]:
+        """Return the limits of its coordinate; None where it has none."""
+        lower, upper = self.limits.lower, self.limits.upper
+        if self.kind == 'continuous' or (lower is None and upper is None):
+            return None, None
+        # One that is missing beside the other is 0, as the format has it.
+        return lower or 0.0, upper or 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Link:
@@ -148,3 +158,18 @@ class Robot:
     name: str
     links: dict[str, Link]
     root: str
+
+
+@dataclass(frozen=True)
+class JointCoordinate(Coordinate):
+    """
+    The coordinate of a joint.
+
+    Parameters
+    ----------
+    joint : Joint
+        What the URDF says of it.
+
+    """
+
+    joint: Joint = field(kw_only=True, compare=False)

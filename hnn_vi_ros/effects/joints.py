@@ -1,0 +1,56 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of joints, for effects: those of the URDF, and those that a scene gives."""
+
+from collections.abc import Callable, Mapping, Sequence
+import math
+
+from hnn_vi_ros.effects.base import coordinate_index
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+def check_given(source: str | None, **given: Mapping[str, float] | None) -> None:
+    """Raise ValueError unless something is given, and every number is finite."""
+    if source is None and not any(given.values()):
+        raise ValueError(f'from is required, or {" or ".join(given)} in its place')
+    for name, values in given.items():
+        for joint, value in (values or {}).items():
+            if not math.isfinite(value):
+                raise ValueError(f'{name} of {joint} = {value} must be a finite number')
+
+
+def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
+                  of: Callable[[Joint], float | None], given: Mapping[str, float] | None
+                  ) -> np.ndarray:
+    """
+    Return one number for each coordinate, shape (d,); NaN where there is none.
+
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        Of the system.
+    source : str or None
+        ``'urdf'`` for numbers of its joints.
+    of : callable
+        Returns that of a joint, or None.
+    given : mapping of str to float or None
+        Those that take their place, by the names of coordinates.
+
+    Raises
+    ------
+    ValueError
+        A coordinate is no joint of a URDF, or an unknown one is named.
+
+    """
+    values = np.full(len(coordinates), np.nan)
+    for i, coordinate in enumerate(coordinates) if source == 'urdf' else ():
+        if not isinstance(coordinate, JointCoordinate):
+            raise ValueError(f'from = urdf, but {coordinate.name} is no joint of a URDF: take '
+                             'hamiltonian: {kind: urdf}, or give the numbers here')
+        number = of(coordinate.joint)
+        values[i] = np.nan if number is None else number
+    for name, value in (given or {}).items():
+        values[coordinate_index(coordinates, name)] = value
+    return values

@@ -1,0 +1,157 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Limits and friction of joints: where their numbers come from, and an arm that falls on them."""
+
+from pathlib import Path
+
+from helpers import Uncompiled
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import EffectError, EffectState
+from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+import pytest
+from urdf_robots import ROOT, TREE, TREE_ARGUMENTS
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
+ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
+SCENE = """\
+hamiltonian: {{kind: urdf, file: {file}}}
+effects:
+  - {effects}
+integrator: {{kind: generalized_leapfrog}}
+step_size: {h}
+initial_state: {{q: [2.0, 0.5], p: [0.0, 0.0]}}
+"""
+
+
+def scene(folder: Path, *effects: str, h: float = 0.005, file: str = str(ARM)):
+    path = folder / 'scene.yaml'
+    path.write_text(SCENE.format(file=file, effects='\n  - '.join(effects), h=h))
+    return load_scene(path)
+
+
+def tree(folder: Path, text: str = TREE) -> RigidBodyTree:
+    path = folder / 'robot.urdf'
+    path.write_text(text)
+    return RigidBodyTree(str(path), **TREE_ARGUMENTS)
+
+
+def stops(robot: RigidBodyTree, *arguments: object) -> set[tuple[str, float, float]]:
+    """Return coordinate, position and free side of each stop."""
+    own = EFFECTS['joint_limits'](*arguments).resolve(
+        robot.coordinates, EffectState.empty(1, robot.dimension))
+    return {(robot.coordinates[place].name, position, sign) for place, position, sign in zip(
+        own.places, own.positions, own.signs, strict=True)}
+
+
+def test_limits_of_the_urdf_are_stops_but_where_the_scene_gives_others(tmp_path):
+    robot = tree(tmp_path)
+    own = {('wrist', -2.0, 1.0), ('wrist', 1.5, -1.0), ('tail', -1.0, 1.0), ('tail', 1.0, -1.0),
+           ('rail', -0.5, 1.0), ('rail', 0.5, -1.0), ('finger', 0.0, 1.0), ('finger', 0.1, -1.0)}
+    # Not of the hip, which is continuous, nor of the follower, which is held.
+    assert stops(robot, 'urdf') == own
+    assert stops(robot, 'urdf', {'hip': -3.0}, {'tail': 0.5}) == (
+        own - {('tail', 1.0, -1.0)} | {('hip', -3.0, 1.0), ('tail', 0.5, -1.0)})
+    assert stops(robot, None, None, {'tail': 0.5}) == {('tail', 0.5, -1.0)}
+
+
+def test_limit_that_is_missing_beside_another_is_zero(tmp_path):
+    robot = tree(tmp_path, TREE.replace('lower="-0.5" upper="0.5"', 'upper="0.5"').replace(
+        'lower="-2" upper="1.5" ', ''))
+    ends = {(name, position) for name, position, _ in stops(robot, 'urdf')}
+    assert {('rail', 0.0), ('rail', 0.5)} <= ends
+    assert 'wrist' not in {name for name, _ in ends}
+
+
+def test_friction_of_the_urdf_acts_but_where_the_scene_gives_other(tmp_path):
+    robot = tree(tmp_path)
+    names = [coordinate.name for coordinate in robot.coordinates]
+    effect = EFFECTS['joint_friction']('urdf', {'hip': 0.7}, {'rail': 0.2}, 0.05)
+    own = effect.resolve(robot.coordinates, EffectState.empty(1, 5))
+    assert dict(zip(names, own.damping, strict=True)) == {
+        'wrist': 0.0, 'tail': 0.0, 'rail': 2.5, 'hip': 0.7, 'finger': 0.0}
+    assert dict(zip(names, own.friction, strict=True)) == {
+        'wrist': 0.0, 'tail': 0.0, 'rail': 0.2, 'hip': 0.0, 'finger': 0.0}
+    velocity, f_q, f_p = np.array([1.0, -2.0, 0.03, 3.0, 1.0]), np.zeros(5), np.zeros(5)
+    effect.add_force(own, 0.0, velocity, velocity, velocity, f_q, f_p)
+    rail = -2.5 * 0.03 - 0.2 * np.tanh(0.6)
+    assert f_p == pytest.approx([0.0, 0.0, rail, -0.7 * 3.0, 0.0], rel=1e-15)
+    assert not f_q.any()
+
+
+@pytest.mark.parametrize('kind, arguments, message', [
+    ('joint_limits', {'from_': 'urdf', 'upper': {'tail': -1.0}},
+     'limits of tail, -1 and -1, leave no room'),
+    ('joint_friction', {'damping': {'tail': 0.0}}, 'no joint has damping or friction')])
+def test_numbers_that_do_not_fit_the_robot_are_refused(kind, arguments, message, tmp_path):
+    with pytest.raises(EffectError, match=message):
+        System(tree(tmp_path), [EFFECTS[kind](**arguments)], INTEGRATORS['gauss4']())
+
+
+@pytest.mark.parametrize('kind', ['joint_limits', 'joint_friction'])
+def test_coordinates_that_are_no_joints_have_no_numbers_of_a_urdf(kind, tmp_path):
+    path = tmp_path / 'pendulum.yaml'
+    path.write_text('hamiltonian: {kind: pendulum}\n'
+                    f'effects:\n  - kind: {kind}\n    from: urdf\n'
+                    'integrator: {kind: gauss4}\nstep_size: 0.1\n'
+                    'initial_state: {q: [1.0], p: [0.0]}\n')
+    with pytest.raises(SceneError, match=r'pendulum.yaml:4: effects.0.from: .* angle is no joint'):
+        build(load_scene(path))
+
+
+def test_limits_of_a_urdf_that_has_none_are_refused(tmp_path):
+    file = tmp_path / 'robot.urdf'
+    file.write_text(ARM.read_text().replace('lower="-2.6" upper="2.6" ', ''))
+    with pytest.raises(SceneError, match='no joint of the URDF has limits; give lower or upper'):
+        build(scene(tmp_path, '{kind: joint_limits, from: urdf}', file=str(file)))
+
+
+def test_initial_state_beyond_a_limit_is_refused(tmp_path):
+    with pytest.raises(SceneError, match=r'initial shoulder = 2\.0 is beyond the limit 1\.5'):
+        build(scene(tmp_path, '{kind: joint_limits, from: urdf, upper: {shoulder: 1.5}}'))
+
+
+@pytest.mark.parametrize('method, h', [('stormer_verlet', 0.05), ('gauss4', 0.2)])
+@pytest.mark.parametrize('restitution', [0.0, 0.6, 1.0])
+def test_one_stop_is_the_wall_of_an_impact(method, h, restitution):
+    """Found, turned and held alike: what is left is rounding, which each impact makes larger."""
+    effects = [EFFECTS['impact']('angle', 0.3, 'above', restitution),
+               EFFECTS['joint_limits'](None, {'angle': 0.3}, {'angle': 3.0}, restitution)]
+    states = []
+    for effect in effects:
+        simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS[method](), h,
+                                [1.0], [0.0], [effect], 'stop')
+        q, p = simulation.record(round(4.0 / h), 1)
+        states.append(np.hstack([q, p]))
+        assert simulation.works.popitem()[1] == pytest.approx(simulation.work)
+    np.testing.assert_allclose(states[0], states[1], rtol=0.0, atol=1e-9)
+
+
+def test_arm_falls_on_its_stops_and_comes_to_rest_there(tmp_path):
+    """Its energy balance closes with order 2, and no joint leaves its range."""
+    lower, upper = np.array([0.4, -0.2]), np.array([2.5, 2.6])
+    effects = ('{kind: joint_friction, from: urdf, speed: 0.5}',
+               '{kind: joint_limits, from: urdf, lower: {shoulder: 0.4, elbow: -0.2}, '
+               'upper: {shoulder: 2.5}, restitution: 0.3}')
+    balances = []
+    for h in (0.005, 0.0025):
+        simulation = build(scene(tmp_path, *effects, h=h))
+        q, _ = simulation.record(round(2.0 / h), 1)
+        assert (q >= lower - 1e-12).all() and (q <= upper + 1e-12).all()
+        assert (q.min(axis=0) <= lower + 1e-9).all()
+        balances.append(abs(simulation.energy_balance))
+        works = simulation.works
+        assert set(works) == {'joint_friction', 'joint_limits'}
+        assert all(work < -0.01 for work in works.values())
+    simulation.advance(round(8.0 / h))
+    assert simulation.q == pytest.approx(lower, abs=1e-6)
+    assert np.abs(simulation.dH_dp).max() < 1e-6
+    assert balances[1] < 0.5 * balances[0] < 0.01
