@@ -57,7 +57,8 @@ def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['--check'], ['--list', '--schema'], ['--explain'], ['--explain', 'a', 'b'], ['kepler']])
+    [], ['--check'], ['--list', '--schema'], ['--new'], ['--list', '--out', 'a.yaml'],
+    ['--explain'], ['--explain', 'a', 'b'], ['kepler']])
 def test_wrong_usage_exits_2(arguments: list[str]):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
