@@ -9,6 +9,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar
 
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
@@ -30,6 +31,8 @@ class Hamiltonian(ABC):
     coordinates: tuple[Coordinate, ...]
     separable: bool = False
     canonical: ClassVar[bool] = True
+    # Whose joints the coordinates are, where a URDF describes one.
+    robot: Robot | None = None
     # What is watched of them, by name: functions of q and p, of shape (d,). A scene sets them.
     invariants: Mapping[str, Callable[[np.ndarray, np.ndarray], float]] = MappingProxyType({})
 

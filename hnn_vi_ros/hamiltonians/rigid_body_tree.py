@@ -3,11 +3,13 @@
 """A robot of rigid bodies that a URDF describes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate, SLIDING
+from hnn_vi_ros.hamiltonians.rigid_body.robot import (
+    Joint, JointCoordinate, Robot, SLIDING)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
     compose, displace, force_change_of, force_of, move, place, solve_rate_changes, solve_rates,
     TreeParameters, Work)
@@ -55,14 +57,15 @@ class RigidBodyTree(Hamiltonian):
     """
 
     separable = False
+    robot: Robot
 
     def __init__(self, file: str, joints: list[str] | None = None,
                  locked: dict[str, float] | None = None,
                  gravity: Sequence[float] = (0.0, 0.0, -9.81), base: str | None = None,
                  rotor_inertia: dict[str, float] | None = None):
-        self.robot = read_urdf(Path(file))
+        self.robot = replace(read_urdf(Path(file)), locked=locked or {})
         self._bodies, self.joints = tree_of(
-            self.robot, joints, locked or {}, gravity, base or self.robot.root,
+            self.robot, joints, self.robot.locked, gravity, base or self.robot.root,
             rotor_inertia or {})
         self.coordinates = tuple(_coordinate(joint) for joint in self.joints)
 

@@ -13,11 +13,11 @@ from hnn_vi_ros.sweeps import arguments as sweeps
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as
-far as the scene or a parameter calls for them ~/markers, ~/odometry, ~/events,
+far as the scene or a parameter calls for them robot_description, ~/markers, ~/odometry, ~/events,
 ~/joint_trajectory_state, ~/accuracy and /clock. It hears ~/initial_state and, where the scene has
 motors, ~/commands, ~/joint_commands, ~/joint_trajectory and ~/wrench. Services: ~/set_pause,
-~/step, ~/reset,
-~/start_recording, ~/stop_recording, and those of its lifecycle; ~ is /hnn_simulator."""
+~/step, ~/reset, ~/start_recording, ~/stop_recording, and those of its lifecycle; ~ is
+/hnn_simulator."""
 _REPLAY = """\
 It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/set_pause, ~/step;
 ~ is /hnn_replay. Each parameter is an option as well."""

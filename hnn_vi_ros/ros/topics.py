@@ -39,6 +39,8 @@ from std_msgs.msg import Float64MultiArray, String
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
 SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
+# As a robot's state publisher calls it.
+ROBOT_TOPIC: tuple[str, type] = ('robot_description', String)
 STATE_SET_TOPIC: tuple[str, type] = ('~/state_set', DiagnosticArray)
 TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -52,8 +54,9 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
         *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
-        EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC, STATE_SET_TOPIC)),
-    Endpoint('~/scene', 'publisher'), *(Endpoint(name, 'subscription') for name in (
+        EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC, STATE_SET_TOPIC, SCENE_TOPIC,
+        ROBOT_TOPIC)),
+    *(Endpoint(name, 'subscription') for name in (
         *(one.topic for one in INPUTS), '~/initial_state', '~/wrench')))
 
 
@@ -96,7 +99,7 @@ class Topics:
              mechanism: str | None, box: tuple[np.ndarray, np.ndarray], frame_id: str,
              stamp: Callable[[], int], record: Callable[[Topic, bytes], None]) -> None:
         """
-        Make what depends on the scene: messages, odometry, markers, and hearing commands.
+        Make what depends on the scene: messages, odometry, markers, a robot, and commands.
 
         Parameters
         ----------
@@ -128,6 +131,9 @@ class Topics:
             self._markers = MarkerPublisher(
                 self._publisher(*MARKERS_TOPIC, _NEWEST), MECHANISMS[mechanism],
                 reach_of(hamiltonian, ends), frame_id)
+        if hamiltonian.robot is not None:
+            self._publisher(*ROBOT_TOPIC, LATCHED).publish(
+                serialize(String(data=hamiltonian.robot.text)))
         for one in INPUTS:
             if one.holds & simulation.motors.takes:
                 self._hear_commands(one)

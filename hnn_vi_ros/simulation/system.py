@@ -39,7 +39,7 @@ class JoinedHamiltonian(Hamiltonian):
 
     def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Joined, tuple]]):
         self.base, self._joined = base, joined
-        self.coordinates = base.coordinates
+        self.coordinates, self.robot = base.coordinates, base.robot
         self.separable = base.separable and all(
             effect.keeps_separable for effect, _ in joined)
 

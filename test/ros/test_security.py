@@ -6,25 +6,24 @@ from pathlib import Path
 import signal
 from xml.etree import ElementTree
 
-from hnn_vi_ros.ros.odometry import ODOMETRY_TOPIC
 from hnn_vi_ros.ros.simulate_steps import ACTION
 from hnn_vi_ros.ros.simulation_services import INTERFACES, service_name
-from hnn_vi_ros.ros.wrench import WRENCH_TOPIC
 from peer import Peer, peer, SIMULATOR
 from processes import finish, start
 import pytest
 
 POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
-# With a body that turns, all that scenes can call for: commands, events, and what is drawn.
+ROBOT = POLICY.parents[1] / 'robots' / 'two_joint_arm.urdf'
+# With a body that turns, all that scenes can call for: commands, events, what is drawn, a robot.
 SCENE = """\
-hamiltonian: {kind: double_pendulum}
+hamiltonian: {{kind: urdf, file: {robot}}}
 effects:
-  - {kind: external_force, coordinates: [angle1]}
-  - {kind: servo, coordinates: [angle1, angle2], stiffness: 1.0}
-integrator: {kind: generalized_leapfrog}
+  - {{kind: external_force, coordinates: [elbow]}}
+  - {{kind: servo, coordinates: [shoulder, elbow], stiffness: 1.0}}
+integrator: {{kind: generalized_leapfrog}}
 step_size: 0.002
-initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
-events: [{when: angle1 = angle2}]
+initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
+events: [{{when: shoulder = elbow}}]
 mechanism: double_pendulum
 """
 
@@ -32,8 +31,8 @@ mechanism: double_pendulum
 def relative(names) -> list[str]:
     """Return names as they are with a remapped node or namespace, sorted."""
     return sorted(name.replace(f'{SIMULATOR}/', '~/') if name.startswith(f'{SIMULATOR}/')
-                  else name.removeprefix('/') if name == '/joint_states' else name
-                  for name in names)
+                  else name.removeprefix('/') if name in ('/joint_states', '/robot_description')
+                  else name for name in names)
 
 
 def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
@@ -42,9 +41,6 @@ def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
     services = {name for name, _ in other.node.get_service_names_and_types_by_node(
         SIMULATOR[1:], '/')}
     optional = {f'{SIMULATOR}/{service_name(name)}' for name in INTERFACES if name != ACTION}
-    # Of bodies that turn, which a scene does not have beside joints.
-    published.add(ODOMETRY_TOPIC[0].replace('~', SIMULATOR))
-    heard.add(WRENCH_TOPIC[0].replace('~', SIMULATOR))
     own, replies = ({name for name in names if '/_action/' not in name}
                     for names in (published, services | optional))
     # What an action consists of is allowed by its name.
@@ -71,7 +67,7 @@ def describe(rights: dict[str, list[str]]) -> str:
 
 def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         tmp_path: Path, request: pytest.FixtureRequest):
-    (tmp_path / 'arms.yaml').write_text(SCENE)
+    (tmp_path / 'arms.yaml').write_text(SCENE.format(robot=ROBOT))
     rights: dict[str, set[str]] = {}
     for scene in ('arms.yaml', 'quadrotor'):
         process = start(tmp_path, scene=scene, record='false', rerun_sink='none',

@@ -55,6 +55,14 @@ integrator: {{kind: generalized_leapfrog}}
 step_size: 0.01
 initial_state: {{q: [0.0, 0.5], p: [0.0, 0.0]}}
 """
+ROBOT = Path(__file__).parents[2] / 'config' / 'robots' / 'two_joint_arm.urdf'
+ARM = f"""\
+hamiltonian: {{kind: urdf, file: {ROBOT}}}
+effects: [{{kind: gravity, coordinate: elbow}}]
+integrator: {{kind: generalized_leapfrog}}
+step_size: 0.01
+initial_state: {{q: [0.0, 0.0], p: [0.0, 0.0]}}
+"""
 # The paper's iteration does not converge in its 17th step.
 FAILING = """\
 hamiltonian: {kind: tao}
@@ -143,13 +151,26 @@ ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy
         '/simulator/commands', '/simulator/joint_commands', '/simulator/wrench'}),
     (QUADROTOR.replace('body_fz', 'body_z'), False, None, {'/simulator/odometry'}, {
         '/simulator/commands', '/simulator/joint_commands'}),
-], ids=['bare', 'accuracy', 'mechanism', 'commands', 'servo', 'body', 'forces in space'])
+    (ARM, False, None, {'/robot_description'}, set()),
+], ids=['bare', 'accuracy', 'mechanism', 'commands', 'servo', 'body', 'forces in space', 'robot'])
 def test_topics_that_are_not_called_for_do_not_exist(
         tmp_path, nodes, text, accuracy, mechanism, published, heard):
     node, _, _ = nodes
     topics = Topics(node, accuracy)
     open_topics(topics, simulation_of(tmp_path, text), mechanism)
     assert topics_of(node) == (ALWAYS | published, heard)
+
+
+def test_robot_is_described_by_its_urdf_for_those_who_come_later(tmp_path, nodes):
+    node, other, executor = nodes
+    # Also where potentials have joined its energy.
+    open_topics(Topics(node, False), simulation_of(tmp_path, ARM))
+    heard = []
+    other.create_subscription(
+        String, '/robot_description', heard.append,
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    spin_until(executor, lambda: heard)
+    assert heard[0].data == ROBOT.read_text()
 
 
 def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):

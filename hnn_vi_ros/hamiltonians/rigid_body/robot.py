@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot as a URDF describes it: links and the joints between them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hnn_vi_ros.phase_space import Coordinate
@@ -152,12 +153,19 @@ class Robot:
         By name.
     root : str
         The link that no joint carries.
+    where, text : str
+        The file, and what stands in it.
+    locked : mapping of str to float
+        Joints that do not move, and where they are held [rad], [m].
 
     """
 
     name: str
     links: dict[str, Link]
     root: str
+    where: str
+    text: str
+    locked: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

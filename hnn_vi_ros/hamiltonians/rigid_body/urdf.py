@@ -66,7 +66,8 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     first = _root(list(carried), joints, where)
     return Robot(root.attributes.get('name', ''), {
         name: Link(name, _place(element, where), _inertial(element, where), tuple(own))
-        for element, (name, own) in zip(links, carried.items(), strict=True)}, first)
+        for element, (name, own) in zip(links, carried.items(), strict=True)}, first,
+        where, text.decode(errors='replace'))
 
 
 def _read(path: Path) -> bytes:
