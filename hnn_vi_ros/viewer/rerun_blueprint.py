@@ -33,11 +33,14 @@ class Arrangement:
         Number of phase portraits.
     bounds : np.ndarray, shape (2, 3), or None
         Lowest and highest corner of what the mechanism can reach [m]; None if there is none.
+    hidden : str, optional
+        The entity of the mechanism below which nothing is shown.
 
     """
 
     portraits: int
     bounds: np.ndarray | None
+    hidden: str = ''
 
     @property
     def tabbed(self) -> bool:
@@ -96,7 +99,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     share = arrangement.world_share
     if arrangement.bounds is not None:
         world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR),
-                            {part_path(name): _recent(interval) for name in trails})
+                            {part_path(name): _recent(interval) for name in trails},
+                            arrangement.hidden)
         left = rrb.Vertical(world, left, row_shares=[share, 1.0 - share])
     energies = [path for path in labels if path in ENERGIES]
     errors = [_series_view('Energy error', ['/energy/error'], labels)]
@@ -166,10 +170,12 @@ def _phase_view(coordinate: Coordinate, interval: int, side: float) -> rrb.Spati
         visual_bounds=rrb.VisualBounds2D(x_range=[-left, right], y_range=[-top, bottom]))
 
 
-def _world_view(bounds: np.ndarray, aspect: float,
-                trails: Mapping[str, rrb.VisibleTimeRanges]) -> rrb.Spatial3DView:
+def _world_view(bounds: np.ndarray, aspect: float, trails: Mapping[str, rrb.VisibleTimeRanges],
+                hidden: str) -> rrb.Spatial3DView:
+    contents = ['$origin/**', *([f'- {hidden}/**'] if hidden else [])]
     return rrb.Spatial3DView(
-        name='Mechanism', origin='/world', background=BACKGROUND, overrides=dict(trails),
+        name='Mechanism', origin='/world', contents=contents, background=BACKGROUND,
+        overrides=dict(trails),
         line_grid=rrb.LineGrid3D(visible=False), eye_controls=rrb.EyeControls3D(
             position=eye_of(bounds, aspect), look_target=bounds.mean(axis=0),
             eye_up=[0.0, 0.0, 1.0]))

@@ -7,11 +7,13 @@ from typing import final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism, Trail
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_layout as layout
 from hnn_vi_ros.viewer.phase_portrait import ends_of, frames_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, make_blueprint
+from hnn_vi_ros.viewer.rerun_robot import bounds_of_robot, collisions_of, RobotPicture
 from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
 import numpy as np
 import rerun as rr
@@ -32,9 +34,10 @@ class RerunSink:
     """
     A recording of one run: state and energy series, phase portraits, the mechanism, events.
 
-    Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three timelines:
-    ``sim_time`` (simulated time), ``step`` and ``ros_time``. Samples are thinned out in
-    simulated time and gathered for a moment of wall time between sends.
+    A robot that a URDF describes is drawn as the SDK reads it. Phase portraits are drawn of the
+    first MOST_PORTRAITS coordinates. Three timelines: ``sim_time`` (simulated time), ``step``
+    and ``ros_time``. Samples are thinned out in simulated time and gathered for a moment of wall
+    time between sends.
 
     Parameters
     ----------
@@ -80,6 +83,7 @@ class RerunSink:
         # Of a body that turns no coordinate has a plane of its own with its momentum.
         self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
         self._invariants = hamiltonian.invariants
+        self._robot, self._picture = hamiltonian.robot, None
         self._interval, self._epoch, self._due = max(1, interval), epoch, 0
         self._begin = begin
         self._pending: list[Sample] = []
@@ -175,7 +179,12 @@ class RerunSink:
             self._reach = reach_of(hamiltonian, ends)
             parts = self._mechanism(ends, self._reach)
             bounds = bounds_of(parts)
-        arrangement = Arrangement(len(shown), bounds)
+        hidden = ''
+        if self._robot is not None:
+            own, hidden = bounds_of_robot(self._robot), collisions_of(self._robot)
+            bounds = own if bounds is None else np.array([
+                np.minimum(own[0], bounds[0]), np.maximum(own[1], bounds[1])])
+        arrangement = Arrangement(len(shown), bounds, hidden)
         self._stream.send_blueprint(
             make_blueprint(shown, self._labels, arrangement, self._interval, pace, [
                 name for name, part in parts.items() if isinstance(part, Trail)]))
@@ -185,6 +194,17 @@ class RerunSink:
             layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
         if parts:
             layout.log_mechanism_styles(recording, parts)
+        if self._robot is not None:
+            self._picture = self._draw_robot(self._robot)
+
+    def _draw_robot(self, robot: Robot) -> RobotPicture | None:
+        """Draw the robot; where the SDK cannot, say so, and show the rest."""
+        names = [coordinate.name for coordinate in self._coordinates]
+        try:
+            return RobotPicture(robot, names, self._stream.recording)
+        except RecordingError as problem:
+            self._events.append((*self._begin, str(problem), 'WARN'))
+            return None
 
     def _send_if_due(self) -> None:
         if self._sent_at + self._gather() <= time.monotonic():
@@ -212,6 +232,8 @@ class RerunSink:
         self._send_portraits(times, samples, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, q)
+        if self._picture is not None:
+            self._picture.send(times, q)
         self._sent = samples[-1]
 
     def _send_events(self) -> None:

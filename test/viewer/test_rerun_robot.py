@@ -1,0 +1,85 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A robot of a URDF in a rerun recording: its shapes, and joints that move as simulated."""
+
+from pathlib import Path
+import subprocess
+import sys
+
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer.rerun_robot import bounds_of_robot, collisions_of
+from hnn_vi_ros.viewer.rerun_sink import RerunSink
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+from rerun_reader import read
+from urdf_robots import chain, ROOT, TREE, TREE_ARGUMENTS
+
+ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
+
+
+def record(path: Path, robot: RigidBodyTree, q: np.ndarray) -> dict[str, dict[str, list]]:
+    """Return what has a time in a recording of so many samples."""
+    sink = RerunSink('arm', path, robot, q[0], np.zeros(q.shape[1]), interval=0)
+    for n, row in enumerate(q):
+        rest = np.zeros(len(row))
+        sink.write(Sample(n, n * 1000, row, rest, rest, rest, 1.0, np.nan, 0.0))
+    sink.close()
+    return read(path)
+
+
+def test_robot_is_drawn_and_its_joints_move_as_simulated(tmp_path: Path):
+    path = tmp_path / 'arm.rrd'
+    # Beyond the limits of the elbow too, which act only where a scene says so.
+    q = np.array([[0.0, 0.0], [0.3, -1.0], [-2.0, 3.0]])
+    robot = RigidBodyTree(str(ARM))
+    found = record(path, robot, q)
+    for column, (name, origin) in enumerate({
+            'shoulder': [0.0, 0.08, 0.0], 'elbow': [0.0, 0.045, -0.4]}.items()):
+        rows = found[f'/joints/{name}']
+        assert rows['step'] == [0, 1, 2]
+        half = 0.5 * q[:, column]
+        turns = np.array(rows['Transform3D:quaternion']).reshape(3, 4)
+        expected = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
+        # Quaternions of both signs are the same turn; they are stored as float32.
+        assert np.abs((turns * expected).sum(axis=1)) == pytest.approx(np.ones(3), abs=1e-6)
+        assert np.array(rows['Transform3D:translation']).reshape(3, 3) == pytest.approx(
+            np.tile(origin, (3, 1)), abs=1e-7)
+    still = {chunk.entity_path for chunk in RrdReader(path).stream() if chunk.is_static}
+    assert any(entity.startswith('/world/two_joint_arm') and 'forearm' in entity
+               for entity in still)
+    hidden = f'{collisions_of(robot.robot)}/'
+    assert any(entity.startswith(hidden) and 'forearm' in entity for entity in still)
+    check = subprocess.run([sys.executable, '-m', 'rerun_cli', 'rrd', 'verify', str(path)],
+                           capture_output=True, text=True, timeout=60)
+    assert check.returncode == 0, check.stderr
+
+
+def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
+    (tmp_path / 'tree.urdf').write_text(TREE)
+    robot = RigidBodyTree(str(tmp_path / 'tree.urdf'), **TREE_ARGUMENTS)
+    found = record(tmp_path / 'tree.rrd', robot, np.zeros((2, 5)))
+    assert {name for name in found if name.startswith('/joints/')} == {
+        f'/joints/{name}' for name in (*TREE_ARGUMENTS['joints'], 'follower')}
+    # It slides along -y, by 0.03 m.
+    assert np.array(found['/joints/follower']['Transform3D:translation']).reshape(2, 3) == \
+        pytest.approx(np.array([[0.0, -0.03, 0.0]] * 2), abs=1e-7)
+
+
+def test_robot_whose_file_is_gone_is_told_and_the_rest_is_shown(tmp_path: Path):
+    file = tmp_path / 'arm.urdf'
+    file.write_text(ARM.read_text())
+    robot = RigidBodyTree(str(file))
+    file.unlink()
+    found = record(tmp_path / 'arm.rrd', robot, np.zeros((2, 2)))
+    (text,), (level,) = (found['/events'][f'TextLog:{name}'][0] for name in ('text', 'level'))
+    assert level == 'WARN' and 'rerun cannot show this robot' in text
+    assert len(found['/state/q']['step']) == 2
+
+
+def test_bounds_of_a_robot_hold_all_of_it():
+    low, high = bounds_of_robot(parse_urdf(chain([1.0, 1.0], [0.7, 0.5]).encode(), 'chain'))
+    # Its links weigh at their ends, and may go on as far beyond.
+    assert (high == -low).all() and 1.2 <= high[0] <= 2.4
