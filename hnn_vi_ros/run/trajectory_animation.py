@@ -45,13 +45,16 @@ def animate(trajectory: TrajectoryData, speed: float, rate: float) -> 'FuncAnima
     mechanism = run.scene.mechanism if run.scene is not None else None
     figure, show = _mechanism(run, MECHANISMS[mechanism]) if mechanism else _portrait(run)
     figure.suptitle(run.title)
-    # Not empty: the layout keeps its place from the first picture on.
-    clock = figure.axes[0].set_title('t', loc='left', fontsize='medium')
+    clock = figure.axes[0].set_title('', loc='left', fontsize='medium')
 
     def update(k: int) -> None:
         clock.set_text(f't = {run.t[k]:.3f} s')
         show(k)
 
+    # Laid out once, which takes as long as drawing: nothing changes its size from then on.
+    update(int(samples[0]))
+    figure.draw_without_rendering()
+    figure.set_layout_engine('none')
     from matplotlib.animation import FuncAnimation
     return FuncAnimation(figure, update, frames=samples.tolist(), interval=1000.0 / rate)
 
