@@ -125,7 +125,8 @@ def scene() -> Parser:
         'ros2 run hnn_vi_ros scene --new my_robot.urdf --out my_scene.yaml'])
     # By itself argparse keeps what excludes each other on one line, however long that is.
     parser.usage = ('scene [-h] [--version] (--check NAME [NAME ...] | --list | --schema |\n'
-                    '             --explain NAME | --compile [NAME ...] | --new URDF [--out SCENE])')
+                    '             --explain NAME | --compile [NAME ...] |\n'
+                    '             --new URDF [--out SCENE])')
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument('--check', nargs='+', metavar='NAME', help=(
         'say of each scene, a shipped name or a file, whether it is valid'))
