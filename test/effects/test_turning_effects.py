@@ -374,6 +374,7 @@ REFUSED = [
     ('dry_friction', {'coordinate': 'body_z', 'force': 1.0}),
     ('magnetic_field', {'plane': ['body_x', 'body_y']}),
     ('periodic_drive', {'coordinate': 'body_z', 'amplitude': 1.0, 'frequency': 1.0}),
+    ('servo', {'coordinates': ['body_z'], 'stiffness': 1.0}),
     ('thermostat', {'temperature': 1.0, 'rate': 1.0}),
     ('holonomic_constraint', {'point': ['body_x', 'body_z'], 'anchor': [0.0, 0.0]}),
     ('impact', {'coordinate': 'body_z'})]
