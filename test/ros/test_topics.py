@@ -282,7 +282,7 @@ def test_wrench_in_the_frame_of_a_body_is_the_command_that_is_recorded(tmp_path,
     simulation, recorded = simulation_of(tmp_path, QUADROTOR), []
     topics = Topics(node, False)
     topics.open(simulation, Monitor(simulation, 10, 0.1, None, pytest.fail), None, BOX, 'map',
-                lambda topic, payload: recorded.append((topic, payload)))
+                lambda: 0, lambda topic, payload: recorded.append((topic, payload)))
     received: list[Odometry] = []
     other.create_subscription(Odometry, '/simulator/odometry', received.append, 10)
     publisher = other.create_publisher(WrenchStamped, '/simulator/wrench', 1)
