@@ -390,11 +390,8 @@ def test_other_effects_on_bodies_are_refused_by_name(kind: str, arguments: dict)
 
 
 def test_effects_that_bodies_take_are_these():
-    able = {kind for kind, effect in EFFECTS.items() if effect.turns}
-    assert able == {kind for kind, _ in ALL}
-    # The others are above, and those that a model stands behind.
-    assert set(EFFECTS) - able - {kind for kind, _ in REFUSED} == {
-        'learned_dissipation', 'learned_friction'}
+    assert {kind for kind, effect in EFFECTS.items() if effect.turns} == {
+        kind for kind, _ in ALL}
 
 
 @pytest.mark.parametrize('kind, arguments, expected', [
