@@ -1,0 +1,58 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Shipped models of real machines: whose data they know, how they predict, and that they rest."""
+
+from pathlib import Path
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.learning.config import find_config
+from hnn_vi_ros.learning.machine_config import load_machine
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.studies.machine_tables import CASES
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# The case of each in the tables, the licence of its data, and where it hangs.
+MACHINES = {'dfki_double_pendulum': ('real actuated double pendulum', 'BSD-3', [0.0, 0.0])}
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_card_tells_source_licence_and_how_it_was_made(name: str):
+    card, config = load_scene(name).create_hamiltonian().checkpoint.card, \
+        load_machine(find_config(name))
+    assert (card.family, card.name, card.seed) == ('mechanical', name, config.seed)
+    assert card.dataset.startswith(config.description) and MACHINES[name][1] in card.dataset
+    assert card.training_command.startswith(f'ros2 run hnn_vi_ros train --config {name} --data ')
+    assert [c.name for c in card.coordinates] == [c.name for c in config.coordinates]
+    assert (card.mechanical.prior and card.mechanical.prior.kind) == config.family.prior
+    # By the stages that the configuration has by now.
+    assert card.losses.keys() == {
+        'forward', *(f'windows_{stage.duration:g}' for stage in config.windows.windows)}
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_machine_is_followed_as_well_as_the_page_says_and_by_others(name: str):
+    found = load_scene(name).create_hamiltonian().checkpoint.card.prediction_error
+    text = (ROOT / 'docs' / 'machines.md').read_text(encoding='utf-8')
+    for horizon, rms in found.horizons.items():
+        assert ' '.join(f'{value:.4f}'[1:] for value in rms) in text
+        reference = CASES[MACHINES[name][0]].references[f'RMS error [rad] after {horizon} s, test']
+        assert (np.array(rms) <= reference).all()
+    assert found.failed == 0
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_machine_swings_and_comes_to_rest_hanging(name: str):
+    scene = load_scene(name)
+    simulation = build(scene)
+    start, fastest = simulation.energy, 0.0
+    for _ in range(600):
+        simulation.advance(round(0.5 / scene.step_size))
+        fastest = max(fastest, np.abs(simulation.dH_dp).max())
+    # Friction that is tanh(v / w) creeps to rest, and holds no link beside its place.
+    assert fastest > 0.5 and np.abs(simulation.dH_dp).max() <= 1e-3
+    assert np.abs(simulation.q - MACHINES[name][2]).max() <= 0.05
+    # What H lost is what friction took: the method is of order 2, with h omega of some 0.02.
+    assert simulation.work < 0.0
+    assert abs(simulation.energy_balance) <= 1e-3 * (start - simulation.energy)
