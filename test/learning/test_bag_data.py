@@ -206,7 +206,7 @@ def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, 
     scene = load_scene('exact_double_pendulum')
     path = record_run(tmp_path / 'bag', scene, 300, close=close)
     data = read_bags([path], bag(
-        joints=['angle1', 'angle2'], p='p', dp_dt='joint_states', derivatives=None))
+        joints=['angle1', 'angle2'], p='p', dp_dt='state', derivatives=None))
     dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
     assert np.abs(data.dq_dt - dH_dp).max() < 1e-12
     assert np.abs(data.dp_dt + dH_dq).max() < 1e-12
@@ -236,7 +236,7 @@ def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_r
         assert_exact(data, scene, 0.1 if without == ['joint_states'] else 1e-12)
 
 
-@pytest.mark.parametrize('changes', [{'p': 'p'}, {'p': 'p', 'dp_dt': 'joint_states'},
+@pytest.mark.parametrize('changes', [{'p': 'p'}, {'p': 'p', 'dp_dt': 'state'},
                                      {'q': 'q', 'p': 'state'}])
 def test_stamped_and_unstamped_topics_that_disagree_in_time_are_an_error(tmp_path, changes):
     own = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300)

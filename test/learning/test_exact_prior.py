@@ -85,7 +85,7 @@ def test_systems_that_are_not_mechanical_are_refused_in_one_line(monkeypatch):
         with pytest.raises(ValueError, match=f"prior: '{name}' is no system of the form p . M.*"
                                              'valid: double_pendulum, fput_chain, .*, tao'):
             config(name)
-    with pytest.raises(ValueError, match="no exact system 'nothing'; valid: double_pendulum"):
+    with pytest.raises(ValueError, match="no exact system 'nothing'; valid: .*double_pendulum"):
         check_prior('nothing', ['prismatic'], [[1.0]])
     with pytest.raises(ValueError, match='kepler has 2 coordinates, not 1'):
         config('kepler')
