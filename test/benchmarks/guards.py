@@ -84,7 +84,7 @@ def _make_tick(node: Node, folder: Path
     monitor = Monitor(simulation, sampler.every, sampler.tick, None, lambda text, first: None,
                       make_guards(simulation, scale, *_LIMITS, simulation.hamiltonian.barrier),
                       scale)
-    topics.open(simulation, monitor, None, box, 'world', lambda topic, payload: None)
+    topics.open(simulation, monitor, None, box, 'world', lambda: 0, lambda topic, payload: None)
     recording = Recording(
         node.get_logger(), scene, simulation,
         parameters.Settings(record_path=str(folder / 'bag'), rerun_sink='none'),

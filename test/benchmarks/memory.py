@@ -110,7 +110,8 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
     box = look_ahead(simulation, 1.0).box
     sampler, topics = Sampler(simulation, 1.0 / _STEP), Topics(node, False)
     monitor = Monitor(simulation, 1, _STEP, None, lambda text, first: None)
-    topics.open(simulation, monitor, scene.mechanism, box, 'world', lambda topic, payload: None)
+    topics.open(simulation, monitor, scene.mechanism, box, 'world', lambda: 0,
+                lambda topic, payload: None)
     # To the files, the samples come at the pace of the clock.
     clock = SimpleNamespace(monotonic=lambda: sampler.time, time_ns=time.time_ns)
     with patch.object(mcap_sink, 'time', clock), patch.object(rerun_sink, 'time', clock):
