@@ -33,8 +33,7 @@ class Servo(Force, Commanded):
     effort_limit : float or list of float, optional
         F > 0 of all joints or of each [N], [N m]; default: none.
     position : list of float, optional
-        Where each joint is held until its first command [m], [rad]; default: nothing acts on it
-        before.
+        Where each joint is held until its first command [m], [rad]; default: nowhere.
 
     Raises
     ------
