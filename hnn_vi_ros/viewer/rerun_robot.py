@@ -71,7 +71,12 @@ def collisions_of(robot: Robot) -> str:
 
 
 def bounds_of_robot(robot: Robot) -> np.ndarray:
-    """Return corners of a box, shape (2, 3), that a robot stays in whatever its joints do [m]."""
+    """
+    Return two corners of what a view of a robot has to show, shape (2, 3) [m].
+
+    It is the cube within the sphere that the robot stays in whatever its joints do: from the
+    distance from which all corners of it are seen, the sphere is.
+    """
     reach, waiting = 0.0, [(robot.root, 0.0)]
     while waiting:
         name, distance = waiting.pop()
@@ -82,5 +87,5 @@ def bounds_of_robot(robot: Robot) -> np.ndarray:
             slide = max(map(abs, filter(None, joint.bounds)), default=0.0)
             waiting.append((joint.child, distance + float(np.linalg.norm(joint.origin))
                             + slide * (joint.kind == SLIDING)))
-    return np.array([[-reach] * 3, [reach] * 3]) if reach > 0.0 else np.array(
-        [[-1.0] * 3, [1.0] * 3])
+    half = reach / np.sqrt(3.0) if reach > 0.0 else 1.0
+    return np.array([[-half] * 3, [half] * 3])
