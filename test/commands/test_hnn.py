@@ -123,7 +123,7 @@ def test_doctor_tells_what_is_here_and_what_is_wrong(capsys, monkeypatch):
 
 
 def test_completion_offers_commands_options_and_scenes(tmp_path, capsys):
-    pytest.importorskip('shtab')
+    pytest.importorskip('shtab', reason='shtab is not installed; see `make test`')
     assert completion.main(['bash']) == 0
     script = tmp_path / 'hnn'
     script.write_text(capsys.readouterr().out)
