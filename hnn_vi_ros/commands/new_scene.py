@@ -6,8 +6,8 @@ import re
 
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.commands import arguments
-from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.scene import load_scene
 
 # By which editors find the schema; in a shipped scene it lies beside its folder.
@@ -26,13 +26,7 @@ def main(argv: list[str]) -> int:
         # What it names from its own folder is not found from that of the copy.
         if '/' in name and '://' not in name:
             text = text.replace(name, str(file.resolve()))
-    try:
-        with path.open('x', encoding='utf-8') as stream:
-            stream.write(text)
-    except FileExistsError as problem:
-        raise ParameterError(f'{path}: exists already; name another file') from problem
-    except OSError as problem:
-        raise ParameterError(f'{path}: cannot be written ({problem.strerror})') from problem
+    write_new_scene(path, text)
     print(path)
     print(f'  change it; check it by: {command(f"scene --check {path}")}')
     print(f'  run it by: {command(f"run {path}")}')

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.files.package_uri import package_file, SCHEME
+from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.files.yaml_text import dump_yaml, one_line
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
@@ -66,7 +67,7 @@ def write_scene(file: str, out: Path | None) -> Path:
     ModelError
         The URDF cannot be read or simulated.
     SceneError
-        The file is there already, or cannot be written.
+        The file exists already, or cannot be written.
 
     """
     urdf = _find(file)
@@ -81,13 +82,7 @@ def write_scene(file: str, out: Path | None) -> Path:
         raise ModelError(f'{urdf}: {problem}') from problem
     name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
     text = scene_text(name, out, tree, locked)
-    try:
-        with out.open('x', encoding='utf-8') as stream:
-            stream.write(text)
-    except FileExistsError as problem:
-        raise SceneError(f'{out}: is there already; give another name by --out') from problem
-    except OSError as problem:
-        raise SceneError(f'{out}: cannot be written: {one_line(problem)}') from problem
+    write_new_scene(out, text)
     return out
 
 

@@ -9,7 +9,7 @@ import sys
 
 from hnn_vi_ros.commands import completion, doctor, new_scene, run
 from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES
-from hnn_vi_ros.errors import MissingPackage, ParameterError
+from hnn_vi_ros.errors import MissingPackage, ParameterError, SceneError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
@@ -104,7 +104,7 @@ def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
     assert new_scene.main([str(tmp_path / 'arm.yml'), '--like', 'two_joint_arm']) == 0
     assert load_scene(tmp_path / 'arm.yml').model_digests.keys() == {
         str(shipped_file('scene', '').parents[1] / 'robots' / 'two_joint_arm.urdf')}
-    with pytest.raises(ParameterError, match='mine.yaml: exists already'):
+    with pytest.raises(SceneError, match='mine.yaml: exists already'):
         new_scene.main([str(path)])
 
 
