@@ -170,7 +170,7 @@ def test_recording_for_rerun_holds_the_samples_and_the_events(run, tmp_path):
 
 
 def test_dataframe_has_a_column_each_and_the_units(run):
-    pytest.importorskip('pandas')
+    pytest.importorskip('pandas', reason='pandas is not installed; see `make test`')
     frame = run.to_dataframe()
     assert list(frame.columns) == ['angle', 'p_angle', 'H'] and frame.index.name == 't'
     assert frame.attrs['units']['p_angle'] == 'kg m2/s'
@@ -180,7 +180,7 @@ def test_dataframe_has_a_column_each_and_the_units(run):
 
 
 def test_dataset_has_dimensions_and_units():
-    pytest.importorskip('xarray')
+    pytest.importorskip('xarray', reason='xarray is not installed; see `make test`')
     data = MANY.to_xarray()
     assert data['x'].dims == ('t', 'trajectory') and data['x'].attrs == {'units': 'm'}
     assert np.array_equal(data['x'].sel(trajectory=3), MANY.q[:, 3, 0])
