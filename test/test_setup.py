@@ -63,6 +63,18 @@ def test_only_what_ros_finds_by_the_package_has_generic_names(
     assert generic or names == {'hnn'}
 
 
+def test_every_command_that_is_named_anywhere_is_an_executable(run_setup, monkeypatch):
+    monkeypatch.setattr('sys.argv', ['setup.py', 'install'])
+    names = {row.partition(' = ')[0] for row in run_setup()['entry_points']['console_scripts']}
+    texts = [*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *(ROOT / 'config').rglob('*.yaml'),
+             *(ROOT / 'hnn_vi_ros').rglob('*.py'), *ROOT.glob('launch/*.py')]
+    # NAME stands for any of them, {name} for the one that a program fills in.
+    named = {(name, path.name) for path in texts for name in re.findall(
+        r'ros2 run hnn_vi_ros (\w+)', path.read_text()) if name != 'NAME'}
+    assert len(named) > 20
+    assert {row for row in named if row[0] not in names} == set()
+
+
 def test_executables_run_the_python_of_an_activated_environment(run_setup, monkeypatch, tmp_path):
     interpreter = tmp_path / 'bin' / 'python3'
     interpreter.parent.mkdir()

@@ -27,7 +27,7 @@ _SPEED = 0.01
 _TEXT = """\
 # A first scene of {robot}, written by `scene --new`; change what you like.
 #   ros2 run hnn_vi_ros scene --explain {scene}    # all keys with their units
-#   ros2 run hnn_vi_ros hnn_vi_ros --ros-args -p scene:={scene}
+#   ros2 run hnn_vi_ros simulator --ros-args -p scene:={scene}
 description: {description}
 hamiltonian:
   kind: urdf
