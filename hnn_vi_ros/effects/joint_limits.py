@@ -66,7 +66,8 @@ class JointLimits(Bouncing):
             if low >= high:
                 raise ValueError(f'the limits of {coordinate.name}, {low:g} and {high:g}, leave '
                                  'no room between; change them, or hold the joint by locked')
-        rows, places = np.nonzero(np.isfinite(ends))
+        # Copied to be contiguous, as those of one stop are: the same type to the compiler.
+        rows, places = np.argwhere(np.isfinite(ends)).T.copy()
         n = len(places)
         if not n:
             raise ValueError('no joint of the URDF has limits; give lower or upper')

@@ -15,6 +15,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
+from numba import typeof
 import numpy as np
 import pytest
 from urdf_robots import ROOT, TREE, TREE_ARGUMENTS
@@ -69,6 +70,16 @@ def test_limit_that_is_missing_beside_another_is_zero(tmp_path):
     ends = {(name, position) for name, position, _ in stops(robot, 'urdf')}
     assert {('rail', 0.0), ('rail', 0.5)} <= ends
     assert 'wrist' not in {name for name, _ in ends}
+
+
+def test_several_stops_are_compiled_like_one(tmp_path):
+    """Arrays of another layout would be another type to the compiler, and 10 s of a start."""
+    robot = tree(tmp_path)
+    several, one = (EFFECTS['joint_limits'](*arguments).resolve(
+        robot.coordinates, EffectState.empty(1, robot.dimension))
+        for arguments in (['urdf'], [None, {'wrist': -1.0}]))
+    assert several.places.size > one.places.size == 1
+    assert typeof(several) == typeof(one)
 
 
 def test_friction_of_the_urdf_acts_but_where_the_scene_gives_other(tmp_path):
