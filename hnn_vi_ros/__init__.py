@@ -30,4 +30,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     # For completion, which would not offer what is imported on first use.
-    return sorted({*globals(), *_HOMES})
+    return sorted(__all__)

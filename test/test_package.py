@@ -216,3 +216,8 @@ def test_effect_is_a_file_of_its_own_of_at_most_100_lines(effect):
                and 'NamedTuple' not in [ast.unparse(base) for base in node.bases]]
     assert [node.name for node in classes] == [effect.__name__]
     assert len(path.read_text().splitlines()) <= 100
+
+
+def test_completion_offers_the_public_names_and_each_is_there():
+    assert dir(hnn_vi_ros) == sorted(hnn_vi_ros.__all__)
+    assert all(hasattr(hnn_vi_ros, name) for name in hnn_vi_ros.__all__)
