@@ -63,7 +63,7 @@ ifdef ARGS
 	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
 else
 	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --durations 15 --ignore test/ros
-	@$(ENVIRONMENT); $(PYTEST) -p xdist -n 3 --dist loadfile --durations 15 test/ros
+	@$(ENVIRONMENT); $(PYTEST) -p xdist -n 4 --dist loadfile --durations 15 test/ros
 endif
 
 # -P: the package that is measured is the one that was built.

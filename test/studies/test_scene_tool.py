@@ -7,7 +7,6 @@ import math
 import os
 from pathlib import Path
 import re
-import shutil
 import subprocess
 import sys
 
@@ -193,34 +192,38 @@ def test_scene_schema_holds_every_field_of_the_scene():
 
 def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
     """In later processes: the loop, H, and what guards and samples take of it."""
-    scene = tmp_path / 'mine.yaml'
-    scene.write_text(shipped_file('scene', 'exact_pendulum').read_text(encoding='utf-8').replace(
-        'variational_euler', 'stormer_verlet'), encoding='utf-8')
+    shipped = shipped_file('scene', 'exact_pendulum').read_text(encoding='utf-8')
+    scene, damped, other = (tmp_path / f'{name}.yaml' for name in ('mine', 'damped', 'other'))
+    scene.write_text(shipped.replace('variational_euler', 'stormer_verlet'), encoding='utf-8')
+    # The same with an effect, as a whole; and one that is not compiled.
+    damped.write_text(scene.read_text(encoding='utf-8')
+                      + 'effects: [{kind: damping, rate: 0.4}]\n', encoding='utf-8')
+    other.write_text(shipped.replace('variational_euler', 'symplectic_euler'), encoding='utf-8')
     environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
 
     def run(code: str) -> str:
         return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                               check=True, timeout=300, env=environment).stdout
 
-    start = ('from numba.core.event import RecordingListener, install_listener\n'
-             'from hnn_vi_ros import simulate\n'
-             'from hnn_vi_ros.kernels.announcing import announced\n'
-             "with announced(print), install_listener('numba:compile', RecordingListener()) as "
-             f'heard:\n    simulate({str(scene)!r}, 1.0)\n'
-             "print(*(event.data['dispatcher'] for _, event in heard.buffer))")
-    cold = run(start)
+    def start(scene: Path) -> str:
+        """Return what is announced in a process, and a last line of what numba compiles."""
+        return run(
+            'from numba.core.event import RecordingListener, install_listener\n'
+            'from hnn_vi_ros import simulate\n'
+            'from hnn_vi_ros.kernels.announcing import announced\n'
+            "with announced(print), install_listener('numba:compile', RecordingListener()) as "
+            f'heard:\n    simulate({str(scene)!r}, 1.0)\n'
+            "print(*(event.data['dispatcher'] for _, event in heard.buffer))")
+
+    # One after another: what they share is compiled once.
+    for path in damped, scene:
+        assert re.fullmatch(r'.+: compiled in [\d.]+ s\n', run(
+            'import sys; from hnn_vi_ros.studies.scene_tool import main\n'
+            f"sys.exit(main(['--compile', {str(path)!r}]))"))
+    assert start(scene) == start(damped) == '\n'
+    cold = start(other)
     assert re.search(r'compiling the loop over steps, once: about \d+ s\n', cold)
     assert 'advance' in cold.splitlines()[-1]
-    # The same with an effect, as a whole.
-    damped = tmp_path / 'damped.yaml'
-    damped.write_text(scene.read_text(encoding='utf-8')
-                      + 'effects: [{kind: damping, rate: 0.4}]\n', encoding='utf-8')
-    code = ('import sys; from hnn_vi_ros.studies.scene_tool import main\n'
-            f"sys.exit(main(['--compile', {str(scene)!r}, {str(damped)!r}]))")
-    shutil.rmtree(tmp_path / 'cache')
-    assert re.fullmatch(r'(.+: compiled in [\d.]+ s\n){2}', run(code))
-    assert run(start) == '\n'
-    assert run(start.replace(str(scene), str(damped))) == '\n'
     assert run('from hnn_vi_ros.scene import load_scene\n'
                'from hnn_vi_ros.simulation.build import build\n'
                f'simulation = build(load_scene({str(damped)!r}))\n'
