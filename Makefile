@@ -27,7 +27,7 @@ RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
 	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
-.PHONY: help build run test bench accuracy hard-cases clean distclean
+.PHONY: help build run test bench accuracy hard-cases docs clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
@@ -35,6 +35,7 @@ help:
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
 	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure what accuracy costs; hours'
 	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
+	@echo 'make docs                                      build the site into docs/_build/html'
 	@echo 'make build [TORCH=cpu|cuda|any|none]           set up .venv and build the package'
 	@echo 'make clean                                     remove what was built'
 	@echo 'make distclean                                 remove .venv as well'
@@ -88,8 +89,16 @@ hard-cases:
 	@$(ENVIRONMENT); $(ONE_THREAD); \
 	exec $(RUNNABLE)/hard_cases --out hard_cases --docs '$(OUT)' $(ARGS)
 
+# Warnings are errors, links within the site among them.
+docs:
+	$(VENV) run train docs
+	$(BUILD)
+	@$(ENVIRONMENT); $(ONE_THREAD); export MPLBACKEND=Agg; \
+	.venv/bin/python -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html; \
+	echo "The site: $(CURDIR)/docs/_build/html/index.html"
+
 clean:
-	rm -rf build install log .pytest_cache .hypothesis
+	rm -rf build install log .pytest_cache .hypothesis docs/_build docs/gallery docs/generated
 
 distclean: clean
 	rm -rf .venv

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
+from typing import ClassVar, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
@@ -18,43 +18,83 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 class HnnViRosError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """
+    Base of every error that this package raises on purpose.
+
+    Attributes
+    ----------
+    remedy : str
+        What a user can do about errors of this class; the page on troubleshooting lists them all.
+
+    """
+
+    remedy: ClassVar[str] = ''
 
 
 class SceneError(HnnViRosError):
     """A scene file cannot be read or asks for something that does not exist."""
 
+    remedy = ('correct the key that the message names by file and line; `hnn scene --check '
+              'FILE` checks a scene without running it, and the page on scene files lists '
+              'all keys')
+
 
 class ModelError(HnnViRosError):
     """A model file is missing, damaged, or is not a model of ours."""
+
+    remedy = ('name a shipped model or the path of a .safetensors file; `hnn '
+              'import_checkpoint` imports checkpoints of the original HNN code, and `hnn '
+              'train` makes a missing model anew')
 
 
 class DataError(HnnViRosError):
     """A data or training configuration file cannot be used."""
 
+    remedy = ('correct the column, topic or key that the message names; shipped '
+              'configurations in config/training are examples of every kind of data')
+
 
 class ParameterError(HnnViRosError):
     """A ROS parameter or an argument has a value that cannot be used."""
+
+    remedy = ('give a value in the range that the message states; `--help` of the '
+              'executable lists its parameters with ranges and units')
 
 
 class RecordingError(HnnViRosError):
     """A recording cannot be created, because it would overwrite or cannot be written."""
 
+    remedy = ('name a path that does not exist in a folder that is writable; on a full disk '
+              'free space, or run with `record:=false` and `rerun_sink:=none`; '
+              '`recover_bag` completes the bag that was interrupted')
+
 
 class UnsupportedSystem(HnnViRosError):
     """An integrator was asked for a system that it cannot integrate."""
+
+    remedy = ('take one of the methods that the message names; an explicit method needs H = '
+              'T(p) + V(q), and bodies that turn need a method `lie_...`')
 
 
 class CalibrationError(HnnViRosError):
     """No method can hold the error that was asked for."""
 
+    remedy = ('ask for a larger error or a shorter horizon; in a chaotic motion no method '
+              'holds a trajectory error beyond some Lyapunov times, but an energy error can '
+              'be held')
+
 
 class MissingPackage(HnnViRosError, ImportError):
     """A Python package is not installed that only what was asked for takes."""
 
+    remedy = ('run the pip command in the message, in the environment that hnn_vi_ros is '
+              'installed in; `hnn doctor` lists what is there')
+
 
 class AlarmWarning(UserWarning):
     """A guard found that a run is not to be trusted; see ``Trajectory.alarms``."""
+
+    remedy = 'see the alarm of that name below: the warning carries its message'
 
 
 class StepFailure(HnnViRosError):
@@ -76,6 +116,10 @@ class StepFailure(HnnViRosError):
         Gradients and Hessian-vector products that were evaluated for the step, all tries together.
 
     """
+
+    remedy = ('use a smaller step_size or another integrator; `on_failure: substep`, the '
+              'default, or `implicit` takes such steps otherwise, and a state far outside '
+              'of the training domain needs a better model or `confine: true`')
 
     def __init__(self, reason: str, t: float, h: float, relative_residual: float,
                  evaluations: int):
@@ -105,6 +149,8 @@ class StoppedByEvent(HnnViRosError):
         Returns q and p at a share of the step in which it came; see ``DenseStep.state``.
 
     """
+
+    remedy = 'none is needed: the scene asks for it; `then: log` lets the run go on'
 
     def __init__(self, event: 'Event', q: 'np.ndarray', p: 'np.ndarray',
                  state: 'Callable[[float], tuple[np.ndarray, np.ndarray]]'):

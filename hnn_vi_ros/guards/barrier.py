@@ -26,6 +26,8 @@ class BarrierGuard(BandGuard):
     """
 
     kind = 'not resolved'
+    remedy = ('use a smaller step_size or a method of higher order: the energy error '
+              'decides on which side of the barrier the motion is')
 
     def __init__(self, name: str, energy: float, order: int = 1):
         super().__init__()

@@ -4,7 +4,7 @@
 
 from abc import ABC, abstractmethod
 import math
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -78,9 +78,20 @@ class Alarm(NamedTuple):
 
 
 class Guard(ABC):
-    """Something that must hold all the time; it costs about as much as ten additions."""
+    """
+    Something that must hold all the time; it costs about as much as ten additions.
+
+    Attributes
+    ----------
+    kind : str
+        What an alarm of it is called.
+    remedy : str
+        What a user can do about its alarms; the page on troubleshooting lists them all.
+
+    """
 
     kind: str
+    remedy: ClassVar[str]
 
     def allow(self, band: float, change: float) -> None:  # noqa: B027
         """Change the shares of a scale that are allowed, as far as there are such."""

@@ -27,6 +27,8 @@ class BoxGuard(Guard):
     """
 
     kind = 'out of the training box'
+    remedy = ('start inside of the training domain, or train on a larger box; `confine: '
+              'true` closes it with walls, and `stop_outside_box` ends such a run')
 
     def __init__(self, box: tuple[np.ndarray, np.ndarray], gauge: np.ndarray | None = None):
         self._gauge = gauge

@@ -27,6 +27,7 @@ class CostGuard(Guard):
     """
 
     kind = 'slow step'
+    remedy = 'use a smaller step_size, or `time_transformed` for close encounters'
 
     def __init__(self, simulation: Simulation):
         self._simulation, self._raised = simulation, False

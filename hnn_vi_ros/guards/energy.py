@@ -35,6 +35,8 @@ class EnergyGuard(Guard):
     """
 
     kind = 'energy not accounted for'
+    remedy = ('take a symplectic method in the place of a baseline, or a smaller step_size; '
+              'where an effect acts, check that it is listed in the scene')
 
     def __init__(self, share: float, scale: Callable[[Observed], float]):
         self.raised, self._how = False, (share, '')

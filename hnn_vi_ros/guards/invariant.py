@@ -36,6 +36,8 @@ class InvariantGuard(BandGuard):
     """
 
     kind = 'not conserved'
+    remedy = ('use a smaller step_size, or a method that conserves it: Gauss methods keep '
+              'quadratic invariants')
 
     def __init__(self, name: str, function: Callable[[np.ndarray, np.ndarray], float],
                  share: float, hamiltonian: Hamiltonian):

@@ -20,6 +20,8 @@ class RescueGuard(Guard):
     """
 
     kind = 'rescued steps'
+    remedy = ('use a smaller step_size, or a method whose equations can be solved at this '
+              'one')
 
     def __init__(self, simulation: Simulation):
         self._simulation, self._seen = simulation, 0

@@ -35,6 +35,7 @@ class ResolutionGuard(BandGuard):
     """
 
     kind = 'under-resolved'
+    remedy = 'use the step_size that the message names, or a method of higher order'
 
     def __init__(self, share: float, scale: Callable[[Observed], float], step_size: float,
                  order: int, modified: bool = False):

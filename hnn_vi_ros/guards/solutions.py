@@ -18,6 +18,7 @@ class SolutionGuard(Guard):
     """
 
     kind = 'several solutions'
+    remedy = 'use a smaller step_size: below the fold the equation has one solution'
 
     def __init__(self, simulation: Simulation):
         self._simulation, self._seen = simulation, 0

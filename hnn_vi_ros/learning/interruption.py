@@ -25,6 +25,8 @@ PERIOD = 30.0
 class Interrupted(HnnViRosError):
     """Training was stopped by Ctrl-C, its state saved."""
 
+    remedy = 'none is needed: the same command with `--resume` continues, bit-identically'
+
 
 class Keeper:
     """

@@ -92,6 +92,8 @@ class OverrunGuard(Guard):
     """
 
     kind = 'real-time overrun'
+    remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a '
+              'cheaper integrator; results are not affected')
 
     def __init__(self, pacer: Pacer):
         self._pacer, self._seen = pacer, pacer.overruns

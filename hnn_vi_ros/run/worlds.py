@@ -30,6 +30,9 @@ class WorldError(HnnViRosError):
 
     """
 
+    remedy = ('name a world by the URI that `GetAvailableWorlds` returns; a folder of '
+              'scenes is searched when the request names it')
+
     def __init__(self, code: str, message: str):
         self.code = code
         super().__init__(message)

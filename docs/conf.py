@@ -1,0 +1,41 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The site: `make docs` builds it with Sphinx, as rosdoc2 does; generated pages come first."""
+
+from pathlib import Path
+import sys
+
+from sphinx.application import Sphinx
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE)]
+
+import generate  # noqa: E402, I100  it stands beside this file
+
+from hnn_vi_ros.version import __version__  # noqa: E402, I201
+
+project, author = 'hnn_vi_ros', 'The hnn_vi_ros Authors'
+copyright = f'2026 {author}'  # noqa: A001  Sphinx calls it so
+version = release = __version__
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'numpydoc']
+exclude_patterns = ['_build', 'generated/*.part.md']
+# Sections of one page are linked by their headings, as on GitHub.
+myst_heading_anchors = 4
+myst_enable_extensions = ['attrs_block', 'colon_fence', 'deflist']
+numpydoc_show_class_members = False
+autodoc_typehints = 'none'
+add_module_names = False
+pygments_style, pygments_dark_style = 'default', 'github-dark'
+
+html_theme = 'furo'
+html_title = f'hnn_vi_ros {release}'
+html_static_path, html_css_files = ['_static'], ['site.css']
+html_theme_options = {'top_of_page_buttons': ['view']}
+# Pages that are HTML already, such as explorers of measured data.
+html_extra_path = sorted(path.name for path in HERE.glob('*.html'))
+html_copy_source = False
+
+
+def setup(app: Sphinx) -> None:
+    """Write the generated pages before Sphinx looks for its sources."""
+    app.connect('config-inited', lambda app, config: generate.write_pages(HERE))

@@ -1,0 +1,144 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The gallery: every shipped scene with its picture, its YAML and the command that runs it.
+
+`HNN_DOCS_GALLERY` names the scenes that pictures are made of, with commas between them: by default
+all, `none` for none. A picture is made once for each version of its scene and its model.
+"""
+
+import hashlib
+import io
+import json
+import os
+from pathlib import Path
+import sys
+import warnings
+
+from hnn_vi_ros import load_scene, simulate, Trajectory
+from hnn_vi_ros.errors import AlarmWarning, ModelError
+from PIL import Image
+import yaml
+
+# Simulated time of a picture [s], where it is not that of most scenes.
+_DURATION = 10.0
+_DURATIONS = {'fput_chain': 100.0, 'learned_fput_chain': 100.0, 'henon_heiles': 100.0,
+              'learned_henon_heiles': 100.0, 'kepler': 20.0, 'learned_kepler': 20.0,
+              'tao': 30.0, 'learned_tao': 30.0}
+# What a picture is made by: another number makes all of them anew.
+_VERSION = '2'
+
+
+def write_gallery(docs: Path) -> None:
+    """
+    Write a page for each scene, one for all, and the pictures.
+
+    Parameters
+    ----------
+    docs : Path
+        The folder of the site's sources.
+
+    """
+    folder, sources = docs / 'gallery', docs.parent / 'config' / 'scenes'
+    folder.mkdir(exist_ok=True)
+    scenes = {path.stem: path for path in sorted(sources.glob('*.yaml'))}
+    asked = os.environ.get('HNN_DOCS_GALLERY', 'all')
+    wanted = set(scenes) if asked == 'all' else set(asked.split(',')) - {'none'}
+    if wanted - set(scenes):
+        raise ValueError(f'HNN_DOCS_GALLERY: no scenes {", ".join(sorted(wanted - set(scenes)))}')
+    cards = []
+    for name, path in scenes.items():
+        why = draw(name, path, folder) if name in wanted else 'left out of this build'
+        write(folder / f'{name}.md', scene_page(name, path, folder, why))
+        cards.append(card(name, path, folder))
+    text = ['# Gallery', '', (
+        f'The {len(scenes)} shipped scenes. Each page has the pictures of a short run, the YAML '
+        'and the command.'), '', '::::{container} gallery', *cards, '::::', '',
+        '```{toctree}', ':hidden:', '', *scenes, '```', '']
+    write(folder / 'index.md', '\n'.join(text))
+
+
+def draw(name: str, path: Path, folder: Path) -> str:
+    """Draw a scene, if that is not done already; return why it cannot be, or nothing."""
+    key = hashlib.sha256(path.read_bytes() + _VERSION.encode())
+    model = path.parents[2] / 'resource' / 'models' / f'{_model(path)}.safetensors'
+    if model.is_file():
+        key.update(model.read_bytes())
+    stamps_path = folder / 'pictures.json'
+    stamps = json.loads(stamps_path.read_text('utf-8')) if stamps_path.is_file() else {}
+    if stamps.get(name) == key.hexdigest() and (folder / f'{name}.png').is_file():
+        return ''
+    try:
+        scene = load_scene(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', AlarmWarning)
+            run = simulate(scene, duration=_DURATIONS.get(name, _DURATION))
+    except ModelError:
+        return 'its model is not shipped, since its data are not ours to give: train it first'
+    print(f'gallery: {run}', file=sys.stderr)
+    thumbnail(run, folder / f'{name}.png')
+    run.plot().savefig(folder / f'{name}-series.png', dpi=90)
+    stamps[name] = key.hexdigest()
+    stamps_path.write_text(json.dumps(stamps, indent=1), encoding='utf-8')
+    return ''
+
+
+def thumbnail(run: Trajectory, path: Path) -> None:
+    """Draw the mechanism at the end of a run, with the path behind it, or a phase portrait."""
+    if run.scene is None or run.scene.mechanism is None:
+        try:
+            run.phase_portrait().savefig(path, dpi=80)
+        except ValueError:
+            # Of rotations alone, which have no such plane.
+            run.plot().savefig(path, dpi=80)
+        return
+    end = float(run.t[-1])
+    film = io.BytesIO()
+    # Two pictures: the start, and the end with the whole path.
+    animation = run.animate(speed=end, rate=1.0)
+    temporary = path.with_suffix('.gif')
+    animation.save(temporary, writer='pillow', dpi=80)
+    film.write(temporary.read_bytes())
+    temporary.unlink()
+    with Image.open(film) as picture:
+        picture.seek(picture.n_frames - 1)
+        picture.convert('RGB').save(path)
+
+
+def scene_page(name: str, path: Path, folder: Path, why: str) -> str:
+    """Return the page of one scene."""
+    text = [f'# {name}', '', f'{description(path)}.', '']
+    if (folder / f'{name}.png').is_file() and not why:
+        text += [f'![The mechanism or the phase portrait of {name}]({name}.png)', '']
+    else:
+        text += [f'No picture: {why}.', '']
+    command = f'hnn run {name} --duration {_DURATIONS.get(name, _DURATION):g} --plot {name}.png'
+    text += ['```bash', f'{command}    # Python alone', (
+        f'ros2 run hnn_vi_ros simulator --ros-args -p scene:={name}'), '```', '',
+        f'`config/scenes/{name}.yaml`:', '', '```yaml', path.read_text('utf-8').rstrip(), '```',
+        '']
+    if (folder / f'{name}-series.png').is_file() and not why:
+        text += ['## Series', '', f'![Coordinates, momenta and energy]({name}-series.png)', '']
+    return '\n'.join(text)
+
+
+def card(name: str, path: Path, folder: Path) -> str:
+    """Return the part of the page of all scenes that shows one."""
+    picture = f'[![{name}]({name}.png)]({name}.md)\n' if (
+        folder / f'{name}.png').is_file() else ''
+    return f':::{{container}} card\n{picture}\n[{name}]({name}.md)\n\n{description(path)}\n:::'
+
+
+def description(path: Path) -> str:
+    """Return what a scene says of itself."""
+    return str(yaml.safe_load(path.read_text('utf-8')).get('description', '')).rstrip('.')
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file if that changes it."""
+    if not path.is_file() or path.read_text('utf-8') != text:
+        path.write_text(text, encoding='utf-8')
+
+
+def _model(path: Path) -> str:
+    return str(yaml.safe_load(path.read_text('utf-8'))['hamiltonian'].get('model', ''))
