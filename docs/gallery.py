@@ -13,6 +13,7 @@ import json
 import os
 from pathlib import Path
 import sys
+import tempfile
 import warnings
 
 from hnn_vi_ros import load_scene, simulate, Trajectory
@@ -76,33 +77,37 @@ def draw(name: str, path: Path, folder: Path) -> str:
     except ModelError:
         return 'its model is not shipped, since its data are not ours to give: train it first'
     print(f'gallery: {run}', file=sys.stderr)
-    thumbnail(run, folder / f'{name}.png')
+    mechanism_picture(run).save(folder / f'{name}.png')
     run.plot().savefig(folder / f'{name}-series.png', dpi=90)
     stamps[name] = key.hexdigest()
     stamps_path.write_text(json.dumps(stamps, indent=1), encoding='utf-8')
     return ''
 
 
-def thumbnail(run: Trajectory, path: Path) -> None:
+def picture_of(name: str) -> Image.Image:
+    """Return the picture of a shipped scene."""
+    return mechanism_picture(simulate(load_scene(name), duration=_DURATIONS.get(name, _DURATION)))
+
+
+def mechanism_picture(run: Trajectory) -> Image.Image:
     """Draw the mechanism at the end of a run, with the path behind it, or a phase portrait."""
+    film = io.BytesIO()
     if run.scene is None or run.scene.mechanism is None:
         try:
-            run.phase_portrait().savefig(path, dpi=80)
+            figure = run.phase_portrait()
         except ValueError:
             # Of rotations alone, which have no such plane.
-            run.plot().savefig(path, dpi=80)
-        return
-    end = float(run.t[-1])
-    film = io.BytesIO()
-    # Two pictures: the start, and the end with the whole path.
-    animation = run.animate(speed=end, rate=1.0)
-    temporary = path.with_suffix('.gif')
-    animation.save(temporary, writer='pillow', dpi=80)
-    film.write(temporary.read_bytes())
-    temporary.unlink()
-    with Image.open(film) as picture:
-        picture.seek(picture.n_frames - 1)
-        picture.convert('RGB').save(path)
+            figure = run.plot()
+        figure.savefig(film, dpi=80)
+        return Image.open(film).convert('RGB')
+    with tempfile.TemporaryDirectory() as temporary:
+        path = Path(temporary) / 'film.gif'
+        # Two pictures: the start, and the end with the whole path.
+        run.animate(speed=float(run.t[-1]), rate=1.0).save(path, writer='pillow', dpi=80)
+        film.write(path.read_bytes())
+    picture = Image.open(film)
+    picture.seek(picture.n_frames - 1)
+    return picture.convert('RGB')
 
 
 def scene_page(name: str, path: Path, folder: Path, why: str) -> str:

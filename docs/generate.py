@@ -16,8 +16,8 @@ from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
 from hnn_vi_ros.guards.band import BandGuard
 from hnn_vi_ros.guards.base import Guard
-from hnn_vi_ros.run.pacing import OverrunGuard
 from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.run.pacing import OverrunGuard
 
 # Beside this file, and in no commit.
 FOLDER = 'generated'
@@ -145,8 +145,8 @@ def further_pages(docs: Path) -> str:
     pages = [path.stem for path in sorted(docs.glob('*.md')) if path.stem not in {*named, 'index'}]
     if not pages:
         return ''
-    return '\n'.join(['```{toctree}', ':maxdepth: 1', ':caption: More', '', *(f'/{page}' for page in pages), '```',
-                      ''])
+    return '\n'.join(['```{toctree}', ':maxdepth: 1', ':caption: More', '',
+                      *(f'/{page}' for page in pages), '```', ''])
 
 
 def _subclasses(base: type) -> Iterator[Any]:

@@ -14,6 +14,6 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_python_files_satisfy_ament_flake8():
     ament_flake8 = pytest.importorskip('ament_flake8.main', reason='needs ament_flake8')
     # Named one by one: the linter would walk into .venv/, build/ and install/.
-    sources = [str(ROOT / name) for name in ('hnn_vi_ros', 'launch', 'setup.py', 'test')]
+    sources = [str(ROOT / name) for name in ('docs', 'hnn_vi_ros', 'launch', 'setup.py', 'test')]
     code, errors = ament_flake8.main_with_errors(argv=sources)
     assert code == 0, '\n'.join(errors)

@@ -21,7 +21,7 @@ PACKAGE = ROOT / 'hnn_vi_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 TEST_FILES = sorted((ROOT / 'test').rglob('test_*.py'))
 PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.py',
-                *sorted((ROOT / 'launch').glob('*.py'))]
+                *sorted((ROOT / 'launch').glob('*.py')), *sorted((ROOT / 'docs').glob('*.py'))]
 
 # The rooms and the modules beside them, from the ground up; each imports only what is before it.
 FLOORS = (

@@ -13,10 +13,8 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.ros.messages import qos_yaml
-from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.replay_node import find_type, main
-from hnn_vi_ros.ros.replay_parameters import PARAMETERS
 from hnn_vi_ros.ros.topics import LATCHED
 from mcap.writer import Writer
 import numpy as np
@@ -39,7 +37,6 @@ TYPES = {'/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArr
          '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
          '/joint_states': JointState}
 SCENE = '/hnn_simulator/scene'
-README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
 
 
 def start_replay(bag: Path, *options: object) -> subprocess.Popen:
@@ -288,10 +285,6 @@ def test_type_that_is_no_message_is_refused(name):
 def test_option_out_of_its_range_is_a_parameter_error(bag):
     with pytest.raises(ParameterError, match='rate'):
         main([str(bag), '--rate', '-1'])
-
-
-def test_readme_table_of_the_replay_is_that_of_the_node():
-    assert markdown_table(PARAMETERS) in README
 
 
 def test_replay_ends_in_time_when_it_is_terminated_before_it_begins(bag):

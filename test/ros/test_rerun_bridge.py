@@ -12,9 +12,8 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros import rerun_bridge
-from hnn_vi_ros.ros.bridge_parameters import BridgeSettings, PARAMETERS
+from hnn_vi_ros.ros.bridge_parameters import BridgeSettings
 from hnn_vi_ros.ros.bridge_picture import target_of
-from hnn_vi_ros.ros.parameters import markdown_table
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics import LATCHED
@@ -31,8 +30,6 @@ from rerun_reader import read
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from test_health import events_of
-
-README = (Path(__file__).parents[2] / 'README.md').read_text(encoding='utf-8')
 
 
 def start_bridge(*words: object) -> subprocess.Popen:
@@ -219,7 +216,3 @@ def test_targets_are_those_of_the_sinks(tmp_path):
     assert target_of(BridgeSettings(rerun_sink='serve', rerun_path='1234')) == 1234
     assert target_of(BridgeSettings(rerun_sink='connect')).startswith('rerun+http://')
     assert target_of(BridgeSettings(rerun_sink='file', rerun_path='a.rrd')) == Path('a.rrd')
-
-
-def test_readme_table_of_the_bridge_is_that_of_the_node():
-    assert markdown_table(PARAMETERS) in README

@@ -1,0 +1,55 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of the README: `python docs/pictures.py` in the environment writes them anew."""
+
+from pathlib import Path
+import tempfile
+
+from gallery import picture_of
+from hnn_vi_ros import load_scene, simulate
+from PIL import Image, ImageDraw
+
+HERE = Path(__file__).resolve().parent
+# Of the strip, and the side of each of its pictures [pixels].
+SCENES = ('double_pendulum', 'kepler', 'henon_heiles', 'fput_chain', 'heavy_top',
+          'spherical_pendulum')
+_SIDE, _TITLE, _GAP = 260, 26, 8
+# Of the moving picture: simulated time [s], pictures a second [Hz], and how many colours.
+_SECONDS, _RATE, _COLOURS = 6.0, 15.0, 32
+
+
+def write_strip(path: Path) -> None:
+    """Draw six scenes beside each other, in two rows."""
+    columns = len(SCENES) // 2
+    strip = Image.new('RGB', (columns * (_SIDE + _GAP) - _GAP, 2 * (_SIDE + _TITLE + _GAP)),
+                      'white')
+    pen = ImageDraw.Draw(strip)
+    for k, name in enumerate(SCENES):
+        picture = picture_of(name)
+        picture.thumbnail((_SIDE, _SIDE), Image.Resampling.LANCZOS)
+        left, top = k % columns * (_SIDE + _GAP), k // columns * (_SIDE + _TITLE + _GAP)
+        strip.paste(picture, (left + (_SIDE - picture.width) // 2,
+                              top + _TITLE + (_SIDE - picture.height) // 2))
+        pen.text((left + _SIDE // 2, top + 4), name, fill='black', anchor='ma', font_size=16)
+    strip.quantize(128).save(path, optimize=True)
+
+
+def write_moving(path: Path) -> None:
+    """Draw the learned double pendulum in motion."""
+    run = simulate(load_scene('double_pendulum'), duration=_SECONDS)
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / 'film.gif'
+        run.animate(rate=_RATE).save(film, writer='pillow', dpi=60)
+        frames = []
+        with Image.open(film) as picture:
+            for k in range(picture.n_frames):
+                picture.seek(k)
+                frames.append(picture.convert('RGB').quantize(
+                    _COLOURS, dither=Image.Dither.NONE))
+    frames[0].save(path, save_all=True, append_images=frames[1:], loop=0, optimize=True,
+                   duration=round(1000.0 / _RATE))
+
+
+if __name__ == '__main__':
+    write_strip(HERE / 'scenes.png')
+    write_moving(HERE / 'double_pendulum.gif')

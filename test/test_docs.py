@@ -1,0 +1,149 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The site: its pages tell all that the code has, and lead to files that are there."""
+
+import importlib.util
+import json
+from pathlib import Path
+import re
+import sys
+from types import ModuleType
+
+from hnn_vi_ros.commands.table import COMMANDS, parser_of
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros.health import STEP_FAILED
+from hnn_vi_ros.ros.inputs import INPUTS
+from hnn_vi_ros.ros.messages import TICK_TOPICS
+from hnn_vi_ros.ros.topics import ENDPOINTS
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / 'docs'
+OWN = sorted(path for folder in ('tutorials', 'how-to', 'concepts', 'reference')
+             for path in (DOCS / folder).glob('*.md'))
+PAGES = [ROOT / 'README.md', *sorted(DOCS.glob('*.md')), *OWN]
+# Tables that studies write.
+MEASURED = {'accuracy-and-cost.md', 'hard-cases.md'}
+# Pages that `make docs` writes have no file before it.
+WRITTEN = re.compile(r'(^|/)(generated|gallery)/')
+
+
+def text(name: str) -> str:
+    return (DOCS / name).read_text(encoding='utf-8')
+
+
+@pytest.fixture(scope='module')
+def generate() -> ModuleType:
+    """Return the module that writes pages, which is in no package."""
+    pytest.importorskip('PIL', reason='pictures of the gallery take pillow')
+    sys.path.insert(0, str(DOCS))
+    try:
+        spec = importlib.util.spec_from_file_location('generate', DOCS / 'generate.py')
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+    finally:
+        sys.path.remove(str(DOCS))
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_of_a_page_lead_to_files(page):
+    links = re.findall(r'\]\((?!http)([^)#\s]+)', page.read_text(encoding='utf-8'))
+    missing = [link for link in links
+               if not WRITTEN.search(link) and not (page.parent / link).exists()]
+    assert not missing
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_page_is_of_at_most_400_lines(page):
+    assert page.name in MEASURED or len(page.read_text(encoding='utf-8').splitlines()) <= 400
+
+
+def test_every_error_and_alarm_has_a_remedy_on_the_page_on_troubleshooting(generate):
+    errors, alarms = generate.error_table(), generate.alarm_table()
+    for error in generate.errors():
+        assert error.remedy, f'{error.__name__} has no remedy'
+        assert f'| `{error.__name__}` |' in errors
+    for guard in generate.guards():
+        assert guard.remedy, f'{guard.__name__} has no remedy'
+        assert guard.kind in alarms
+    page = text('troubleshooting.md')
+    assert 'generated/errors.part.md' in page
+    assert 'generated/alarms.part.md' in page
+    assert STEP_FAILED in page
+
+
+def test_errors_are_all_that_the_package_defines(generate):
+    defined = {name for path in (ROOT / 'hnn_vi_ros').rglob('*.py') for name in re.findall(
+        r'^class (\w+)\(HnnViRosError', path.read_text(encoding='utf-8'), re.MULTILINE)}
+    pytest.importorskip('torch', reason='an error of training is defined beside it')
+    assert defined <= {error.__name__ for error in generate.errors()}
+
+
+def test_alarms_that_guards_raise_are_explained(generate):
+    page = text('reference/diagnostics.md')
+    for guard in generate.guards():
+        assert guard.kind in page, guard.kind
+
+
+def test_parameters_of_all_nodes_are_listed(generate):
+    page = generate.parameter_page()
+    for table in (parameters, replay_parameters, bridge_parameters):
+        assert parameters.markdown_table(table.PARAMETERS) in page
+
+
+def test_every_command_is_listed(generate):
+    page = generate.command_page()
+    assert all(parser_of(name).format_help().strip() in page for name in COMMANDS)
+
+
+def test_every_key_of_a_scene_is_listed(generate):
+    schema = json.loads((ROOT / 'config' / 'scene.schema.json').read_text(encoding='utf-8'))
+    page = generate.scene_page(schema)
+    keys = {key for one in (schema, *schema['$defs'].values())
+            for key in one.get('properties', {})} - {'kind'}
+    assert not {key for key in keys if f'`{key}`' not in page}
+
+
+def test_every_topic_is_listed_with_its_type():
+    page = text('reference/topics.md')
+    assert not {one.topic for one in ENDPOINTS if f'`{one.topic}`' not in page}
+    for name, kind in (*TICK_TOPICS, *((one.topic, one.message_type) for one in INPUTS)):
+        shown = f'{kind.__module__.partition(".")[0]}/{kind.__name__}'
+        assert re.search(rf'^\|.*`{name}`.*\| `{shown}` \|', page, re.MULTILINE), name
+
+
+def test_effects_table_is_that_of_the_package():
+    rows = re.findall(r'^\| `(\w+)` \| .* \| (kept|changes) \| .* \|$',
+                      text('reference/effects.md'), re.MULTILINE)
+    assert rows == [(kind, 'kept' if effect.conservative else 'changes')
+                    for kind, effect in EFFECTS.items()]
+
+
+def test_every_integrator_is_in_the_table():
+    page = text('reference/integrators.md')
+    # Those of Gauss between the first two and the last are not named one by one.
+    left_out = {f'gauss{order}' for order in range(8, 16, 2)}
+    assert not {name for name in INTEGRATORS if f'`{name}`' not in page} - left_out
+
+
+def test_gallery_has_a_card_for_each_scene(generate, tmp_path, monkeypatch):
+    monkeypatch.setenv('HNN_DOCS_GALLERY', 'none')
+    (tmp_path / 'docs').mkdir()
+    (tmp_path / 'config').symlink_to(ROOT / 'config')
+    generate.write_gallery(tmp_path / 'docs')
+    page = (tmp_path / 'docs' / 'gallery' / 'index.md').read_text(encoding='utf-8')
+    scenes = [path.stem for path in (ROOT / 'config' / 'scenes').glob('*.yaml')]
+    assert scenes and all(f'[{name}]({name}.md)' in page for name in scenes)
+
+
+def test_gallery_draws_a_scene_once(generate, tmp_path):
+    from gallery import draw
+    path = ROOT / 'config' / 'scenes' / 'exact_harmonic_oscillator.yaml'
+    assert draw('exact_harmonic_oscillator', path, tmp_path) == ''
+    picture = tmp_path / 'exact_harmonic_oscillator.png'
+    made = picture.stat().st_mtime_ns
+    assert draw('exact_harmonic_oscillator', path, tmp_path) == ''
+    assert picture.stat().st_mtime_ns == made
