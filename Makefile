@@ -94,7 +94,7 @@ docs:
 	$(VENV) run train docs
 	$(BUILD)
 	@$(ENVIRONMENT); $(ONE_THREAD); export MPLBACKEND=Agg; \
-	.venv/bin/python -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html; \
+	.venv/bin/python -P -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html; \
 	echo "The site: $(CURDIR)/docs/_build/html/index.html"
 
 clean:

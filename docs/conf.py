@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The site: `make docs` builds it with Sphinx, as rosdoc2 does; generated pages come first."""
 
+from importlib.util import find_spec
 from pathlib import Path
 import sys
 
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent), str(HERE)]
+# The package that was built, whose kernels are compiled; the sources where there is none.
+sys.path[:0] = [str(HERE)] if find_spec('hnn_vi_ros') else [str(HERE), str(HERE.parent)]
 
 import generate  # noqa: E402, I100  it stands beside this file
 

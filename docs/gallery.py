@@ -13,12 +13,12 @@ import json
 import os
 from pathlib import Path
 import sys
-import tempfile
 import warnings
 
 from hnn_vi_ros import load_scene, simulate, Trajectory
 from hnn_vi_ros.errors import AlarmWarning, ModelError
 from PIL import Image
+from sketch import sketch
 import yaml
 
 # Simulated time of a picture [s], where it is not that of most scenes.
@@ -27,7 +27,7 @@ _DURATIONS = {'fput_chain': 100.0, 'learned_fput_chain': 100.0, 'henon_heiles': 
               'learned_henon_heiles': 100.0, 'kepler': 20.0, 'learned_kepler': 20.0,
               'tao': 30.0, 'learned_tao': 30.0}
 # What a picture is made by: another number makes all of them anew.
-_VERSION = '2'
+_VERSION = '3'
 
 
 def write_gallery(docs: Path) -> None:
@@ -91,23 +91,16 @@ def picture_of(name: str) -> Image.Image:
 
 def mechanism_picture(run: Trajectory) -> Image.Image:
     """Draw the mechanism at the end of a run, with the path behind it, or a phase portrait."""
+    if run.scene is not None and run.scene.mechanism is not None:
+        return sketch(run)
+    try:
+        figure = run.phase_portrait()
+    except ValueError:
+        # Of rotations alone, which have no such plane.
+        figure = run.plot()
     film = io.BytesIO()
-    if run.scene is None or run.scene.mechanism is None:
-        try:
-            figure = run.phase_portrait()
-        except ValueError:
-            # Of rotations alone, which have no such plane.
-            figure = run.plot()
-        figure.savefig(film, dpi=80)
-        return Image.open(film).convert('RGB')
-    with tempfile.TemporaryDirectory() as temporary:
-        path = Path(temporary) / 'film.gif'
-        # Two pictures: the start, and the end with the whole path.
-        run.animate(speed=float(run.t[-1]), rate=1.0).save(path, writer='pillow', dpi=80)
-        film.write(path.read_bytes())
-    picture = Image.open(film)
-    picture.seek(picture.n_frames - 1)
-    return picture.convert('RGB')
+    figure.savefig(film, dpi=80)
+    return Image.open(film).convert('RGB')
 
 
 def scene_page(name: str, path: Path, folder: Path, why: str) -> str:

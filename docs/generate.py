@@ -141,7 +141,7 @@ def further_pages(docs: Path) -> str:
     for path in docs.rglob('*.md'):
         if path.relative_to(docs).parts[0] not in (FOLDER, '_build', 'gallery'):
             for block in re.findall(r'```\{toctree\}\n(.*?)```', path.read_text('utf-8'), re.S):
-                named.update(re.findall(r'^/?([\w-]+)$', block, re.M))
+                named.update(re.findall(r'^(?:.*<)?/?([\w-]+)>?$', block, re.M))
     pages = [path.stem for path in sorted(docs.glob('*.md')) if path.stem not in {*named, 'index'}]
     if not pages:
         return ''

@@ -3,11 +3,12 @@
 """The pictures of the README: `python docs/pictures.py` in the environment writes them anew."""
 
 from pathlib import Path
-import tempfile
 
 from gallery import picture_of
 from hnn_vi_ros import load_scene, simulate
+import numpy as np
 from PIL import Image, ImageDraw
+from sketch import sketch
 
 HERE = Path(__file__).resolve().parent
 # Of the strip, and the side of each of its pictures [pixels].
@@ -37,15 +38,9 @@ def write_strip(path: Path) -> None:
 def write_moving(path: Path) -> None:
     """Draw the learned double pendulum in motion."""
     run = simulate(load_scene('double_pendulum'), duration=_SECONDS)
-    with tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / 'film.gif'
-        run.animate(rate=_RATE).save(film, writer='pillow', dpi=60)
-        frames = []
-        with Image.open(film) as picture:
-            for k in range(picture.n_frames):
-                picture.seek(k)
-                frames.append(picture.convert('RGB').quantize(
-                    _COLOURS, dither=Image.Dither.NONE))
+    samples = np.searchsorted(run.t, np.arange(0.0, _SECONDS, 1.0 / _RATE))
+    frames = [sketch(run, k).quantize(_COLOURS, dither=Image.Dither.NONE)
+              for k in samples.tolist()]
     frames[0].save(path, save_all=True, append_images=frames[1:], loop=0, optimize=True,
                    duration=round(1000.0 / _RATE))
 
