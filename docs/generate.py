@@ -22,7 +22,7 @@ from hnn_vi_ros.run.pacing import OverrunGuard
 # Beside this file, and in no commit.
 FOLDER = 'generated'
 # Where errors of a user stand that hnn_vi_ros.errors does not hold.
-_OTHER_ERRORS = ('hnn_vi_ros.run.worlds', 'hnn_vi_ros.learning.interruption')
+_OTHER_ERRORS = ('hnn_vi_ros.run.worlds',)
 _SCENE_PARTS = {'hamiltonian': 'Hamiltonians', 'integrator': 'Integrators', 'effects': 'Effects'}
 
 
@@ -101,12 +101,7 @@ def scene_page(schema: dict[str, Any]) -> str:
 def errors() -> list[type[Exception]]:
     """Return every error and warning that users can meet, once."""
     for module in _OTHER_ERRORS:
-        try:
-            import_module(module)
-        except ModuleNotFoundError as problem:
-            # Training takes torch, which a reader of the documentation may lack.
-            if problem.name != 'torch':
-                raise
+        import_module(module)
     return [*_subclasses(HnnViRosError), AlarmWarning]
 
 

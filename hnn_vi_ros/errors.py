@@ -97,6 +97,12 @@ class AlarmWarning(UserWarning):
     remedy = 'see the alarm of that name below: the warning carries its message'
 
 
+class Interrupted(HnnViRosError):
+    """Training was stopped by Ctrl-C, its state saved."""
+
+    remedy = 'none is needed: the same command with `--resume` continues, bit-identically'
+
+
 class StepFailure(HnnViRosError):
     """
     One step of the integrator failed; the state before it is the last good one.

@@ -17,6 +17,6 @@ def test_python_files_satisfy_ruff():
     # Named one by one: the linter would walk into .venv/, build/ and install/.
     found = subprocess.run(
         [sys.executable, '-m', 'ruff', 'check', '--no-cache', '--output-format', 'concise',
-         'docs', 'hnn_vi_ros', 'launch', 'setup.py', 'test'], cwd=ROOT, capture_output=True, text=True,
-        check=False, timeout=100)
+         'docs', 'hnn_vi_ros', 'launch', 'setup.py', 'test'], cwd=ROOT, capture_output=True,
+        text=True, check=False, timeout=100)
     assert found.returncode == 0, found.stdout + found.stderr

@@ -11,7 +11,7 @@ import pickle
 import signal
 import time
 
-from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.errors import Interrupted, ParameterError
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.loop import Loop
@@ -20,12 +20,6 @@ import torch
 
 # Wall time from one saving of the state to the next [s].
 PERIOD = 30.0
-
-
-class Interrupted(HnnViRosError):
-    """Training was stopped by Ctrl-C, its state saved."""
-
-    remedy = 'none is needed: the same command with `--resume` continues, bit-identically'
 
 
 class Keeper:
