@@ -9,6 +9,7 @@ from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import bounds_of, Box, Line, Part, Trail
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 import numpy as np
 from PIL import Image
 
@@ -72,5 +73,10 @@ def _draw(axes: Axes, part: Part, across: int, up: int, k: int) -> None:
     if part.moves:
         axes.plot(path[:, across], path[:, up], color=colour, linewidth=0.7, alpha=0.55, zorder=1)
     if isinstance(part, Box):
-        # No smaller than can be seen where the path is long.
-        axes.plot(path[-1, across], path[-1, up], 'o', color=colour, markersize=7.0, zorder=3)
+        half, center = np.array(part.half_size), path[-1]
+        corner = (center - half)[[across, up]]
+        axes.add_patch(Rectangle(tuple(corner), *(2.0 * half[[across, up]]), color=colour,
+                                 zorder=3))
+        if part.moves:
+            # No smaller than can be seen where the path is long.
+            axes.plot(center[across], center[up], 'o', color=colour, markersize=7.0, zorder=3)
