@@ -34,6 +34,9 @@ def train() -> Parser:
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
                         help='a measured log, or bags, instead of data.path')
     parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
+    parser.add_argument('--ensemble', type=int, metavar='N', help=(
+        'train N members on resampled data, whose mean is the model, and whose spread tells how '
+        'sure it is'))
     parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
                         help='where to train (default: cpu)')
     parser.add_argument('--resume', action='store_true',

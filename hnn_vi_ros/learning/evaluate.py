@@ -145,7 +145,7 @@ def _names(hamiltonian: Hamiltonian) -> list[str]:
 
 def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
     """Return what a model file has learned beside H, and where forces act on it, for good."""
-    checkpoint = load_checkpoint(model)
+    checkpoint = load_checkpoint(model, ensembles=True)
     card = checkpoint.card
     effects: list[Effect] = [
         ExternalForce(model=model, timeout=_FOREVER) if has_map(checkpoint) else

@@ -67,6 +67,9 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     if arguments.resume or arguments.device != 'cpu':
         raise ParameterError(f'{source}: a model of the family mechanical is trained in minutes, '
                              'on the CPU; leave out --resume and --device')
+    if arguments.ensemble is not None:
+        raise ParameterError(f'{source}: --ensemble: models of the family mechanical have momenta '
+                             'of their own, whose mean means nothing; leave it out')
     config = load_machine(source)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})

@@ -21,6 +21,8 @@ from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning import machine_train
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.ensemble import (
+    calibrated, check_ensemble, combined, held_out, resampled)
 from hnn_vi_ros.learning.energy_account import friction_work, integrated
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import EnergyFamily, Trainable
@@ -31,6 +33,7 @@ from hnn_vi_ros.learning.report import Outputs, write_report
 from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_error, energy_spread, EnergyError
+from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.version import __version__
@@ -116,6 +119,42 @@ def describe(problem: TrainingProblem, config: TrainingConfig, dataset: Dataset,
     return replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
 
 
+def train_ensemble(config: TrainingConfig, dataset: Dataset, name: str, command: str,
+                   count: int, device: str = 'cpu'
+                   ) -> tuple[Checkpoint, LossHistory, TrainingProblem]:
+    """
+    Train members by seeds and bootstraps of their own, and calibrate their spread.
+
+    Parameters
+    ----------
+    config, dataset, name, command, device
+        See ``train``.
+    count : int
+        How many members; their seeds are those from the configuration's on.
+
+    Returns
+    -------
+    tuple of Checkpoint, LossHistory and TrainingProblem
+        The ensemble, not yet saved, and how the first member's losses fell, and its problem.
+
+    Raises
+    ------
+    DataError, ParameterError
+        See ``train``; of this family there are no ensembles.
+
+    """
+    check_ensemble(config, count)
+    known, test = held_out(config, dataset)
+    found = [train(config.model_copy(update={'seed': seed}), resampled(known, seed),
+                   f'{name}, member {seed - config.seed + 1}', command, device)
+             for seed in range(config.seed, config.seed + count)]
+    checkpoint = combined([one for one, _, _ in found], known, name)
+    _, history, problem = found[0]
+    error = judge_energy(checkpoint, problem.family, config, known)
+    card = checkpoint.card.model_copy(update={'energy_error': error})
+    return calibrated(replace(checkpoint, card=card), config, test), history, problem
+
+
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: TrainingConfig,
                  dataset: Dataset) -> EnergyError | None:
     """
@@ -138,7 +177,7 @@ def judge_energy(checkpoint: Checkpoint, family: Trainable, config: TrainingConf
 
     """
     exact, row = isinstance(config.data, ExactData), FAMILIES[checkpoint.card.family]
-    hamiltonian = row.hamiltonian(checkpoint)  # refuses a Lagrangian that is singular
+    hamiltonian = load_member(checkpoint, None)  # refuses a Lagrangian that is singular
     if exact:
         data = config.data.model_copy(update={
             'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
@@ -211,12 +250,18 @@ def main(argv: Sequence[str]) -> None:
         config = config.model_copy(update={'seed': arguments.seed})
     if arguments.device == 'cuda' and not torch.cuda.is_available():
         raise ParameterError('--device cuda: torch finds no CUDA device here; use --device cpu')
+    if arguments.ensemble is not None:
+        check_ensemble(config, arguments.ensemble)
+        if arguments.resume:
+            raise ParameterError('--resume: an ensemble is trained anew; leave one of the two out')
     dataset = make_dataset(config.data, config.seed, source, arguments.data)
     state = _check_outputs(outputs, arguments.resume)
     keeper = Keeper(state, config, dataset, arguments.device)
     start = time.perf_counter()
-    checkpoint, history, problem = train(config, dataset, outputs.model.stem, command,
-                                         arguments.device, keeper, arguments.resume)
+    checkpoint, history, problem = train(
+        config, dataset, outputs.model.stem, command, arguments.device, keeper, arguments.resume
+    ) if arguments.ensemble is None else train_ensemble(
+        config, dataset, outputs.model.stem, command, arguments.ensemble, arguments.device)
     seconds = time.perf_counter() - start
     save_checkpoint(outputs.model, checkpoint)
     card = checkpoint.card
@@ -225,8 +270,23 @@ def main(argv: Sequence[str]) -> None:
     error = card.energy_error
     known = '' if error is None else (f'\nenergy error: RMS {error.rms:.3g} J, largest '
                                       f'{error.sup:.3g} J, against the {error.compared_with}')
+    known += _spread(card)
     print(f'model: {outputs.model}\nloss curve: {outputs.losses}\nreport: {outputs.report}\n'
           f'{losses}{known}\ntrained in {seconds:.1f} s')
+
+
+def _spread(card: ModelCard) -> str:
+    """Say what the spread of an ensemble tells, in a line of its own."""
+    ensemble = card.ensemble
+    if ensemble is None:
+        return ''
+    count = len(ensemble.members)
+    if ensemble.factor is None:
+        return (f'\n{count} members, the curves are those of the first; their spread was not '
+                'calibrated: the data hold too few motions of H alone')
+    return (f'\n{count} members, the curves are those of the first; bands of '
+            f'{100.0 * ensemble.level:g} %: {ensemble.factor:.3g} times their spread, which '
+            f'covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
 
 
 def _check_outputs(outputs: Outputs | machine_train.Outputs, resume: bool) -> Path:

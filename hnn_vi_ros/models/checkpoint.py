@@ -6,7 +6,8 @@ Trained networks on disk: one safetensors file, its metadata the model card.
 The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ... in
 the order of the layers, with the card's activation between them, of the one network of a model.
 Those of a model of several networks begin with the network's name, as in
-``potential.linear1.weight``. The metadata entry ``model_card`` is a ModelCard as JSON. Nothing in
+``potential.linear1.weight``; in an ensemble of N such models, those of each before that with the
+member's number, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a ModelCard as JSON. Nothing in
 it is ever executed.
 """
 
@@ -68,12 +69,15 @@ class Checkpoint:
         By name, those of the card's layout.
     sha256 : str
         Of the file that it was loaded from; empty for one that was not.
+    members : tuple of Checkpoint
+        Those of an ensemble, which has no networks of its own; empty for one model.
 
     """
 
     card: ModelCard
     networks: Mapping[str, Layers]
     sha256: str = ''
+    members: 'tuple[Checkpoint, ...]' = ()
 
     @property
     def weights(self) -> tuple[np.ndarray, ...]:
@@ -86,7 +90,7 @@ class Checkpoint:
         return self.networks['energy'].biases
 
 
-def load_checkpoint(path: str | Path) -> Checkpoint:
+def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
     """
     Load and validate a model file.
 
@@ -94,6 +98,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     ----------
     path : str or Path
         A safetensors file of at most 256 MiB.
+    ensembles : bool, optional
+        Whether an ensemble will do as well as one model.
 
     Returns
     -------
@@ -119,15 +125,28 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
                              f'{command("import_checkpoint --help")}') from problem
         raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
                          ) from problem
-    card = _card(path, metadata or {})
+    card, digest = _card(path, metadata or {}), sha256(raw).hexdigest()
+    if card.ensemble is not None and not ensembles:
+        raise ModelError(f'{path}: an ensemble of {len(card.ensemble.members)} models, of which '
+                         'only hamiltonian: {kind: learned} takes any; give one model here')
+    members = () if card.ensemble is None else tuple(
+        Checkpoint(member, _networks(path, member, tensors, f'member{k}.'), digest)
+        for k, member in enumerate(card.ensemble.members, start=1))
+    networks = {} if members else _networks(path, card, tensors)
+    if tensors:
+        raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
+    return Checkpoint(card, networks, digest, members)
+
+
+def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix: str = ''
+              ) -> dict[str, Layers]:
+    """Take the networks of one model out of the tensors of a file."""
     networks = {}
     for network in card.layout:
         layers = [[_tensor(path, name, shape, tensors.pop(name, None)) for name, shape in layer]
-                  for layer in _expected_layers(card, network)]
+                  for layer in _expected_layers(card, network, prefix)]
         networks[network] = Layers(*zip(*layers, strict=True))
-    if tensors:
-        raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
-    return Checkpoint(card, networks, sha256(raw).hexdigest())
+    return networks
 
 
 def file_digest(path: Path) -> str:
@@ -154,15 +173,10 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     """
     path = Path(path)
     tensors = {}
-    for network in checkpoint.card.layout:
-        layers = zip(*checkpoint.networks[network], strict=True)
-        for layer, parts in zip(
-                _expected_layers(checkpoint.card, network), layers, strict=True):
-            for (name, shape), part in zip(layer, parts, strict=True):
-                if part.shape != shape or not np.isfinite(part).all():
-                    raise ModelError(f'{path}: {name} has shape {part.shape}, expected {shape}, '
-                                     'all values finite')
-                tensors[name] = np.ascontiguousarray(part, dtype='<f8')
+    for k, member in enumerate(checkpoint.members, start=1):
+        tensors |= _tensors(path, member, f'member{k}.')
+    if not checkpoint.members:
+        tensors = _tensors(path, checkpoint)
     card = checkpoint.card.model_dump_json(exclude_none=True)
     raw = safetensors.numpy.save(tensors, {'model_card': card})
     try:
@@ -173,6 +187,21 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
                          ) from problem
     except OSError as problem:
         raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
+
+
+def _tensors(path: Path, checkpoint: Checkpoint, prefix: str = '') -> dict[str, np.ndarray]:
+    """Return the tensors of one model, checked against its card."""
+    tensors = {}
+    for network in checkpoint.card.layout:
+        layers = zip(*checkpoint.networks[network], strict=True)
+        for layer, parts in zip(
+                _expected_layers(checkpoint.card, network, prefix), layers, strict=True):
+            for (name, shape), part in zip(layer, parts, strict=True):
+                if part.shape != shape or not np.isfinite(part).all():
+                    raise ModelError(f'{path}: {name} has shape {part.shape}, expected {shape}, '
+                                     'all values finite')
+                tensors[name] = np.ascontiguousarray(part, dtype='<f8')
+    return tensors
 
 
 def _write_new(path: Path, raw: bytes) -> None:
@@ -217,10 +246,11 @@ def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
                          'hnn_vi_ros that wrote it') from problem
 
 
-def _expected_layers(card: ModelCard, network: str
+def _expected_layers(card: ModelCard, network: str, prefix: str
                      ) -> Iterator[tuple[tuple[str, tuple[int, ...]], ...]]:
     """Yield for each layer of a network the names and shapes of its weight and its bias."""
-    widths, prefix = card.layout[network], '' if card.networks is None else f'{network}.'
+    widths = card.layout[network]
+    prefix += '' if card.networks is None else f'{network}.'
     for layer, (inputs, outputs) in enumerate(pairwise(widths), start=1):
         name = f'{prefix}linear{layer}'
         yield (f'{name}.weight', (outputs, inputs)), (f'{name}.bias', (outputs,))

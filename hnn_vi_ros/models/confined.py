@@ -14,7 +14,7 @@ from hnn_vi_ros.kernels.kernel import (
     Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.ensemble import load_member
 import numpy as np
 
 # States on each face of the box at which the gradient is looked at.
@@ -132,7 +132,8 @@ class ConfinedHamiltonian(Hamiltonian):
         return (0.5 * (high - low) * largest).reshape(2, d).max(axis=0)
 
 
-def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
+def load_learned(model: Path, confine: bool | None = None, member: int | None = None
+                 ) -> Hamiltonian:
     """
     Return the Hamiltonian of a model file.
 
@@ -142,11 +143,13 @@ def load_learned(model: Path, confine: bool | None = None) -> Hamiltonian:
         See ``load_checkpoint``, whose errors it raises.
     confine : bool, optional
         Whether to hold states near the training box; None: as its model card says.
+    member : int, optional
+        Of an ensemble, from 1 on, in place of the mean of all.
 
     """
-    checkpoint = load_checkpoint(model)
+    checkpoint = load_checkpoint(model, ensembles=True)
     try:
-        learned = FAMILIES[checkpoint.card.family].hamiltonian(checkpoint)
+        learned = load_member(checkpoint, member)
         if checkpoint.card.confine if confine is None else confine:
             return ConfinedHamiltonian(learned)
     except ModelError as problem:

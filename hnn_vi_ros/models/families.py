@@ -49,6 +49,9 @@ class Family:
         Whether the coordinates are.
     dissipation : str
         The network that may be the D of the effect learned_dissipation; '' if none.
+    averaged : bool
+        Whether the mean H of several models means something: their momenta are the same, those
+        of the data, and nothing is learned beside H.
 
     """
 
@@ -59,6 +62,7 @@ class Family:
     conservative: bool = True
     canonical: bool = True
     dissipation: str = ''
+    averaged: bool = False
 
     @property
     def hamiltonian(self) -> type:
@@ -79,10 +83,10 @@ def _class(name: str) -> Any:
 FAMILIES = {
     'hnn': Family(
         {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.hnn:HNN',
-        dissipation='energy'),
+        dissipation='energy', averaged=True),
     'separable_hnn': Family(
         {'kinetic': Network(1), 'potential': Network(1)}, 'models.separable:SeparableHamiltonian',
-        'learning.families.separable_hnn:SeparableHNN'),
+        'learning.families.separable_hnn:SeparableHNN', averaged=True),
     'dissipative_hnn': Family(
         {'energy': Network(2), 'dissipation': Network(2)}, 'models.neural:NeuralHamiltonian',
         'learning.families.dissipative_hnn:DissipativeHNN', conservative=False,

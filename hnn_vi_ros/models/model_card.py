@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
                    Field(min_length=3, max_length=100)]
+MOST_MEMBERS = 64
 
 
 class CoordinateCard(StrictModel):
@@ -106,6 +107,8 @@ class ModelCard(StrictModel):
     package_version: str
     confine: bool = Field(False, description=(
         'whether H holds states near the box, unless a scene says otherwise'))
+    ensemble: 'EnsembleCard | None' = Field(None, description=(
+        'of a file of several networks: H is their mean'))
 
     @property
     def layout(self) -> dict[str, list[int]]:
@@ -125,7 +128,20 @@ class ModelCard(StrictModel):
             raise ValueError(f'the box has {len(self.box.q)} coordinates, expected {d}')
         self._check_constants(d)
         self._check_networks(d)
+        if self.ensemble is not None:
+            self._check_members(self.ensemble.members)
         return self
+
+    def _check_members(self, members: 'list[ModelCard]') -> None:
+        if not FAMILIES[self.family].averaged:
+            raise ValueError(f'ensemble: the family {self.family} has none; those that have: '
+                             f'{", ".join(averaged_families())}')
+        for member in members:
+            if member.ensemble is not None:
+                raise ValueError('ensemble: a member must be one model, no ensemble')
+            for name in ('family', 'activation', 'layout', 'coordinates'):
+                if getattr(member, name) != getattr(self, name):
+                    raise ValueError(f'ensemble: {name} of a member is not that of the others')
 
     def _check_networks(self, d: int) -> None:
         expected = FAMILIES[self.family].networks
@@ -169,3 +185,24 @@ class ModelCard(StrictModel):
             mass = np.array([row for row in self.mass if len(row) == d])
             if mass.shape != (d, d) or not (np.linalg.eigvalsh(mass) > 0.0).all():
                 raise ValueError(f'mass must be a positive definite {d} x {d} matrix')
+
+
+class EnsembleCard(StrictModel):
+    """The members of an ensemble, and what their spread tells of the error of their mean."""
+
+    members: list[ModelCard] = Field(min_length=2, max_length=MOST_MEMBERS)
+    factor: float | None = Field(None, gt=0.0, description=(
+        'what the standard deviation of the members is multiplied by, so that a band of it '
+        'covers the share `level` of errors; none: the spread was not calibrated'))
+    level: float = Field(0.9, gt=0.0, lt=1.0, description='share of errors that bands cover')
+    coverage: float | None = Field(None, ge=0.0, le=1.0, description=(
+        'share that the bands cover in motions that neither training nor the factor has seen'))
+    calibration: str = Field('', max_length=1000, description='on what the factor was found')
+
+
+def averaged_families() -> list[str]:
+    """Return the families of which there are ensembles."""
+    return [name for name, family in FAMILIES.items() if family.averaged]
+
+
+ModelCard.model_rebuild()

@@ -75,6 +75,7 @@ class PictureOutput(Sink):
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             conservative=simulation.conservative,
             modified=simulation.modified_energy is not None, pace=pace or None,
+            band=scene.uncertainty is not None,
             begin=(sampler.stamp, simulation.steps),
             interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
         return True

@@ -18,6 +18,7 @@ from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.remapped_topics import KEY
 from hnn_vi_ros.ros.selection import LogLine, select
 from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.members import Members
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Scene
@@ -55,6 +56,8 @@ class Prepared(NamedTuple):
         What is to be reported.
     origin : int
         Stamp of step 0 [ns].
+    members : Members or None
+        Those of an ensemble, if the scene asks for its uncertainty.
 
     """
 
@@ -66,6 +69,7 @@ class Prepared(NamedTuple):
     recording: Recording
     log_lines: list[LogLine]
     origin: int
+    members: Members | None = None
 
 
 def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
@@ -102,6 +106,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     simulation = _compile(scene, logger, begin)
+    with scene.placed('uncertainty'):
+        members = None if scene.uncertainty is None else Members(scene)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
@@ -130,7 +136,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, settings, topics, box, report, sampler)
-    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin)
+    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members)
 
 
 def _load(settings: Settings) -> tuple[Scene, int, int]:

@@ -3,6 +3,7 @@
 """A configured run: one scene from its initial state on, its messages, files and figures."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 import math
 import time
 from typing import Any
@@ -21,7 +22,9 @@ from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
 from hnn_vi_ros.ros.run_status import RunStatus
+from hnn_vi_ros.ros.spread_topic import SpreadTopic
 from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.pacing import LONGEST_CALL, OverrunGuard, Pacer
 from hnn_vi_ros.run.sampling import Sampler
@@ -61,7 +64,13 @@ class Run:
         self._node, self._topics, self._stop, self._settings = node, topics, stop, settings
         self._scene, self.recording = prepared.scene, prepared.recording
         self._chosen = prepared.chosen
-        self.simulation = watched(prepared.simulation, prepared.scene)
+        simulation = watched(prepared.simulation, prepared.scene)
+        self._members = prepared.members
+        self.simulation = simulation if self._members is None else Accompanied(
+            simulation, [self._members])
+        self._spread = None if self._members is None else SpreadTopic(
+            self._members, topics.open_spread(), simulation.hamiltonian,
+            prepared.scene.uncertainty.limit, self._record_beside)
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step = 1, math.inf
@@ -72,7 +81,7 @@ class Run:
         monitor = self._make_monitor()
         topics.open(self.simulation, monitor, self._scene.mechanism, prepared.box,
                     settings.frame_id, lambda: self.sampler.stamp, self._record_beside)
-        self._events = EventTopic(node, topics.open_events, self._scene.name, self.simulation)
+        self._events = EventTopic(node, topics.open_events, self._scene.name, simulation)
         self._begin(monitor)
         self._tell_scene(prepared.report)
         for line in prepared.log_lines:
@@ -87,6 +96,8 @@ class Run:
                                settings.energy_change_limit, hamiltonian.barrier)]
         if settings.real_time_factor:
             guards.append(OverrunGuard(self.pacer))
+        if self._spread is not None:
+            guards.append(self._spread.make_guard())
         return Monitor(
             self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.tolerance,
             lambda text, first: self.tell(text, 'WARN', first), guards, scale)
@@ -136,8 +147,9 @@ class Run:
 
     def publish_diagnostics(self) -> None:
         """Publish how the run does."""
+        more = [] if self._spread is None else [self._spread.status()]
         self._diagnostics.publish(
-            self.status.statuses(self.pacer.overruns), self.sampler.stamp)
+            [*self.status.statuses(self.pacer.overruns), *more], self.sampler.stamp)
 
     def start_clocks(self) -> None:
         """Owe nothing as of now, and measure the pace from here on."""
@@ -195,10 +207,12 @@ class Run:
     def _hand_out(self) -> None:
         """Publish, record and show a sample; the log gets the very bytes that are published."""
         begin = time.perf_counter()
-        sample = self.sampler.sample()
+        sample = self._sample()
         self._stamp = sample.stamp
         self._monitor.add(sample)
         payloads = self._topics.publish(sample)
+        if self._spread is not None:
+            self._spread.publish(sample)
         # What takes long comes behind the messages, which it would delay.
         self.recording.write(sample, payloads)
         if self._monitor.evaluate():
@@ -207,9 +221,14 @@ class Run:
         self._status.show(sample, self.pacer.overruns)
         self._monitor.timing.add_sample(time.perf_counter() - begin)
 
+    def _sample(self) -> Sample:
+        """Return a sample of the state, with the spread where there are members."""
+        sample = self.sampler.sample()
+        return sample if self._members is None else replace(sample, spread=self._members.spread)
+
     def show_state(self) -> None:
         """Publish and record a state between two samples; what is watched are samples only."""
-        sample = self.sampler.sample()
+        sample = self._sample()
         self._stamp = sample.stamp
         self.recording.write(sample, self._topics.publish(sample))
 

@@ -21,6 +21,7 @@ from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
 from hnn_vi_ros.ros.odometry import ODOMETRY_TOPIC, OdometryEncoder
 from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.ros.remapped_topics import remapped
+from hnn_vi_ros.ros.spread_topic import SPREAD_TOPIC
 from hnn_vi_ros.ros.trajectory_feedback import TRAJECTORY_STATE_TOPIC, TrajectoryFeedback
 from hnn_vi_ros.ros.wrench import body_of, command_of, WRENCH_TOPIC
 from hnn_vi_ros.run.monitor import Monitor
@@ -55,7 +56,7 @@ ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
         *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
         EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC, STATE_SET_TOPIC, SCENE_TOPIC,
-        ROBOT_TOPIC)),
+        ROBOT_TOPIC, SPREAD_TOPIC)),
     *(Endpoint(name, 'subscription') for name in (
         *(one.topic for one in INPUTS), '~/initial_state', '~/wrench')))
 
@@ -148,6 +149,10 @@ class Topics:
     def open_events(self) -> Publisher:
         """Make the topic of events, for a scene that has any."""
         return self._publisher(*EVENTS_TOPIC, EVENTS_QOS)
+
+    def open_spread(self) -> Publisher:
+        """Make the topic of the spread, for a scene that asks for it."""
+        return self._publisher(*SPREAD_TOPIC, TICKS)
 
     def open_answers(self) -> Publisher:
         """Make the topic that answers states to begin at."""

@@ -26,7 +26,8 @@ from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS, TURNING
 from hnn_vi_ros.models.checkpoint import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (
-    AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice)
+    AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice,
+    UncertaintyChoice)
 from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
 from hnn_vi_ros.scene.origin import Origin
 from hnn_vi_ros.scene.plain_data import Choice, of_kind, plain_data
@@ -55,6 +56,8 @@ class Scene(StrictModel):
     events: list[EventChoice] = Field([], max_length=100, description='what is watched for')
     invariants: list[InvariantChoice] = Field([], max_length=20, description=(
         'what the motion conserves beside H: published with the accuracy, and watched'))
+    uncertainty: UncertaintyChoice | None = Field(None, description=(
+        'runs all members of an ensemble beside their mean, and tells how far they come apart'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='how the mechanism is drawn; without it only states are shown')
 
@@ -220,7 +223,7 @@ class Scene(StrictModel):
             # Imported here: networks are compiled, which who only reads a scene has no use for.
             from hnn_vi_ros.models.confined import load_learned
             with self.placed('hamiltonian'):
-                hamiltonian = load_learned(file, choice.confine)
+                hamiltonian = load_learned(file, choice.confine, choice.member)
         elif isinstance(choice, PythonChoice):
             hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),
                                        self._origin.code_folder)

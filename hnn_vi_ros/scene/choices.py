@@ -35,6 +35,16 @@ class LearnedChoice(StrictModel):
     confine: bool | None = Field(None, description=(
         'whether H continues as a smooth convex wall outside of the box that the model was '
         'trained in, where a network holds no state; default: as the model card says'))
+    member: int | None = Field(None, ge=1, description=(
+        'of an ensemble, that member alone, from 1 on; default: the mean of all'))
+
+
+class UncertaintyChoice(StrictModel):
+    """What is told of how far the members of an ensemble come apart."""
+
+    limit: float = Field(0.1, gt=0.0, description=(
+        'spread of a coordinate or momentum, in half-widths of its training interval, beyond '
+        'which an alarm is raised [1]'))
 
 
 class PythonChoice(StrictModel):

@@ -33,6 +33,8 @@ class Sample:
         W that the scene's effects have done on the system since the start [J].
     motors : np.ndarray, shape (d,), or None
         The generalised forces that commands make [N] or [N m]; None for none.
+    spread : np.ndarray, shape (2 d,), or None
+        Half-widths of the bands around q, then p, of an ensemble; None for no members.
 
     """
 
@@ -47,3 +49,4 @@ class Sample:
     energy_error: float
     work: float = 0.0
     motors: np.ndarray | None = None
+    spread: np.ndarray | None = None

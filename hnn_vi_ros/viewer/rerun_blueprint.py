@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from itertools import product
 
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.viewer.rerun_layout import BACKGROUND, part_path, phase_path, TIMING
+from hnn_vi_ros.viewer.rerun_layout import (
+    BACKGROUND, BANDS, part_path, phase_path, TIMING)
 import numpy as np
 import rerun.blueprint as rrb
 
@@ -106,9 +107,11 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     errors = [_series_view('Energy error', ['/energy/error'], labels)]
     if INVARIANTS in labels:
         errors.append(_series_view('Invariants', [INVARIANTS], labels))
+    q_paths, p_paths = ([path, band] if band in labels else [path]
+                        for path, band in zip(('/state/q', '/state/p'), BANDS, strict=True))
     right = rrb.Vertical(
-        rrb.Horizontal(_series_view('Coordinate', ['/state/q'], labels),
-                       _series_view('Momentum', ['/state/p'], labels)),
+        rrb.Horizontal(_series_view('Coordinate', q_paths, labels),
+                       _series_view('Momentum', p_paths, labels)),
         _series_view('Energy', energies, labels),
         rrb.Horizontal(*errors, _timing_views(pace),
                        column_shares=[0.68 / len(errors)] * len(errors) + [0.32]),

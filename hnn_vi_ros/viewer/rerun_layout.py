@@ -17,6 +17,8 @@ BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245
 # What samples cost, with the unit, by entity.
 TIMING = {'/timing/microseconds_per_step': ['step time, median [us]', 'step time, p99 [us]'],
           '/timing/real_time_factor': ['real-time factor']}
+# The bands around coordinates and momenta.
+BANDS = '/state/q_band', '/state/p_band'
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
 
 
@@ -31,7 +33,8 @@ def part_path(name: str) -> str:
 
 
 def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservative: bool,
-                  modified: bool, invariants: Sequence[str] = ()) -> dict[str, list[str]]:
+                  modified: bool, invariants: Sequence[str] = (), band: bool = False
+                  ) -> dict[str, list[str]]:
     """
     Return what each series is called, with its unit, by entity.
 
@@ -47,6 +50,8 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
         Whether a modified energy is known, to be shown where no work is done.
     invariants : sequence of str, optional
         Names of what else is conserved; one series each.
+    band : bool, optional
+        Whether there are bands around q and p: their lower ends, then their upper ones.
 
     """
     error = 'H - H0' if conservative else 'H - H0 - W'
@@ -54,10 +59,13 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
     if conservative and modified:
         second = {'/energy/modified': ['modified H [J]']}
     (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
+    bands = {BANDS[0]: q_names, BANDS[1]: [momentum_name(name) for name in p_names]}
     return {
         '/state/q': [f'{name} [{unit}]' for name, unit in zip(q_names, q_units, strict=True)],
         '/state/p': [f'{momentum_name(name)} [{unit}]'
                      for name, unit in zip(p_names, p_units, strict=True)],
+        **({path: [f'{name} {end}' for end in ('lowest', 'highest') for name in names]
+            for path, names in bands.items()} if band else {}),
         '/energy/H': ['H [J]'],
         **second,
         '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
@@ -71,8 +79,12 @@ def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[
              '/timing/microseconds_per_step': 3, '/timing/real_time_factor': 6}
     for path, names in labels.items():
         start = first.get(path, 0)
-        colors = [PALETTE[(start + i) % len(PALETTE)] for i in range(len(names))]
-        style = rr.SeriesLines(colors=colors, names=names, widths=[2.0] * len(names))
+        # The ends of a band are thin lines in the colours of what it is around.
+        thin = path in BANDS
+        count = len(names) // 2 if thin else len(names)
+        colors = [PALETTE[(start + i % count) % len(PALETTE)] for i in range(len(names))]
+        style = rr.SeriesLines(colors=colors, names=names,
+                               widths=[0.7 if thin else 2.0] * len(names))
         stream.log(path, style, static=True, strict=True)
 
 

@@ -58,6 +58,8 @@ class RerunSink:
         Whether no effect does work; else the work is shown.
     modified : bool
         Whether a modified energy is known, to be shown where no work is done.
+    band : bool
+        Whether samples have a spread, to be shown as bands around q and p.
     interval : int
         Simulated time between two samples that are shown [ns]; 0 shows every sample.
     pace : float, optional
@@ -77,7 +79,7 @@ class RerunSink:
     def __init__(self, name: str, target: Target, hamiltonian: Hamiltonian, q0: np.ndarray,
                  p0: np.ndarray, *, box: tuple[np.ndarray, np.ndarray] | None = None,
                  mechanism: Mechanism | None = None, conservative: bool = True,
-                 modified: bool = True, interval: int = 33_333_333,
+                 modified: bool = True, band: bool = False, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
         # Of a body that turns no coordinate has a plane of its own with its momentum.
@@ -102,7 +104,8 @@ class RerunSink:
         self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
         self._labels = layout.series_labels(
-            self._coordinates, relative, conservative, modified, list(self._invariants))
+            self._coordinates, relative, conservative, modified, list(self._invariants),
+            band)
         self._draw_still(hamiltonian, q0, p0, box, pace)
         self._began = self._sent_at = time.monotonic()
 
@@ -227,6 +230,12 @@ class RerunSink:
                   '/energy/error': [s.energy_error for s in samples],
                   '/invariants': [[function(s.q, s.p) for function in
                                    self._invariants.values()] for s in samples]}
+        if layout.BANDS[0] in self._labels:
+            spread = np.array([np.zeros(q.shape[1] + p.shape[1]) if s.spread is None else s.spread
+                               for s in samples])
+            for path, values, half in zip(
+                    layout.BANDS, (q, p), np.split(spread, [q.shape[1]], axis=1), strict=True):
+                series[path] = np.hstack([values - half, values + half])
         for path in self._labels:
             self._columns(path, times, _scalars(np.asarray(series[path])))
         self._send_portraits(times, samples, q, p)

@@ -1,0 +1,229 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ensembles: resampled data, members in one model, and what their spread tells of errors."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+import warnings
+
+from hnn_vi_ros.errors import AlarmWarning, DataError, ParameterError
+from hnn_vi_ros.learning.config import TrainingConfig
+from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.exact_data import EvenTimes, ExactData, sample_exact
+from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.model_card import averaged_families, EnsembleCard, MOST_MEMBERS
+from hnn_vi_ros.run.ensemble import simulate_many
+from hnn_vi_ros.run.spread import deviation, member_scenes
+from hnn_vi_ros.scene import Scene
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+# Motions by which the factor is found, and as many by which it is checked.
+_MOTIONS = 400
+# Samples after the first one of each, and steps from one to the next.
+_SAMPLES, _STEPS = 20, 5
+# Fewer motions than this tell nothing of 90 %.
+_FEWEST = 20
+# Of measured data, the share that no member is trained on.
+_HELD_OUT = 0.2
+
+
+class Held(NamedTuple):
+    """
+    Motions that training has not seen.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (K + 1,)
+        Times from 0 on [s].
+    q, p : np.ndarray, shape (K + 1, M, d)
+        What they are.
+    inside : np.ndarray of bool, shape (K + 1, M)
+        Up to where each stays in the training domain.
+
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    inside: np.ndarray
+
+
+def check_ensemble(config: TrainingConfig, count: int) -> None:
+    """Raise ParameterError if no ensemble of so many can be trained by a configuration."""
+    if not 2 <= count <= MOST_MEMBERS:
+        raise ParameterError(f'--ensemble {count}: expected 2 to {MOST_MEMBERS} members')
+    if not FAMILIES[config.family.kind].averaged:
+        raise ParameterError(
+            f'--ensemble: models of the family {config.family.kind} have momenta or forces of '
+            f'their own, whose mean means nothing; families: {", ".join(averaged_families())}')
+
+
+def resampled(dataset: Dataset, seed: int) -> Dataset:
+    """
+    Return a block bootstrap of data: as many blocks, drawn with replacement.
+
+    Copies of a block stay one block, which a split keeps together, and are motions of their own.
+    """
+    blocks = np.unique(dataset.block)
+    drawn = np.random.default_rng([seed, 1]).choice(blocks, len(blocks))
+    order = np.argsort(dataset.block, kind='stable')
+    first = np.searchsorted(dataset.block[order], drawn)
+    behind = np.searchsorted(dataset.block[order], drawn, side='right')
+    rows = [order[a:b] for a, b in zip(first, behind, strict=True)]
+    chosen = np.concatenate(rows)
+    copy = np.repeat(np.arange(len(rows)), [len(part) for part in rows])
+    motions = dataset.block if dataset.trajectory is None else dataset.trajectory
+    _, trajectory = np.unique(np.column_stack([copy, motions[chosen]]), axis=0,
+                              return_inverse=True)
+    return replace(dataset.rows(chosen), trajectory=trajectory.ravel()).checked()
+
+
+def combined(members: Sequence[Checkpoint], dataset: Dataset, name: str) -> Checkpoint:
+    """Return members as one model, whose box is that of all data; its losses are their means."""
+    cards = [member.card for member in members]
+    losses = {key: float(np.mean([card.losses[key] for card in cards])) for key in cards[0].losses}
+    card = cards[0].model_copy(update={
+        'name': name, 'box': dataset.box, 'losses': losses, 'energy_error': None,
+        'ensemble': EnsembleCard(members=cards)})
+    return Checkpoint(card, {}, members=tuple(members))
+
+
+def held_out(config: TrainingConfig, dataset: Dataset) -> tuple[Dataset, Dataset | None]:
+    """Return what to train on, and what not to, by which the spread is calibrated."""
+    if isinstance(config.data, ExactData) or dataset.t is None:
+        return dataset, None
+    return dataset.split(_HELD_OUT, config.seed)
+
+
+def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | None) -> Checkpoint:
+    """
+    Return an ensemble whose card tells by what its spread is multiplied (split conformal).
+
+    With the score s = abs(x - mean) / deviation of each coordinate and momentum at each instant
+    of held-out motions, the factor is the least of them that the share ``level`` does not
+    exceed. It is found on one half of the motions; on the other the share is counted that the
+    bands cover. Without motions there is no factor.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    config : TrainingConfig
+        How it was trained.
+    test : Dataset or None
+        Measured data that training has not seen; exact data are drawn anew.
+
+    References
+    ----------
+    J. Lei, M. G'Sell, A. Rinaldo, R. Tibshirani, L. Wasserman, Distribution-Free Predictive
+    Inference for Regression, JASA 2018.
+
+    """
+    held = _held_exact(checkpoint, config) if isinstance(config.data, ExactData) else \
+        None if test is None else _held_measured(checkpoint, test)
+    if held is None or held.q.shape[1] < _FEWEST:
+        return checkpoint
+    scores = scores_of(checkpoint, held)
+    level = checkpoint.card.ensemble.level
+    order = np.random.default_rng(config.seed).permutation(held.q.shape[1])
+    first, second = np.split(order, [len(order) // 2])
+    factor = conformal_factor(scores[:, first][held.inside[1:, first]], level)
+    covered = float((scores[:, second][held.inside[1:, second]] <= factor).mean())
+    text = (f'{len(first)} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
+            f'{len(second)} others')
+    ensemble = checkpoint.card.ensemble.model_copy(update={
+        'factor': factor, 'coverage': covered, 'calibration': text})
+    return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
+
+
+def conformal_factor(scores: np.ndarray, level: float) -> float:
+    """
+    Return the ceil((n + 1) level)-th smallest of n scores.
+
+    Raises
+    ------
+    DataError
+        There are too few, or a member comes apart from all others so often that none is finite.
+
+    """
+    ordered = np.sort(scores, axis=None)
+    rank = int(np.ceil((ordered.size + 1) * level))
+    if rank > ordered.size or not 0.0 < ordered[rank - 1] < np.inf:
+        raise DataError('the spread of the ensemble cannot be calibrated: too few held-out '
+                        'motions in the training domain, or members that do not differ')
+    return float(ordered[rank - 1])
+
+
+def scores_of(checkpoint: Checkpoint, held: Held) -> np.ndarray:
+    """Return abs(x - mean) / deviation, shape (K, M, 2 d), behind the first instant."""
+    mean, *members = simulate_held(checkpoint, held)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        scores = np.abs(np.concatenate([held.q, held.p], axis=-1) - mean) / deviation(members)
+    return np.where(np.isnan(scores), np.inf, scores)[1:]
+
+
+def simulate_held(checkpoint: Checkpoint, held: Held) -> list[np.ndarray]:
+    """Return what the mean and each member do from the same states on, (K + 1, M, 2 d) each."""
+    names = [len(checkpoint.members), held.t[-1]]
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter('ignore', AlarmWarning)
+        draft = Path(folder) / 'draft.safetensors'
+        save_checkpoint(draft, checkpoint)
+        scene = Scene.build(
+            hamiltonian={'kind': 'learned', 'model': str(draft), 'confine': False},
+            integrator='gauss8', step_size=held.t[1] / _STEPS,
+            initial_state=(held.q[0, 0], held.p[0, 0]), name=checkpoint.card.name)
+        found = [simulate_many(one, held.q[0], held.p[0], float(names[1]), samples=len(held.t) - 1)
+                 for one in (scene, *member_scenes(scene, names[0]))]
+    return [np.concatenate([one.q, one.p], axis=-1) for one in found]
+
+
+def horizon(dataset: Dataset) -> float:
+    """Return a time in which a motion goes about once around the box of data [s]."""
+    half = 0.5 * np.ptp(np.hstack([dataset.q, dataset.p]), axis=0)
+    rates = np.sqrt(np.mean(np.hstack([dataset.dq_dt, dataset.dp_dt])**2, axis=0))
+    return float(2.0 * np.pi * (half / rates).max())
+
+
+def _held_exact(checkpoint: Checkpoint, config: TrainingConfig) -> Held | None:
+    """Return motions from states of the box that training has not seen."""
+    data = config.data
+    if data.commands is not None or data.damping or data.velocities:
+        return None  # no motion of H alone
+    T = horizon(sample_exact(data, config.seed))
+    drawn = data.model_copy(update={
+        'samples': 2 * _MOTIONS, 'edge_share': 0.0, 'noise': 0.0,
+        'trajectory': EvenTimes(duration=T, spacing=T / _SAMPLES)})
+    found = sample_exact(drawn, config.seed + 2)
+    q, p = (part.reshape(2 * _MOTIONS, -1, part.shape[1]).swapaxes(0, 1)
+            for part in (found.q, found.p))
+    return _within(checkpoint, found.t[:len(q)], q, p)
+
+
+def _held_measured(checkpoint: Checkpoint, test: Dataset) -> Held | None:
+    """Return what was measured from the first state of each held-out block on."""
+    blocks = [test.rows(test.block == block) for block in np.unique(test.block)]
+    blocks = [rows for rows in blocks if len(rows.q) > 1 and (np.diff(rows.t) > 0.0).all()]
+    if not blocks:
+        return None
+    lengths = np.array([rows.t[-1] - rows.t[0] for rows in blocks])
+    T = min(horizon(test), float(np.median(lengths)))
+    t = np.linspace(0.0, T, _SAMPLES + 1)
+    q, p = (np.stack([
+        CubicHermiteSpline(rows.t - rows.t[0], getattr(rows, name), getattr(rows, rate))(t)
+        for rows, length in zip(blocks, lengths, strict=True) if length >= T], axis=1)
+        for name, rate in (('q', 'dq_dt'), ('p', 'dp_dt')))
+    return _within(checkpoint, t, q, p)
+
+
+def _within(checkpoint: Checkpoint, t: np.ndarray, q: np.ndarray, p: np.ndarray) -> Held:
+    box = checkpoint.card.box
+    low, high = np.concatenate([box.q, box.p]).T
+    z = np.concatenate([q, p], axis=-1)
+    inside = ((low <= z) & (z <= high)).all(axis=-1)
+    return Held(t, q, p, np.logical_and.accumulate(inside, axis=0))

@@ -1,0 +1,143 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The mean of several learned Hamiltonians, and its members."""
+
+from functools import cache
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.addresses import by_address, Target
+from hnn_vi_ros.kernels.compilation import composed, functions_of
+from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Kernel
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+import numpy as np
+
+
+class MeanParameters(NamedTuple):
+    """
+    What the functions of a mean take first.
+
+    Parameters
+    ----------
+    members : tuple of Target
+        The parameters of each member, by address.
+    part_q, part_p : np.ndarray, shape (d,)
+        Space for what one member says of one state.
+
+    """
+
+    members: tuple[Target, ...]
+    part_q: np.ndarray
+    part_p: np.ndarray
+
+
+class EnsembleHamiltonian(LearnedHamiltonian):
+    """
+    H = (H_1 + ... + H_N) / N of N networks that were trained apart.
+
+    It is a Hamiltonian like any other, so a variational method holds its modified energy. A
+    gradient costs N of those of a member.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of an ensemble.
+
+    Attributes
+    ----------
+    members : tuple of LearnedHamiltonian
+        The networks, each as a Hamiltonian by itself.
+
+    References
+    ----------
+    B. Lakshminarayanan, A. Pritzel, C. Blundell, Simple and Scalable Predictive Uncertainty
+    Estimation using Deep Ensembles, NeurIPS 2017.
+
+    """
+
+    def __init__(self, checkpoint: Checkpoint):
+        super().__init__(checkpoint)
+        family = FAMILIES[checkpoint.card.family].hamiltonian
+        self.members: tuple[LearnedHamiltonian, ...] = tuple(
+            family(member) for member in checkpoint.members)
+        self.separable = all(member.separable for member in self.members)
+
+    def copy(self) -> Hamiltonian:
+        """Return the same function with working memory of its own."""
+        return EnsembleHamiltonian(self.checkpoint)
+
+    def _kernel(self) -> Kernel:
+        kernels = [by_address(member.kernel) for member in self.members]
+        parameters = MeanParameters(
+            tuple(Target(kernel.parameters[0]) for kernel in kernels), *np.zeros(
+                (2, self.dimension)))
+        return composed(kernels[0], _mean(*functions_of(kernels[0])), (EnsembleHamiltonian,),
+                        parameters)
+
+    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
+        parts = [member._extended_gradient(z) for member in self.members]
+        return np.mean(np.stack(parts), axis=0)
+
+
+def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonian:
+    """
+    Return the Hamiltonian of a model: of an ensemble the mean, or a member from 1 to N.
+
+    Raises
+    ------
+    ModelError
+        There is no such member.
+
+    """
+    count = len(checkpoint.members)
+    if member is not None:
+        if not count:
+            raise ModelError(f'member = {member}: the file holds one model, no ensemble; leave '
+                             'member out')
+        if not 1 <= member <= count:
+            raise ModelError(f'member = {member}: the members are 1 to {count}')
+        checkpoint = checkpoint.members[member - 1]
+    elif count:
+        return EnsembleHamiltonian(checkpoint)
+    hamiltonian: LearnedHamiltonian = FAMILIES[checkpoint.card.family].hamiltonian(checkpoint)
+    return hamiltonian
+
+
+@cache
+def _mean(member_energy: Energy, member_gradient: Gradient,
+          member_hessian_vector: HessianVector) -> Functions:
+    def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
+        total = 0.0
+        for member in parameters.members:
+            total += member_energy(member, q, p)
+        return total / len(parameters.members)
+
+    def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        part_q, part_p, share = parameters.part_q, parameters.part_p, 1.0 / len(parameters.members)
+        d = part_q.size
+        dH_dq[:], dH_dp[:] = 0.0, 0.0
+        for member in parameters.members:
+            for a in range(0, q.size, d):
+                member_gradient(member, q[a:a + d], p[a:a + d], part_q, part_p)
+                for i in range(d):
+                    dH_dq[a + i] += share * part_q[i]
+                    dH_dp[a + i] += share * part_p[i]
+
+    def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray,
+                       v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                       product_p: np.ndarray) -> None:
+        part_q, part_p, share = parameters.part_q, parameters.part_p, 1.0 / len(parameters.members)
+        d = part_q.size
+        product_q[:], product_p[:] = 0.0, 0.0
+        for member in parameters.members:
+            for a in range(0, q.size, d):
+                b = a + d
+                member_hessian_vector(member, q[a:b], p[a:b], v_q[a:b], v_p[a:b], part_q, part_p)
+                for i in range(d):
+                    product_q[a + i] += share * part_q[i]
+                    product_p[a + i] += share * part_p[i]
+    return energy, gradient, hessian_vector

@@ -1,0 +1,87 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The spread of an ensemble on ~/uncertainty, in the bag and in /diagnostics."""
+
+from array import array
+from collections.abc import Callable
+
+from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.state_message import MOMENTUM
+from hnn_vi_ros.guards.spread import SpreadGuard
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import columns
+from hnn_vi_ros.ros.diagnostics_publisher import OK, Status, WARN
+from hnn_vi_ros.ros.messages import describe_topic
+from hnn_vi_ros.run.members import Members
+from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.simulation.sample import Sample
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+SPREAD_TOPIC: tuple[str, type] = ('~/uncertainty', JointState)
+
+
+class SpreadTopic:
+    """
+    Tell how far the members of an ensemble come apart.
+
+    The positions of ~/uncertainty are the half-widths of the bands around q and p, by the names
+    that ~/state gives these.
+
+    Parameters
+    ----------
+    members : Members
+        What comes apart.
+    publisher : Publisher
+        Of the topic.
+    hamiltonian : Hamiltonian
+        The mean, with the box of its training.
+    limit : float
+        Spread that is allowed, in half-widths of the box.
+    record : callable
+        Takes a message that belongs to the state: its topic, and the bytes.
+
+    """
+
+    def __init__(self, members: Members, publisher: Publisher, hamiltonian: Hamiltonian,
+                 limit: float, record: Callable[[Topic, bytes], None]):
+        self._members, self._publisher, self._record = members, publisher, record
+        names, momenta = columns(hamiltonian.coordinates)
+        labels = [*names, *(f'{MOMENTUM}{name}' for name in momenta)]
+        self._labels = labels
+        self._template = Template(JointState(
+            name=labels, position=array('d', [0.0] * len(labels))))
+        self._topic = describe_topic(
+            publisher.topic_name, SPREAD_TOPIC[1], publisher.qos_profile)
+        assert hamiltonian.box is not None, 'of a learned Hamiltonian there is one'
+        self._box, self._limit = hamiltonian.box, limit
+        self.guard = self.make_guard()
+
+    def make_guard(self) -> SpreadGuard:
+        """Return what watches a run from its start on."""
+        self.guard = SpreadGuard(lambda: self._members.spread, self._box, self._limit)
+        return self.guard
+
+    def publish(self, sample: Sample) -> None:
+        """Publish and record the spread at a sample."""
+        self._template.numbers[0][:] = sample.spread
+        self._template.set_stamp(sample.stamp)
+        payload = self._template.serialized()
+        self._publisher.publish(payload)
+        self._record(self._topic, payload)
+
+    def status(self) -> Status:
+        """Return how far the members are apart."""
+        members, value = self._members, self.guard.value
+        level, message = OK, 'the members of the ensemble agree'
+        if value > self._limit:
+            level, message = WARN, 'the members of the ensemble have come apart'
+        if members.factor is None:
+            message += '; their spread is not calibrated'
+        return Status('uncertainty', level, message, {
+            'spread [half-widths]': value, 'limit [half-widths]': self._limit,
+            **{f'spread of {name}': float(one) for name, one in zip(
+                self._labels, members.spread, strict=True)},
+            'members [1]': members.count, 'failed members [1]': members.failed,
+            'factor [1]': 'none' if members.factor is None else members.factor,
+            'covered by the band [1]': 'unknown' if members.level is None else members.level})

@@ -1,0 +1,72 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulations that go along with another one, under the same commands."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.events import WatchedSimulation
+import numpy as np
+
+
+class Companion(Protocol):
+    """What goes along with a simulation, and never disturbs it: it raises nothing."""
+
+    def advance(self, n: int) -> None:
+        """Take as many steps as the simulation did."""
+
+    def set_command(self, command: Command) -> None:
+        """Take a command that the simulation has taken."""
+
+    def begin(self, simulation: Simulation) -> None:
+        """Begin anew from the state of the simulation, at its step."""
+
+
+class Accompanied:
+    """
+    A simulation with companions, which step with it and meet the same commands.
+
+    Parameters
+    ----------
+    simulation : Simulation or WatchedSimulation
+        All that is not listed below is its own.
+    companions : sequence of Companion
+        What goes along.
+
+    """
+
+    def __init__(self, simulation: Simulation | WatchedSimulation,
+                 companions: Sequence[Companion]):
+        self._simulation, self._companions = simulation, companions
+        self._begin()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._simulation, name)
+
+    def advance(self, n: int) -> None:
+        """Take n steps, or raise as Simulation does."""
+        self._simulation.advance(n)
+        for companion in self._companions:
+            companion.advance(n)
+
+    def set_command(self, command: Command) -> None:
+        """Set a command, or raise ValueError and leave all as it was; see Simulation."""
+        self._simulation.set_command(command)
+        for companion in self._companions:
+            companion.set_command(command)
+
+    def restart(self, *arguments: Any, **more: Any) -> None:
+        """Begin anew; see Simulation."""
+        self._simulation.restart(*arguments, **more)
+        self._begin()
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
+        """Go back to a snapshot; companions go on from its state."""
+        self._simulation.restore(snapshot)
+        self._begin()
+
+    def _begin(self) -> None:
+        for companion in self._companions:
+            companion.begin(self._simulation)

@@ -1,0 +1,86 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The members of an ensemble as companions of its mean, and how far they come apart."""
+
+import warnings
+
+from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.run.spread import deviation, ensemble_card, member_scenes
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+
+
+class Members:
+    """
+    The members of the ensemble of a scene; see Companion.
+
+    One whose step fails stands still from then on, and the spread is infinite.
+
+    Parameters
+    ----------
+    scene : Scene
+        Resolved; its Hamiltonian is the mean of an ensemble.
+
+    Attributes
+    ----------
+    count : int
+        How many members there are.
+    factor, level : float or None
+        What their standard deviation is multiplied by, and the share of errors that this band
+        covers; None where the card knows neither.
+
+    Raises
+    ------
+    SceneError
+        The Hamiltonian is no mean of an ensemble.
+
+    """
+
+    def __init__(self, scene: Scene):
+        card = ensemble_card(scene)
+        self.count, self.factor = len(card.members), card.factor
+        self.level = card.level if card.factor else None
+        with warnings.catch_warnings():
+            # What is to be said of the scene is said of the mean.
+            warnings.simplefilter('ignore')
+            self._simulations = [build(own) for own in member_scenes(scene, self.count)]
+            self._simulations[0].compile()  # of all: they have one type
+        self._failed: set[int] = set()
+
+    def advance(self, n: int) -> None:
+        """See Companion."""
+        for k, simulation in enumerate(self._simulations):
+            if k not in self._failed:
+                try:
+                    simulation.advance(n)
+                except StepFailure:
+                    self._failed.add(k)
+
+    def set_command(self, command: Command) -> None:
+        """See Companion."""
+        for simulation in self._simulations:
+            simulation.set_command(command)
+
+    def begin(self, simulation: Simulation) -> None:
+        """See Companion."""
+        self._failed.clear()
+        for k, own in enumerate(self._simulations):
+            try:
+                own.restart(simulation.q, simulation.p, step=simulation.steps)
+            except (StepFailure, ValueError):
+                self._failed.add(k)
+
+    @property
+    def failed(self) -> int:
+        """Return how many members stand still."""
+        return len(self._failed)
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Return the half-widths of the bands of q, then of p, shape (2 d,)."""
+        states = np.array([np.concatenate([one.q, one.p]) for one in self._simulations])
+        states[list(self._failed)] = np.inf
+        return (self.factor or 1.0) * deviation(states)

@@ -1,0 +1,140 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The spread of an ensemble: its members simulated beside their mean."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+import warnings
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
+from hnn_vi_ros.models.model_card import EnsembleCard
+from hnn_vi_ros.run.ensemble import simulate
+from hnn_vi_ros.run.trajectory import Trajectory
+from hnn_vi_ros.scene import load_scene, Scene
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SpreadTrajectory:
+    """
+    The trajectory of the mean of an ensemble, and those of its members.
+
+    Parameters
+    ----------
+    mean : Trajectory
+        Of the mean Hamiltonian.
+    members : tuple of Trajectory
+        Of each member, from the same initial state.
+    spread_q, spread_p : np.ndarray, shape (n, d)
+        Half-widths of the bands around q and p of the mean: the standard deviation over the
+        members, times the factor of the card (1 if it was not calibrated). Infinite from where a
+        member failed.
+    level : float or None
+        Share of errors that the bands cover in motions like those of the calibration; None if
+        there was none.
+
+    """
+
+    mean: Trajectory
+    members: tuple[Trajectory, ...]
+    spread_q: np.ndarray
+    spread_p: np.ndarray
+    level: float | None
+
+
+def ensemble_card(scene: Scene) -> EnsembleCard:
+    """
+    Return the card of the ensemble that a scene runs the mean of.
+
+    Raises
+    ------
+    ModelError, SceneError
+        Its Hamiltonian is no such mean.
+
+    """
+    checkpoint = getattr(scene.create_hamiltonian(), 'checkpoint', None)
+    card = getattr(checkpoint, 'card', None)
+    if card is None or card.ensemble is None or getattr(scene.hamiltonian, 'member', None):
+        raise SceneError(f'{scene.place("hamiltonian")}: no mean of an ensemble, whose members '
+                         'could come apart; name the file of one, made by train --ensemble N, '
+                         'without member')
+    found: EnsembleCard = card.ensemble
+    return found
+
+
+def member_scenes(scene: Scene, count: int) -> list[Scene]:
+    """Return the scene with each of the first members of its ensemble in place of the mean."""
+    choice = scene.hamiltonian.model_dump()
+    return [scene.changed({'hamiltonian': {**choice, 'member': k}, 'uncertainty': None})
+            for k in range(1, count + 1)]
+
+
+def deviation(members: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """
+    Return the standard deviation over members, (sum_k (x_k - mean)^2 / (N - 1))^(1/2).
+
+    Parameters
+    ----------
+    members : array, shape (N, ...)
+        Values of each; one that is not finite makes the spread infinite.
+
+    """
+    values = np.asarray(members)
+    finite = np.isfinite(values).all(axis=0)
+    with np.errstate(invalid='ignore', over='ignore'):
+        return np.where(finite, values.std(axis=0, ddof=1), np.inf)
+
+
+def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
+                    ) -> SpreadTrajectory:
+    """
+    Simulate the mean of an ensemble and each of its members, from one initial state.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        See ``simulate``; its Hamiltonian is an ensemble.
+    duration : float
+        Simulated time [s].
+    **options
+        Further arguments of ``simulate``.
+
+    Returns
+    -------
+    SpreadTrajectory
+        The mean, the members, and the band.
+
+    Raises
+    ------
+    HnnViRosError, ValueError, TypeError
+        See ``simulate``; the Hamiltonian is no mean of an ensemble. A member whose step fails
+        does not raise: its band is infinite from there on.
+
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    card = ensemble_card(scene)
+    scene, _ = resolve(scene)
+    mean = simulate(scene, duration, **options)
+    members = []
+    with warnings.catch_warnings():
+        # Of the mean all is told; a member that leaves its box is what the band shows.
+        warnings.simplefilter('ignore', AlarmWarning)
+        for own in member_scenes(scene, len(card.members)):
+            members.append(_or_failed(lambda own=own: simulate(own, duration, **options), mean))
+    factor = card.factor or 1.0
+    return SpreadTrajectory(
+        mean, tuple(members), factor * deviation([one.q for one in members]),
+        factor * deviation([one.p for one in members]), card.level if card.factor else None)
+
+
+def _or_failed(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
+    """Return a trajectory; of one that failed, none of whose numbers is finite."""
+    try:
+        found = simulated()
+    except StepFailure:
+        return replace(like, q=np.full_like(like.q, np.nan), p=np.full_like(like.p, np.nan),
+                       energy=np.full_like(like.energy, np.nan))
+    return found
