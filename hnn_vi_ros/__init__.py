@@ -9,16 +9,18 @@ from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
     from hnn_vi_ros.run.ensemble import simulate, simulate_many
+    from hnn_vi_ros.run.spread import simulate_spread
     from hnn_vi_ros.run.trajectory import Trajectory
     from hnn_vi_ros.scene import load_scene, Scene
     from hnn_vi_ros.sweeps.sweep import sweep
 
 __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
-           'sweep']
+           'simulate_spread', 'sweep']
 
 _HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.run.ensemble',
           'simulate_many': 'hnn_vi_ros.run.ensemble', 'sweep': 'hnn_vi_ros.sweeps.sweep',
-          'Scene': 'hnn_vi_ros.scene', 'Trajectory': 'hnn_vi_ros.run.trajectory'}
+          'simulate_spread': 'hnn_vi_ros.run.spread', 'Scene': 'hnn_vi_ros.scene',
+          'Trajectory': 'hnn_vi_ros.run.trajectory'}
 
 
 def __getattr__(name: str) -> object:

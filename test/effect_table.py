@@ -138,6 +138,7 @@ UNKNOWN = {
     'periodic_drive': {'coordinate': 'w', 'amplitude': 1.0, 'frequency': 1.0},
     'external_force': {'coordinates': ['w']},
     'servo': {'coordinates': ['w'], 'stiffness': 1.0},
+    'observer': {'coordinates': ['w']},
     'holonomic_constraint': {'point': ['x', 'w'], 'anchor': [0.0, 0.0]},
     'impact': {'coordinate': 'w'}, 'joint_friction': {'damping': {'x': 1.0, 'w': 1.0}},
     'joint_limits': {'upper': {'w': 1.0}},

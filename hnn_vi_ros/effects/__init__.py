@@ -14,6 +14,7 @@ from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.effects.magnetic_field import MagneticField
+from hnn_vi_ros.effects.observer import Observer
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.effects.quadratic_drag import QuadraticDrag
 from hnn_vi_ros.effects.servo import Servo
@@ -32,6 +33,7 @@ EFFECTS: dict[str, type[Effect]] = {
     'periodic_drive': PeriodicDrive,
     'external_force': ExternalForce,
     'servo': Servo,
+    'observer': Observer,
     'learned_dissipation': LearnedDissipation,
     'learned_friction': LearnedFriction,
     'thermostat': Thermostat,

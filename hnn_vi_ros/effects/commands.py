@@ -56,16 +56,40 @@ class JointPath(NamedTuple):
     accelerations: np.ndarray | None = None
 
 
+class Observation(NamedTuple):
+    """
+    What is seen of the machine that a simulation is the twin of.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of n joints, those that are not asked for among them.
+    delay : float
+        From now to when they were seen [s]; negative for before.
+    position, velocity : np.ndarray, shape (n,)
+        In the units of the coordinates, and per second [s]; NaN where nothing was seen.
+
+    """
+
+    names: Sequence[str]
+    delay: float
+    position: np.ndarray
+    velocity: np.ndarray
+
+
 # Plain numbers are forces, or what the motors of a learned input map take.
-Command = Sequence[float] | np.ndarray | JointCommand | JointPath
+Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation
 # What a command can hold, and what that is called.
 NUMBERS, POSITION, VELOCITY, EFFORT, PATH = 'commands', 'position', 'velocity', 'effort', 'path'
+OBSERVATION = 'observation'
 
 
 def contents(command: Command) -> set[str]:
     """Return what a command holds, or raise ValueError if that is nothing."""
     if isinstance(command, JointPath):
         return {PATH}
+    if isinstance(command, Observation):
+        return {OBSERVATION}
     if not isinstance(command, JointCommand):
         return {NUMBERS}
     found = {name for name in (POSITION, VELOCITY, EFFORT)
@@ -88,7 +112,8 @@ class Reference(NamedTuple):
     extent : np.ndarray of int64, shape (2,)
         How many knots the path has, and the degree of its polynomials.
     knots : np.ndarray, shape (n, 1 + 3 d)
-        Time [s], positions, velocities and accelerations of the path at its knots.
+        Time [s], positions, velocities and accelerations of the path at its knots; where there is
+        an observer the last row is its own.
 
     """
 

@@ -19,7 +19,8 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     Parameters
     ----------
     flow : callable
-        ``flow(parameters, h, q, p, p_carry)`` changes the momenta of one state, shape (d,).
+        ``flow(parameters, h, q, p, p_carry)`` changes the momenta of one state, shape (d,),
+        or its coordinates as well.
     step : callable
         Of the method.
     keeps_gradient : bool
@@ -33,7 +34,7 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     """
     @inlined
     def half_flow(kernel: Kernel, h: float, parameters: Parameters, z: Point) -> float:
-        """Change the momenta; return the work."""
+        """Change the state; return the work."""
         before = energy_of(kernel, z)
         d = kernel.dimension - kernel.channels
         for a in range(0, z.q.size, kernel.dimension):

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 # Motions by which the factor is found, and as many by which it is checked.
-_MOTIONS = 400
+_MOTIONS = 1000
 # Samples after the first one of each, and steps from one to the next.
 _SAMPLES, _STEPS = 20, 5
 # Fewer motions than this tell nothing of 90 %.
@@ -124,7 +124,7 @@ def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | N
     Inference for Regression, JASA 2018.
 
     """
-    held = _held_exact(checkpoint, config) if isinstance(config.data, ExactData) else \
+    held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2) if isinstance(config.data, ExactData) else \
         None if test is None else _held_measured(checkpoint, test)
     if held is None or held.q.shape[1] < _FEWEST:
         return checkpoint
@@ -190,17 +190,18 @@ def horizon(dataset: Dataset) -> float:
     return float(2.0 * np.pi * (half / rates).max())
 
 
-def _held_exact(checkpoint: Checkpoint, config: TrainingConfig) -> Held | None:
-    """Return motions from states of the box that training has not seen."""
+def held_exact(checkpoint: Checkpoint, config: TrainingConfig, count: int, seed: int
+               ) -> Held | None:
+    """Return motions of an exact system from new states of the box; None if they are driven."""
     data = config.data
     if data.commands is not None or data.damping or data.velocities:
         return None  # no motion of H alone
     T = horizon(sample_exact(data, config.seed))
     drawn = data.model_copy(update={
-        'samples': 2 * _MOTIONS, 'edge_share': 0.0, 'noise': 0.0,
+        'samples': count, 'edge_share': 0.0, 'noise': 0.0,
         'trajectory': EvenTimes(duration=T, spacing=T / _SAMPLES)})
-    found = sample_exact(drawn, config.seed + 2)
-    q, p = (part.reshape(2 * _MOTIONS, -1, part.shape[1]).swapaxes(0, 1)
+    found = sample_exact(drawn, seed)
+    q, p = (part.reshape(count, -1, part.shape[1]).swapaxes(0, 1)
             for part in (found.q, found.p))
     return _within(checkpoint, found.t[:len(q)], q, p)
 

@@ -6,17 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import DataError, ModelError, StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.errors import DataError, StepFailure
+from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.run.twin import VALID
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# The valid prediction time ends where sum_i (error of q_i)^2 / var_i reaches this (M. Lutter,
-# J. Peters, 2021).
-_VALID = 0.01
-# Newton's steps for the momentum of a velocity; H is quadratic in p as a rule, where one is all.
-_ITERATIONS = 20
 
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
 # start on: not a number from where a simulation fails, infinite from where one is given up.
@@ -73,43 +69,6 @@ class Scores:
     energy_mismatch: dict[float, float] | None = None
 
 
-def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.ndarray
-             ) -> np.ndarray:
-    """
-    Return p with H_p(q, p) = v, by Newton's method.
-
-    Parameters
-    ----------
-    hamiltonian : Hamiltonian
-        H of d coordinates.
-    q, v, start : np.ndarray, shape (..., d)
-        Coordinates, velocities, and momenta to begin from.
-
-    Raises
-    ------
-    ModelError
-        A velocity has no momentum.
-
-    """
-    p, zero = start.copy(), np.zeros_like(q)
-    least = 1e-12 * np.maximum(1.0, np.abs(v).max(axis=-1, keepdims=True))
-    for _ in range(_ITERATIONS):
-        missing = v - hamiltonian.gradient(q, p)[1]
-        wrong = ~(np.abs(missing) <= least).all(axis=-1)
-        if not wrong.any():
-            return p
-        inverse = np.stack([
-            hamiltonian.hessian_vector(q, p, zero, np.broadcast_to(unit, q.shape))[1]
-            for unit in np.eye(q.shape[-1])], axis=-1)
-        try:
-            p = p + np.linalg.solve(inverse, missing[..., None])[..., 0]
-        except np.linalg.LinAlgError:
-            break
-    raise ModelError(f'no momentum belongs to the velocity {v[wrong][0].tolist()} at q = '
-                     f'{q[wrong][0].tolist()}: H_p(q, p) = v has no solution; the state is '
-                     'outside what the model learned')
-
-
 def simulated(simulation: Simulation, spacing: float, least: float, variance: np.ndarray
               ) -> Predict:
     """
@@ -152,7 +111,7 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
                     simulation.advance(steps)
                     row[k + 1] = simulation.q
                     error = row[k + 1] - motion.q[start + k + 1]
-                    valid = valid and bool((error**2 / variance).sum() < _VALID)
+                    valid = valid and bool((error**2 / variance).sum() < VALID)
             except StepFailure:
                 continue  # the row stays no number from here on, which the scores count
             except ValueError as problem:
@@ -286,7 +245,7 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
                 errors[horizon].append(error[room >= k, k])
         with np.errstate(over='ignore', invalid='ignore'):
             # Not a number: an infinite error of a coordinate that has no variance.
-            beyond = ~((error**2 / variance).sum(axis=2) < _VALID)
+            beyond = ~((error**2 / variance).sum(axis=2) < VALID)
         beyond &= np.arange(count + 1) <= room[:, None]
         found = beyond.any(axis=1)
         times.append(np.where(found, beyond.argmax(axis=1), np.minimum(count, room)) * spacing)

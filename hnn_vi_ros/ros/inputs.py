@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics of commands, and what their messages say; those in a bag are read by the same."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.commands import (
-    Command, EFFORT, JointCommand, JointPath, NUMBERS, PATH, POSITION, VELOCITY)
+    Command, EFFORT, JointCommand, JointPath, NUMBERS, Observation, OBSERVATION, PATH, POSITION,
+    VELOCITY)
 import numpy as np
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -48,14 +49,26 @@ def read_numbers(message: Float64MultiArray, stamp: int) -> Command:
 
 def read_joints(message: JointState, stamp: int) -> JointCommand:
     """Return what joints are to do; each list has a number for each name, or none."""
+    return JointCommand(tuple(message.name), *_lists(message, (POSITION, VELOCITY, EFFORT)))
+
+
+def read_observation(message: JointState, stamp: int) -> Observation:
+    """Return what was seen of a machine; its header tells when, zero for now."""
+    seen = _nanoseconds(message.header.stamp.sec, message.header.stamp.nanosec)
+    return Observation(tuple(message.name), (seen - stamp) / 1e9 if seen else 0.0,
+                       *_lists(message, (POSITION, VELOCITY)))
+
+
+def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
+    """Return some lists of joint states, each a number for each name; NaN for an empty one."""
     count, lists = len(message.name), []
-    for name in (POSITION, VELOCITY, EFFORT):
+    for name in fields:
         values = np.array(getattr(message, name), dtype=np.float64)
         if values.size not in (0, count):
             raise ValueError(f'{name} has {values.size} numbers for {count} names: give one for '
                              'each, or none')
         lists.append(values if values.size else np.full(count, np.nan))
-    return JointCommand(tuple(message.name), *lists)
+    return lists
 
 
 def read_path(message: JointTrajectory, stamp: int) -> JointPath:
@@ -85,10 +98,13 @@ def _nanoseconds(seconds: int, nanoseconds: int) -> int:
 
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+OBSERVATIONS = Input('~/observations', JointState, frozenset({OBSERVATION}), read_observation,
+                     qos_profile_sensor_data)
 INPUTS = (
     Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, _NEWEST),
     # Best effort hears those who publish reliably as well, as ros2_control does.
     Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}), read_joints,
           qos_profile_sensor_data),
+    OBSERVATIONS,
     Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, _NEWEST),
 )

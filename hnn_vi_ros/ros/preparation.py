@@ -9,6 +9,7 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.bags.bag_metadata import BagTopics
+from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
@@ -21,6 +22,7 @@ from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.members import Members
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.run.twin import Twin
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
@@ -58,6 +60,8 @@ class Prepared(NamedTuple):
         Stamp of step 0 [ns].
     members : Members or None
         Those of an ensemble, if the scene asks for its uncertainty.
+    twin : Twin or None
+        What compares with a machine, if the scene has an observer.
 
     """
 
@@ -70,6 +74,7 @@ class Prepared(NamedTuple):
     log_lines: list[LogLine]
     origin: int
     members: Members | None = None
+    twin: Twin | None = None
 
 
 def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
@@ -108,6 +113,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     simulation = _compile(scene, logger, begin)
     with scene.placed('uncertainty'):
         members = None if scene.uncertainty is None else Members(scene)
+    twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
@@ -136,7 +142,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, settings, topics, box, report, sampler)
-    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members)
+    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members,
+                    twin)
 
 
 def _load(settings: Settings) -> tuple[Scene, int, int]:

@@ -18,12 +18,14 @@ from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.event_topic import EventTopic
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
+from hnn_vi_ros.ros.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.spread_topic import SpreadTopic
 from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.ros.twin_topic import TwinTopic
 from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.pacing import LONGEST_CALL, OverrunGuard, Pacer
@@ -66,11 +68,14 @@ class Run:
         self._chosen = prepared.chosen
         simulation = watched(prepared.simulation, prepared.scene)
         self._members = prepared.members
-        self.simulation = simulation if self._members is None else Accompanied(
-            simulation, [self._members])
         self._spread = None if self._members is None else SpreadTopic(
             self._members, topics.open_spread(), simulation.hamiltonian,
             prepared.scene.uncertainty.limit, self._record_beside)
+        self._twin = None if prepared.twin is None else TwinTopic(
+            prepared.twin, topics.open_errors(), lambda: topics.ignored[OBSERVATIONS.topic],
+            lambda: self.sampler.stamp, self._record_beside)
+        companions = [one for one in (self._members, self._twin) if one is not None]
+        self.simulation = Accompanied(simulation, companions) if companions else simulation
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step = 1, math.inf
@@ -147,7 +152,7 @@ class Run:
 
     def publish_diagnostics(self) -> None:
         """Publish how the run does."""
-        more = [] if self._spread is None else [self._spread.status()]
+        more = [one.status() for one in (self._spread, self._twin) if one is not None]
         self._diagnostics.publish(
             [*self.status.statuses(self.pacer.overruns), *more], self.sampler.stamp)
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics of the simulator: what a scene does not call for does not exist."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -23,6 +24,7 @@ from hnn_vi_ros.ros.qos_overrides import create_publisher, create_subscription, 
 from hnn_vi_ros.ros.remapped_topics import remapped
 from hnn_vi_ros.ros.spread_topic import SPREAD_TOPIC
 from hnn_vi_ros.ros.trajectory_feedback import TRAJECTORY_STATE_TOPIC, TrajectoryFeedback
+from hnn_vi_ros.ros.twin_topic import ERROR_TOPIC
 from hnn_vi_ros.ros.wrench import body_of, command_of, WRENCH_TOPIC
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import serialize
@@ -56,7 +58,7 @@ ENDPOINTS = (
     *(Endpoint(name, 'publisher') for name, _ in (
         *TICK_TOPICS, ACCURACY_TOPIC, DIAGNOSTICS_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC,
         EVENTS_TOPIC, ODOMETRY_TOPIC, TRAJECTORY_STATE_TOPIC, STATE_SET_TOPIC, SCENE_TOPIC,
-        ROBOT_TOPIC, SPREAD_TOPIC)),
+        ROBOT_TOPIC, SPREAD_TOPIC, ERROR_TOPIC)),
     *(Endpoint(name, 'subscription') for name in (
         *(one.topic for one in INPUTS), '~/initial_state', '~/wrench')))
 
@@ -85,6 +87,8 @@ class Topics:
     def __init__(self, node: Node, accuracy: bool, clock: bool = False):
         self._node, self._opened = node, []
         self._heard: dict[str, Topic] = {}
+        # Messages that could not be used, by topic.
+        self.ignored: Counter[str] = Counter()
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
         self._publishers = [self._publisher(*topic, TICKS) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
@@ -154,6 +158,10 @@ class Topics:
         """Make the topic of the spread, for a scene that asks for it."""
         return self._publisher(*SPREAD_TOPIC, TICKS)
 
+    def open_errors(self) -> Publisher:
+        """Make the topic of errors, for a scene with an observer."""
+        return self._publisher(*ERROR_TOPIC, TICKS)
+
     def open_answers(self) -> Publisher:
         """Make the topic that answers states to begin at."""
         return self._publisher(*STATE_SET_TOPIC, _ALARMS)
@@ -187,9 +195,10 @@ class Topics:
                 take(deserialize_message(payload, message_type))
             except (ValueError, RuntimeError) as problem:
                 # RuntimeError: the bytes are no message of this type.
+                self.ignored[topic] += 1
                 self._node.get_logger().error(
-                    f'{topic}: message ignored: {" ".join(str(problem).split())[:200]}',
-                    throttle_duration_sec=1.0)
+                    f'{topic}: message ignored: {" ".join(str(problem).split())[:200]} '
+                    f'({self.ignored[topic]} so far)', throttle_duration_sec=1.0)
 
         subscription = create_subscription(
             self._node, message_type, topic, on_message, qos, raw=True)

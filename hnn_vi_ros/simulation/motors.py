@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hnn_vi_ros.effects.base import Effect, Force
-from hnn_vi_ros.effects.commands import Aim, Command, Commanded, contents, EFFORT, NUMBERS
+from hnn_vi_ros.effects.commands import Aim, Command, Commanded, contents, EFFORT, NUMBERS, OBSERVATION
 import numpy as np
 
 
@@ -59,7 +59,8 @@ class Motors:
         """
         held = contents(command)
         for content in sorted(held - self.takes):
-            kind = 'an external_force' if content in (NUMBERS, EFFORT) else 'a servo'
+            kind = 'an observer' if content == OBSERVATION else (
+                'an external_force' if content in (NUMBERS, EFFORT) else 'a servo')
             raise ValueError(f'no effect of the scene is {kind} of joints: it takes no {content}')
         for put in [effect.prepare(command, own, q) for effect, own in self._effects
                     if effect.takes & held]:

@@ -133,7 +133,7 @@ class System:
                  integrator: Integrator):
         self._effects, self.method = list(effects), integrator
         self.effect_state = EffectState.empty(
-            len(effects), hamiltonian.dimension, max((one.knots for one in effects), default=0))
+            len(effects), hamiltonian.dimension, sum(one.knots for one in effects))
         kinds = [_kind(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]

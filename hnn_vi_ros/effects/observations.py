@@ -1,0 +1,88 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is observed of a machine: checked, and kept for the steps to come."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from hnn_vi_ros.effects.commands import Command, Observation
+import numpy as np
+
+# Older than the last one by less than this, an observation is the same one again [s].
+_LEAST = 1e-9
+
+
+class ObserverParameters(NamedTuple):
+    """
+    What the compiled flow of an observer of n coordinates takes.
+
+    Parameters
+    ----------
+    places : np.ndarray of int64, shape (n,)
+        Those of what is observed among the coordinates.
+    gain, damping : float
+        k and lambda; see Observer.
+    knots : np.ndarray, shape (m, 1 + 3 d)
+        Of Reference: behind those of a path, the last one is the observer's. It holds until when
+        the observation is followed, when it was made [s], n positions and n velocities.
+    clock : np.ndarray
+        See EffectState.
+
+    """
+
+    places: np.ndarray
+    gain: float
+    damping: float
+    knots: np.ndarray
+    clock: np.ndarray
+
+
+def check_observed(names: Sequence[str], deviations: Sequence[float] | None) -> None:
+    """Raise ValueError where names, or a standard deviation for each of them, cannot be used."""
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f'coordinates = {names} must name at least one, each once')
+    if deviations is not None and (len(deviations) != len(names) or not all(
+            np.isfinite(one) and one > 0.0 for one in deviations)):
+        raise ValueError(f'deviations = {deviations} must be positive and finite, one for each of '
+                         f'{", ".join(names)}')
+
+
+def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return positions and velocities of named joints, shape (n,); velocities NaN where not seen.
+
+    Raises
+    ------
+    ValueError
+        A joint is missing or there twice, or a number is not finite.
+
+    """
+    given = list(command.names)
+    for name in names:
+        if given.count(name) != 1:
+            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it once; '
+                             f'observed are {", ".join(names)}')
+    rows = [given.index(name) for name in names]
+    position, velocity = command.position[rows], command.velocity[rows]
+    if not np.isfinite(position).all() or np.isinf(velocity).any():
+        raise ValueError('a position is missing or not finite, or a velocity is infinite')
+    return position, velocity
+
+
+def prepare(command: Command, own: ObserverParameters, names: Sequence[str], timeout: float
+            ) -> Callable[[], None]:
+    """Return what keeps an observation, or raise ValueError; see Commanded."""
+    assert isinstance(command, Observation)
+    position, velocity = select(command, names)
+    now, row = own.clock[0], own.knots[-1]
+    seen = now + command.delay
+    if not abs(command.delay) <= timeout:
+        raise ValueError(f'observed {command.delay:.3g} s from the simulated time, at most '
+                         f'{timeout:g} s are taken; stamp by simulated time, or by zero for now')
+    if row[0] > 0.0 and seen < row[1] - _LEAST:
+        raise ValueError(f'observed {row[1] - seen:.3g} s before the last observation: it is late')
+
+    def put() -> None:
+        row[:2] = seen + timeout, seen
+        row[2:2 + 2 * len(position)] = *position, *np.nan_to_num(velocity)
+    return put

@@ -1,0 +1,101 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""How well the simulation follows a machine: ~/prediction_error, the bag and /diagnostics."""
+
+from array import array
+from collections.abc import Callable
+import math
+
+from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.effects.commands import Command, Observation
+from hnn_vi_ros.ros.diagnostics_publisher import OK, Status, WARN
+from hnn_vi_ros.ros.messages import describe_topic
+from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.run.twin import Report, Twin
+from hnn_vi_ros.simulation import Simulation
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+ERROR_TOPIC: tuple[str, type] = ('~/prediction_error', JointState)
+# Behind the names of the coordinates, and of their predictions.
+PREDICTED = 'prediction_'
+SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time')
+
+
+class TwinTopic:
+    """
+    Publish what each observation tells, as a companion of the simulation.
+
+    The positions of ~/prediction_error are, by their names: observed less simulated coordinates;
+    observed less predicted ones; and the scalars of the prediction. It is stamped with the time
+    of the observation.
+
+    Parameters
+    ----------
+    twin : Twin
+        What compares.
+    publisher : Publisher
+        Of the topic.
+    ignored : callable
+        Returns how many observations could not be used.
+    stamp : callable
+        Returns that of the state [ns].
+    record : callable
+        Takes a message that belongs to the state: its topic, and the bytes.
+
+    """
+
+    def __init__(self, twin: Twin, publisher: Publisher, ignored: Callable[[], int],
+                 stamp: Callable[[], int], record: Callable[[Topic, bytes], None]):
+        self._twin, self._publisher, self._ignored = twin, publisher, ignored
+        self._stamp, self._record = stamp, record
+        labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
+        self._template = Template(JointState(
+            name=labels, position=array('d', [0.0] * len(labels))))
+        self._topic = describe_topic(
+            publisher.topic_name, ERROR_TOPIC[1], publisher.qos_profile)
+
+    def begin(self, simulation: Simulation) -> None:
+        """See Companion."""
+        self._twin.begin(simulation)
+
+    def advance(self, n: int) -> None:
+        """See Companion."""
+        self._twin.advance(n)
+
+    def set_command(self, command: Command) -> None:
+        """See Companion; an observation is told of."""
+        self._twin.set_command(command)
+        if isinstance(command, Observation) and self._twin.newest is not None:
+            self._publish(self._twin.newest)
+
+    def _publish(self, report: Report) -> None:
+        self._template.numbers[0][:] = [
+            *report.error, *report.prediction_error, report.normalised, report.running,
+            self._twin.valid_prediction_time]
+        self._template.set_stamp(max(0, self._stamp() + round(report.delay * 1e9)))
+        payload = self._template.serialized()
+        self._publisher.publish(payload)
+        self._record(self._topic, payload)
+
+    def status(self) -> Status:
+        """Return how well the machine is followed."""
+        twin, report = self._twin, self._twin.newest
+        ignored = self._ignored()
+        level, message = OK, 'no observation yet'
+        if report is not None:
+            median = twin.valid_prediction_time
+            message = 'follows the machine' if math.isnan(median) else (
+                f'predicts the machine for {median:.3g} s')
+        if ignored or twin.failed:
+            level = WARN
+            message += f'; {ignored} observations ignored, {twin.failed} predictions failed'
+        figures = {} if report is None else {
+            **{f'error of {name}': float(value) for name, value in zip(
+                twin.names, report.error, strict=True)},
+            'normalised_error [1]': report.normalised,
+            'running_prediction_time [s]': report.running,
+            'valid_prediction_time [s]': twin.valid_prediction_time}
+        return Status('twin', level, message, {
+            **figures, 'predictions [1]': twin.ended, 'failed predictions [1]': twin.failed,
+            'ignored observations [1]': ignored})

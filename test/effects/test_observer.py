@@ -1,0 +1,128 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""An observer draws a simulation to what is observed, and refuses what cannot be."""
+
+from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.effects.observer import Observer
+from hnn_vi_ros.errors import EffectError, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import pytest
+
+NAN, INF = float('nan'), float('inf')
+GAIN, DAMPING, MASS = 30.0, 6.0, 2.0
+
+
+def observed(h: float, q: float = 0.4, p: float = 1.0, method: str = 'implicit_midpoint',
+             effects: tuple = (), **arguments: float) -> Simulation:
+    own = {'gain': GAIN, 'damping': DAMPING, 'timeout': 100.0} | arguments
+    return Simulation(HAMILTONIANS['free_particle'](MASS, ('x',)), INTEGRATORS[method](), h, [q],
+                      [p], [Observer(['x'], **own), *effects])
+
+
+def seen(x: float, v: float = NAN, delay: float = 0.0, names=('x',)) -> Observation:
+    return Observation(names, delay, np.array([x]), np.array([v]))
+
+
+def test_observer_converges_with_order_2_to_the_damped_oscillator():
+    """Of a free mass, e = q - y: e'' + lambda e' + (k / m) e = 0 behind y = y0 + w t."""
+    T, y0, w = 1.0, 0.7, -0.3
+    errors = []
+    for steps in (20, 40):
+        simulation = observed(T / steps)
+        simulation.set_command(seen(y0, w))
+        simulation.advance(steps)
+        matrix = np.array([[-DAMPING, 1.0 / MASS], [-GAIN, 0.0]])
+        # (e, p - m w)' = matrix (e, p - m w).
+        values, vectors = np.linalg.eig(matrix)
+        start = np.linalg.solve(vectors, [0.4 - y0, 1.0 - MASS * w])
+        e, p = (vectors @ (np.exp(values * T) * start)).real
+        errors.append(np.hypot(simulation.q[0] - (y0 + w * T + e), simulation.p[0] - MASS * w - p))
+    assert 3.6 < errors[0] / errors[1] < 4.4
+
+
+def test_work_of_an_observer_is_the_change_of_the_energy():
+    simulation = observed(0.01)
+    simulation.set_command(seen(0.7, -0.3))
+    simulation.advance(200)
+    # The method keeps H of a free mass; 400 half flows round it by some eps of its size each.
+    assert abs(simulation.energy_balance) < 1e-12
+    assert simulation.works['observer'] != 0.0
+
+
+def test_observer_without_gain_leaves_every_bit():
+    simulation, alone = observed(0.01, gain=0.0, damping=0.0), Simulation(
+        HAMILTONIANS['free_particle'](MASS, ('x',)), INTEGRATORS['implicit_midpoint'](), 0.01,
+        [0.4], [1.0])
+    simulation.set_command(seen(5.0))
+    for one in (simulation, alone):
+        one.advance(50)
+    assert (simulation.q.tobytes(), simulation.p.tobytes()) == (
+        alone.q.tobytes(), alone.p.tobytes())
+
+
+def test_observation_ends_with_its_timeout_and_survives_a_snapshot():
+    simulation = observed(0.01, timeout=0.1)
+    simulation.set_command(seen(0.7))
+    simulation.advance(5)
+    snapshot = simulation.snapshot()
+    simulation.advance(20)
+    end = simulation.q.copy(), simulation.p.copy()
+    # Behind the time-out no force acts.
+    simulation.advance(10)
+    assert simulation.p.tobytes() == end[1].tobytes()
+    simulation.restore(snapshot)
+    simulation.advance(20)
+    assert (simulation.q.tobytes(), simulation.p.tobytes()) == (
+        end[0].tobytes(), end[1].tobytes())
+
+
+def test_joints_are_matched_by_name_in_any_order_beside_others():
+    one, other = observed(0.01), observed(0.01)
+    one.set_command(seen(0.7, 0.1))
+    other.set_command(Observation(('gripper', 'x'), 0.0, np.array([NAN, 0.7]),
+                                  np.array([NAN, 0.1])))
+    for simulation in (one, other):
+        simulation.advance(10)
+    assert one.q.tobytes() == other.q.tobytes()
+
+
+@pytest.mark.parametrize(('observation', 'message'), [
+    (seen(NAN), 'not finite'), (seen(INF), 'not finite'), (seen(1.0, INF), 'infinite'),
+    (seen(1.0, names=('y',)), "'x' is observed 0 times"),
+    (Observation(('x', 'x'), 0.0, np.zeros(2), np.zeros(2)), "'x' is observed 2 times"),
+    (Observation((), 0.0, np.zeros(0), np.zeros(0)), "'x' is observed 0 times"),
+    (seen(1.0, delay=-0.6), 'from the simulated time'),
+    (seen(1.0, delay=1.7e9), 'from the simulated time'),
+    (seen(1.0, delay=NAN), 'from the simulated time'),
+    (seen(1.0, delay=-0.2), 'it is late')])
+def test_observation_that_cannot_be_used_is_refused_and_changes_nothing(observation, message):
+    simulation, alone = observed(0.01, timeout=0.5), observed(0.01, timeout=0.5)
+    for one in (simulation, alone):
+        one.set_command(seen(0.7))
+        one.advance(10)
+    with pytest.raises(ValueError, match=message):
+        simulation.set_command(observation)
+    for one in (simulation, alone):
+        one.advance(10)
+    assert simulation.q.tobytes() == alone.q.tobytes()
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ({'gain': -1.0}, 'gain = -1.0'), ({'damping': INF}, 'damping = inf'),
+    ({'timeout': 0.0}, 'timeout = 0.0'), ({'deviations': [1.0, 2.0]}, 'one for each of x'),
+    ({'deviations': [0.0]}, 'must be positive')])
+def test_observer_parameter_out_of_its_range_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Observer(['x'], **arguments)
+    with pytest.raises(ValueError, match='each once'):
+        Observer(['x', 'x'])
+
+
+def test_observer_takes_methods_of_order_2_at_most_and_stands_once():
+    with pytest.raises(UnsupportedSystem, match='cannot take the effect observer'):
+        observed(0.01, method='gauss8')
+    with pytest.raises(EffectError, match='takes one observer only'):
+        observed(0.01, effects=(Observer(['x']),))

@@ -1,0 +1,109 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ensembles: one file of several networks, whose mean is a Hamiltonian."""
+
+import json
+from pathlib import Path
+
+from ensembles import ensemble
+from helpers import random_checkpoint
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import ModelError, SceneError
+from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models.model_card import EnsembleCard, ModelCard
+from hnn_vi_ros.run.members import Members
+import numpy as np
+import pytest
+import safetensors.numpy
+
+EPS = float(np.finfo(np.float64).eps)
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    path = tmp_path / 'several.safetensors'
+    save_checkpoint(path, ensemble(3))
+    return path
+
+
+def test_mean_has_the_mean_energy_gradient_and_hessian_of_its_members(model: Path):
+    mean = load_learned(model)
+    members = [load_learned(model, member=k) for k in (1, 2, 3)]
+    q, p, v, w = np.random.default_rng(0).normal(size=(4, 5, 1))
+    for name, arguments in (('energy', (q, p)), ('gradient', (q, p)),
+                            ('hessian_vector', (q, p, v, w))):
+        found = np.array(getattr(mean, name)(*arguments))
+        parts = np.array([getattr(one, name)(*arguments) for one in members])
+        # Of three numbers of order one, each sum rounds a few times.
+        np.testing.assert_allclose(found, parts.mean(axis=0), rtol=0.0,
+                                   atol=16.0 * EPS * np.abs(parts).max())
+
+
+def test_ensemble_is_saved_and_loaded_to_the_last_bit(model: Path):
+    before, after = ensemble(3), load_checkpoint(model, ensembles=True)
+    assert after.card == before.card and after.networks == {}
+    for one, other in zip(before.members, after.members, strict=True):
+        for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
+            assert a.tobytes() == b.tobytes()
+
+
+def test_what_wants_one_model_refuses_an_ensemble(model: Path):
+    with pytest.raises(ModelError, match='an ensemble of 3 models'):
+        load_checkpoint(model)
+    with pytest.raises(ModelError, match='an ensemble of 3 models'):
+        EFFECTS['learned_dissipation'](str(model))
+
+
+@pytest.mark.parametrize(('number', 'message'), [
+    (4, 'member = 4: the members are 1 to 3'), (0, 'member = 0: the members are 1 to 3')])
+def test_member_that_is_not_there_is_refused(model: Path, number: int, message: str):
+    with pytest.raises(ModelError, match=message):
+        load_learned(model, member=number)
+
+
+def test_member_of_a_model_that_is_no_ensemble_is_refused(tmp_path: Path):
+    save_checkpoint(tmp_path / 'one.safetensors', random_checkpoint([2, 4, 1], 0))
+    with pytest.raises(ModelError, match='one model, no ensemble'):
+        load_learned(tmp_path / 'one.safetensors', member=1)
+
+
+def test_file_without_a_tensor_of_a_member_is_refused(model: Path):
+    tensors = safetensors.numpy.load(model.read_bytes())
+    with safetensors.safe_open(model, 'numpy') as file:
+        metadata = file.metadata()
+    del tensors['member2.linear1.bias']
+    model.write_bytes(safetensors.numpy.save(tensors, metadata))
+    with pytest.raises(ModelError, match='member2.linear1.bias is missing'):
+        load_checkpoint(model, ensembles=True)
+
+
+@pytest.mark.parametrize(('changes', 'message'), [
+    ({'family': 'dgnet', 'friction': [0.1]}, 'family of a member|the family dgnet has none'),
+    ({'activation': 'sine'}, 'activation of a member'),
+    ({'widths': [2, 5, 1]}, 'layout of a member')])
+def test_members_that_differ_are_refused(changes: dict, message: str):
+    card = ensemble(2).card
+    data = json.loads(card.model_dump_json(exclude_none=True))
+    data['ensemble']['members'][1] |= changes
+    with pytest.raises(ValueError, match=message):
+        ModelCard.model_validate(data)
+
+
+def test_ensemble_of_ensembles_is_refused():
+    card = ensemble(2).card
+    nested = EnsembleCard.model_construct(members=[card, card])
+    data = card.model_copy(update={'ensemble': nested}).model_dump()
+    with pytest.raises(ValueError, match='one model, no ensemble'):
+        ModelCard.model_validate(data)
+
+
+def test_uncertainty_of_one_model_is_refused(tmp_path: Path):
+    save_checkpoint(tmp_path / 'one.safetensors', random_checkpoint([2, 4, 1], 0))
+    (tmp_path / 'scene.yaml').write_text(
+        'hamiltonian: {kind: learned, model: one.safetensors}\n'
+        'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
+        'initial_state: {q: [0.1], p: [0.0]}\nuncertainty: {limit: 0.2}\n')
+    with pytest.raises(SceneError, match='no mean of an ensemble'):
+        Members(load_scene(tmp_path / 'scene.yaml'))

@@ -1,0 +1,112 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The spread of an ensemble, in Python and beside a simulation that runs."""
+
+from pathlib import Path
+
+from ensembles import ensemble
+from hnn_vi_ros import load_scene, simulate, simulate_spread
+from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.guards.base import Look
+from hnn_vi_ros.guards.spread import SpreadGuard
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.run.companions import Accompanied
+from hnn_vi_ros.run.members import Members
+from hnn_vi_ros.run.spread import deviation
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+
+COUNT, FACTOR = 4, 2.0
+SCENE = """\
+hamiltonian: {kind: learned, model: several.safetensors}
+effects: [{kind: external_force, coordinates: [x0], timeout: 10.0}]
+integrator: {kind: implicit_midpoint}
+step_size: 0.05
+initial_state: {q: [0.5], p: [-0.3]}
+uncertainty: {limit: 0.01}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    save_checkpoint(tmp_path / 'several.safetensors', ensemble(COUNT, FACTOR))
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    return load_scene(tmp_path / 'scene.yaml')
+
+
+def test_spread_is_the_deviation_of_the_members_times_the_factor(scene: Scene):
+    found = simulate_spread(scene, 2.0, every=10)
+    assert len(found.members) == COUNT and found.level == 0.9
+    q = np.stack([one.q for one in found.members])
+    np.testing.assert_allclose(found.spread_q, FACTOR * q.std(axis=0, ddof=1), rtol=1e-14)
+    assert (found.spread_q[0] == 0.0).all() and (found.spread_q[-1] > 0.0).all()
+    mean = simulate(scene, 2.0, every=10)
+    assert found.mean.q.tobytes() == mean.q.tobytes()
+    # The members are the scene with each of them.
+    second = simulate(scene.changed({'uncertainty': None, 'hamiltonian': {
+        **scene.hamiltonian.model_dump(), 'member': 2}}), 2.0, every=10)
+    assert second.q.tobytes() == found.members[1].q.tobytes()
+
+
+def test_members_beside_a_run_step_as_they_do_alone_under_its_commands(scene: Scene):
+    members = Members(scene)
+    accompanied = Accompanied(build(scene), [members])
+    accompanied.advance(7)
+    accompanied.set_command([0.25])
+    accompanied.advance(13)
+    states = []
+    for k in range(1, COUNT + 1):
+        alone = build(scene.changed({'uncertainty': None, 'hamiltonian': {
+            **scene.hamiltonian.model_dump(), 'member': k}}))
+        alone.advance(7)
+        alone.set_command([0.25])
+        alone.advance(13)
+        states.append([*alone.q, *alone.p])
+    assert members.spread.tolist() == (FACTOR * deviation(states)).tolist()
+
+
+def test_run_with_members_is_the_run_without_them(scene: Scene):
+    with_members, alone = Accompanied(build(scene), [Members(scene)]), build(scene)
+    for simulation in (with_members, alone):
+        simulation.set_command([0.1])
+        simulation.advance(20)
+    assert with_members.q.tobytes() == alone.q.tobytes()
+    assert with_members.works == alone.works
+
+
+def test_members_begin_anew_where_the_run_does(scene: Scene):
+    members = Members(scene)
+    simulation = Accompanied(build(scene), [members])
+    simulation.advance(20)
+    snapshot = simulation.snapshot()
+    assert (members.spread > 0.0).all()
+    simulation.restart([0.1], [0.2])
+    assert (members.spread == 0.0).all()
+    simulation.advance(5)
+    simulation.restore(snapshot)
+    assert (members.spread == 0.0).all()
+
+
+def test_member_that_failed_makes_the_spread_infinite():
+    spread = deviation([[1.0, 2.0], [1.5, np.inf], [0.5, 3.0]])
+    assert spread.tolist() == [0.5, np.inf]
+
+
+def test_spread_of_an_exact_system_is_refused():
+    with pytest.raises(SceneError, match='no mean of an ensemble'):
+        simulate_spread('kepler', 1.0)
+
+
+def test_spread_guard_tells_once_when_its_limit_is_exceeded():
+    values = iter([0.0, 0.05, 0.3, 0.4, 0.1, 0.2, np.inf])
+    box = np.array([[-2.0, 2.0]]), np.array([[-1.0, 1.0]])
+    newest = [0.0]
+    guard = SpreadGuard(lambda: np.array([0.0, newest[0]]), box, 0.15)
+    zero, told = np.zeros(1), []
+    for step, value in enumerate(values):
+        newest[0] = value
+        alarm = guard.update(Look(step, zero, zero, zero, zero, 0.0, 0.0))
+        told += [] if alarm is None else [(alarm.step, alarm.value, alarm.limit)]
+    assert told == [(2, 0.3, 0.15), (5, 0.2, 0.15)]

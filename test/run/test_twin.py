@@ -1,0 +1,141 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A twin tells how well it follows a machine, here one that is simulated."""
+
+from pathlib import Path
+
+from hnn_vi_ros import load_scene, Scene
+from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.run.companions import Accompanied
+from hnn_vi_ros.run.twin import Twin, VALID
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+
+STEP, EVERY, NAN = 0.005, 2, float('nan')
+SCENE = """\
+hamiltonian: {{kind: pendulum, length: {length}}}
+effects: [{{kind: external_force, coordinates: [angle], timeout: 1.0}}{observer}]
+integrator: {{kind: generalized_leapfrog}}
+step_size: 0.005
+initial_state: {{q: [{angle}], p: [0.0]}}
+"""
+
+
+def scene_of(folder: Path, length: float = 1.0, angle: float = 1.0, **observer: object) -> Scene:
+    more = ''.join(f', {name}: {value}' for name, value in observer.items())
+    text = f', {{kind: observer, coordinates: [angle]{more}}}' if observer else ''
+    path = folder / f'{length}-{angle}-{bool(observer)}.yaml'
+    path.write_text(SCENE.format(length=length, angle=angle, observer=text))
+    return load_scene(path)
+
+
+def seen(machine: Simulation, velocity: bool = True) -> Observation:
+    return Observation(('angle',), 0.0, machine.q.copy(), machine.dH_dp.copy() if velocity
+                       else np.array([NAN]))
+
+
+def follow(twin: Twin, simulation: Accompanied, machine: Simulation, observations: int,
+           velocity: bool = True) -> list:
+    reports = []
+    for k in range(observations):
+        force = [0.5 * np.sin(0.3 * k)]
+        simulation.set_command(seen(machine, velocity))
+        reports.append(twin.newest)
+        for one in (simulation, machine):
+            one.set_command(force)
+            one.advance(EVERY)
+    return reports
+
+
+def test_twin_of_a_machine_that_it_knows_predicts_it_to_the_end(tmp_path: Path):
+    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
+    simulation, machine = build(scene), build(scene_of(tmp_path))
+    twin = Twin(scene, simulation)
+    reports = follow(twin, Accompanied(simulation, [twin]), machine, 250)
+    # A prediction begins at the momentum of the observed velocity, which is rounded.
+    assert max(report.normalised for report in reports[1:]) < 1e-20
+    assert all(report.error == 0.0 for report in reports)
+    # It ends after two seconds all the same.
+    assert twin.ended == 1 and twin.valid_prediction_time == pytest.approx(2.0, abs=1e-9)
+
+
+def independent_times(scene: Scene, machine: Simulation, deviation: float, observations: int
+                      ) -> list[float]:
+    """Return the valid prediction times of predictions that follow one another."""
+    prediction, began, times = build(scene), None, []
+    for k in range(observations):
+        if began is not None:
+            error = machine.q[0] - prediction.q[0]
+            if (error / deviation)**2 >= VALID:
+                times.append(EVERY * STEP * (k - began))
+                began = None
+        if began is None:
+            # p = m l^2 q' of the model's own length, 1.2 m.
+            prediction = build(scene)
+            prediction.restart(machine.q, 1.44 * machine.dH_dp)
+            began = k
+        for one in (prediction, machine):
+            one.set_command([0.5 * np.sin(0.3 * k)])
+            one.advance(EVERY)
+    return times
+
+
+def test_running_prediction_time_is_that_of_predictions_one_after_another(tmp_path: Path):
+    deviation, count = 0.5, 300
+    scene = scene_of(tmp_path, length=1.2, gain=0.0, deviations=[deviation])
+    simulation, machine = build(scene), build(scene_of(tmp_path))
+    twin = Twin(scene, simulation)
+    follow(twin, Accompanied(simulation, [twin]), machine, count)
+    machine.restart([1.0], [0.0])
+    times = independent_times(scene_of(tmp_path, length=1.2), machine, deviation, count)
+    assert twin.ended == len(times) > 3
+    np.testing.assert_allclose(twin.times, times, atol=1e-9)
+    ordered = np.sort(times)
+    middle = ordered[np.searchsorted(np.cumsum(ordered), 0.5 * np.sum(ordered))]
+    assert twin.valid_prediction_time == pytest.approx(middle, abs=1e-9)
+
+
+def test_observer_brings_the_simulation_to_the_machine(tmp_path: Path):
+    scene = scene_of(tmp_path, angle=0.4, gain=60.0, damping=10.0)
+    simulation, machine = build(scene), build(scene_of(tmp_path))
+    twin = Twin(scene, simulation)
+    reports = follow(twin, Accompanied(simulation, [twin]), machine, 300)
+    assert abs(reports[0].error[0]) == pytest.approx(0.6)
+    # exp(-5 x 3 s) of it is left, and what observations are held and extrapolated for 10 ms.
+    assert max(abs(report.error[0]) for report in reports[-50:]) < 1e-3
+
+
+def test_velocities_that_are_not_observed_are_those_between_observations(tmp_path: Path):
+    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
+    simulation, machine = build(scene), build(scene_of(tmp_path, angle=1.5))
+    twin = Twin(scene, simulation)
+    reports = follow(twin, Accompanied(simulation, [twin]), machine, 20, velocity=False)
+    # The first begins at rest, as the machine does.
+    assert reports[1].normalised < 1e-20
+    assert np.isfinite([report.normalised for report in reports[1:]]).all()
+
+
+def test_twin_forgets_the_machine_where_the_run_begins_anew(tmp_path: Path):
+    scene = scene_of(tmp_path, length=1.2, gain=0.0)
+    simulation, machine = build(scene), build(scene_of(tmp_path))
+    twin = Twin(scene, simulation)
+    accompanied = Accompanied(simulation, [twin])
+    follow(twin, accompanied, machine, 60)
+    assert twin.ended > 0
+    accompanied.restart([1.0], [0.0])
+    assert twin.newest is None and twin.ended == 0 and np.isnan(twin.valid_prediction_time)
+
+
+def test_observation_without_end_of_numbers_is_no_reason_to_stop(tmp_path: Path):
+    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
+    simulation = build(scene)
+    twin = Twin(scene, simulation)
+    accompanied = Accompanied(simulation, [twin])
+    accompanied.set_command(Observation(('angle',), 0.0, np.array([1e300]), np.array([1e300])))
+    accompanied.advance(3)
+    accompanied.set_command(Observation(('angle',), 0.0, np.array([-1e300]), np.array([0.0])))
+    accompanied.advance(3)
+    assert twin.failed > 0
+    assert np.isfinite(simulation.q).all()
