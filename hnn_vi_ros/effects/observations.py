@@ -8,6 +8,8 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.commands import Command, Observation
 import numpy as np
 
+# What joints are at, or move by in a second; far beyond, numbers overflow.
+_LARGEST = 1e9
 # Older than the last one by less than this, an observation is the same one again [s].
 _LEAST = 1e-9
 
@@ -37,8 +39,12 @@ class ObserverParameters(NamedTuple):
     clock: np.ndarray
 
 
-def check_observed(names: Sequence[str], deviations: Sequence[float] | None) -> None:
-    """Raise ValueError where names, or a standard deviation for each of them, cannot be used."""
+def check_observed(names: Sequence[str], deviations: Sequence[float] | None, **gains: float
+                   ) -> None:
+    """Raise ValueError where names, a standard deviation for each, or gains cannot be used."""
+    for gain, value in gains.items():
+        if not (np.isfinite(value) and value >= 0.0):
+            raise ValueError(f'{gain} = {value} must be at least 0 and finite')
     if not names or len(set(names)) < len(names):
         raise ValueError(f'coordinates = {names} must name at least one, each once')
     if deviations is not None and (len(deviations) != len(names) or not all(
@@ -60,12 +66,13 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
     given = list(command.names)
     for name in names:
         if given.count(name) != 1:
-            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it once; '
-                             f'observed are {", ".join(names)}')
+            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it '
+                             f'once; observed are {", ".join(names)}')
     rows = [given.index(name) for name in names]
     position, velocity = command.position[rows], command.velocity[rows]
-    if not np.isfinite(position).all() or np.isinf(velocity).any():
-        raise ValueError('a position is missing or not finite, or a velocity is infinite')
+    if not (np.abs(position) <= _LARGEST).all() or (np.abs(velocity) > _LARGEST).any():
+        raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
+                         f'is beyond {_LARGEST:g}')
     return position, velocity
 
 

@@ -21,10 +21,10 @@ class Observer(StepEffect, Commanded):
     """
     A Luenberger observer: q' = H_p - lambda (q - y), p' = -H_q - k (q - y), y(t) observed.
 
-    The pull k is the exact flow of the potential k (q - y)^2 / 2, the damping lambda that of a
-    decay to y, both for half a step before and after that of a method of order 1 or 2 (Strang
-    splitting). Errors of a mass m decay as those of a damped oscillator, s^2 + lambda s + k / m =
-    0. Between observations y goes on at the observed velocity. Energy account: the change of H.
+    The pull by the potential k (q - y)^2 / 2 and the decay to y are taken by their exact flow for
+    half a step, before and after that of a method of order 1 or 2 (Strang splitting). Errors of a
+    mass m decay as a damped oscillator, s^2 + lambda s + k / m = 0. Between observations y goes
+    on at the observed velocity. Energy account: the change of H.
 
     Parameters
     ----------
@@ -57,10 +57,7 @@ class Observer(StepEffect, Commanded):
     def __init__(self, coordinates: list[str], gain: float = 0.0, damping: float = 0.0,
                  timeout: float = 0.5, deviations: list[float] | None = None):
         check_positive(timeout=timeout)
-        for name, value in (('gain', gain), ('damping', damping)):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f'{name} = {value} must be at least 0 and finite')
-        check_observed(coordinates, deviations)
+        check_observed(coordinates, deviations, gain=gain, damping=damping)
         self.names, self.gain, self.damping = coordinates, float(gain), float(damping)
         self.timeout, self.deviations = float(timeout), deviations
 
@@ -92,10 +89,12 @@ def _flow(own: ObserverParameters, h: float, q: np.ndarray, p: np.ndarray, p_car
           ) -> None:
     # Half a step from either end is the same instant: the splitting stays symmetric.
     t, row = own.clock[0] + h, own.knots[own.knots.shape[0] - 1]
-    n = own.places.size
+    n, decay = own.places.size, math.expm1(-own.damping * h)
+    # Of both together, which do not commute: the integral of exp(-lambda t) over h.
+    pull = own.gain * (-decay / own.damping if own.damping > 0.0 else h)
     if t <= row[0] and own.gain + own.damping > 0.0:
         for k in range(n):
             i = own.places[k]
             away = q[i] - row[2 + k] - (t - row[1]) * row[2 + n + k]
-            p[i] -= h * own.gain * away
-            q[i] += math.expm1(-own.damping * h) * away
+            p[i] -= pull * away
+            q[i] += decay * away

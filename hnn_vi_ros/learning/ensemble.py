@@ -124,8 +124,10 @@ def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | N
     Inference for Regression, JASA 2018.
 
     """
-    held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2) if isinstance(config.data, ExactData) else \
-        None if test is None else _held_measured(checkpoint, test)
+    if isinstance(config.data, ExactData):
+        held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2)
+    else:
+        held = None if test is None else _held_measured(checkpoint, test)
     if held is None or held.q.shape[1] < _FEWEST:
         return checkpoint
     scores = scores_of(checkpoint, held)

@@ -21,9 +21,9 @@ from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning import machine_train
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.energy_account import friction_work, integrated
 from hnn_vi_ros.learning.ensemble import (
     calibrated, check_ensemble, combined, held_out, resampled)
-from hnn_vi_ros.learning.energy_account import friction_work, integrated
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import EnergyFamily, Trainable
 from hnn_vi_ros.learning.interruption import Keeper

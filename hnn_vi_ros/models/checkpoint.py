@@ -7,8 +7,8 @@ The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linea
 the order of the layers, with the card's activation between them, of the one network of a model.
 Those of a model of several networks begin with the network's name, as in
 ``potential.linear1.weight``; in an ensemble of N such models, those of each before that with the
-member's number, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a ModelCard as JSON. Nothing in
-it is ever executed.
+member's number, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a
+ModelCard as JSON. Nothing in it is ever executed.
 """
 
 from collections.abc import Iterator, Mapping

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.commands import (
-    Command, EFFORT, JointCommand, JointPath, NUMBERS, Observation, OBSERVATION, PATH, POSITION,
+    Command, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION, Observation, PATH, POSITION,
     VELOCITY)
 import numpy as np
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 import warnings
@@ -118,12 +119,11 @@ def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
     card = ensemble_card(scene)
     scene, _ = resolve(scene)
     mean = simulate(scene, duration, **options)
-    members = []
     with warnings.catch_warnings():
         # Of the mean all is told; a member that leaves its box is what the band shows.
         warnings.simplefilter('ignore', AlarmWarning)
-        for own in member_scenes(scene, len(card.members)):
-            members.append(_or_failed(lambda own=own: simulate(own, duration, **options), mean))
+        members = [_or_failed(partial(simulate, own, duration, **options), mean)
+                   for own in member_scenes(scene, len(card.members))]
     factor = card.factor or 1.0
     return SpreadTrajectory(
         mean, tuple(members), factor * deviation([one.q for one in members]),

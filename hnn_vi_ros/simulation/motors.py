@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from hnn_vi_ros.effects.base import Effect, Force
-from hnn_vi_ros.effects.commands import Aim, Command, Commanded, contents, EFFORT, NUMBERS, OBSERVATION
+from hnn_vi_ros.effects.commands import (
+    Aim, Command, Commanded, contents, EFFORT, NUMBERS, OBSERVATION)
 import numpy as np
 
 

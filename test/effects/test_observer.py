@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """An observer draws a simulation to what is observed, and refuses what cannot be."""
 
+from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.effects.observer import Observer
-from hnn_vi_ros.errors import EffectError, UnsupportedSystem
+from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
@@ -39,7 +40,8 @@ def test_observer_converges_with_order_2_to_the_damped_oscillator():
         values, vectors = np.linalg.eig(matrix)
         start = np.linalg.solve(vectors, [0.4 - y0, 1.0 - MASS * w])
         e, p = (vectors @ (np.exp(values * T) * start)).real
-        errors.append(np.hypot(simulation.q[0] - (y0 + w * T + e), simulation.p[0] - MASS * w - p))
+        errors.append(np.hypot(simulation.q[0] - (y0 + w * T + e),
+                               simulation.p[0] - MASS * w - p))
     assert 3.6 < errors[0] / errors[1] < 4.4
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 import signal
 from xml.etree import ElementTree
 
+from ensembles import ensemble
+from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.simulate_steps import ACTION
 from hnn_vi_ros.ros.simulation_services import INTERFACES, service_name
 from peer import Peer, peer, SIMULATOR
@@ -20,11 +22,19 @@ hamiltonian: {{kind: urdf, file: {robot}}}
 effects:
   - {{kind: external_force, coordinates: [elbow]}}
   - {{kind: servo, coordinates: [shoulder, elbow], stiffness: 1.0}}
+  - {{kind: observer, coordinates: [shoulder]}}
 integrator: {{kind: generalized_leapfrog}}
 step_size: 0.002
 initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
 events: [{{when: shoulder = elbow}}]
 mechanism: double_pendulum
+"""
+ENSEMBLE = """\
+hamiltonian: {kind: learned, model: several.safetensors}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [0.3], p: [-0.2]}
+uncertainty: {limit: 1.0}
 """
 
 
@@ -68,8 +78,10 @@ def describe(rights: dict[str, list[str]]) -> str:
 def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         tmp_path: Path, request: pytest.FixtureRequest):
     (tmp_path / 'arms.yaml').write_text(SCENE.format(robot=ROBOT))
+    save_checkpoint(tmp_path / 'several.safetensors', ensemble(2))
+    (tmp_path / 'several.yaml').write_text(ENSEMBLE)
     rights: dict[str, set[str]] = {}
-    for scene in ('arms.yaml', 'quadrotor'):
+    for scene in ('arms.yaml', 'several.yaml', 'quadrotor'):
         process = start(tmp_path, scene=scene, record='false', rerun_sink='none',
                         publish_clock='true', publish_accuracy='true', use_sim_time='true')
         with peer() as other:
@@ -91,7 +103,7 @@ def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():
     profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     heard = [name.text for name in profile.find("topics[@subscribe='ALLOW']")]
     assert heard == ['/clock', '~/commands', '~/initial_state', '~/joint_commands',
-                     '~/joint_trajectory', '~/wrench']
+                     '~/joint_trajectory', '~/observations', '~/wrench']
 
 
 def test_policy_holds_no_wildcard_and_no_right_to_call_others():

@@ -1,0 +1,113 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulator tells of an ensemble and of a machine, and what it makes of bad observations."""
+
+from pathlib import Path
+import signal
+
+from diagnostic_msgs.msg import DiagnosticArray
+from ensembles import ensemble
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.ros.inputs import read_observation
+from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay_check import check_replay
+import numpy as np
+from peer import peer, SIMULATOR, stamp
+from processes import finish, read_bag, start
+import pytest
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+
+NAN = float('nan')
+SCENE = """\
+hamiltonian: {{kind: learned, model: {model}}}
+effects: [{{kind: observer, coordinates: [x0], gain: 5.0, damping: 4.0, deviations: [0.1]}}]
+integrator: {{kind: implicit_midpoint}}
+step_size: 0.01
+initial_state: {{q: [0.3], p: [-0.2]}}
+uncertainty: {{limit: 1.0e-6}}
+"""
+
+
+def observation(position: list[float], names: tuple[str, ...] = ('x0',), at: int = 0,
+                **lists: list[float]) -> JointState:
+    message = JointState(name=list(names), position=position, **lists)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(at, 10**9)
+    return message
+
+
+def test_observation_of_a_message_is_now_or_at_its_stamp():
+    found = read_observation(observation([1.0, 2.0], ('a', 'b'), at=3 * 10**9), 4 * 10**9)
+    assert (found.names, found.delay) == (('a', 'b'), -1.0)
+    assert found.position.tolist() == [1.0, 2.0] and np.isnan(found.velocity).all()
+    assert read_observation(observation([1.0], velocity=[0.5]), 4 * 10**9).delay == 0.0
+    with pytest.raises(ValueError, match='position has 2 numbers for 1 names'):
+        read_observation(observation([1.0, 2.0]), 0)
+
+
+def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observations(
+        tmp_path: Path):
+    save_checkpoint(tmp_path / 'several.safetensors', ensemble(3))
+    (tmp_path / 'scene.yaml').write_text(SCENE.format(model=tmp_path / 'several.safetensors'))
+    process = start(tmp_path, scene='scene.yaml', record_path='bag', rerun_path='run.rrd')
+    with peer() as other:
+        node = other.node
+        machine = node.create_publisher(
+            JointState, f'{SIMULATOR}/observations', qos_profile_sensor_data)
+        spreads, errors, told = [], [], []
+        for kind, name, heard in ((JointState, f'{SIMULATOR}/uncertainty', spreads),
+                                  (JointState, f'{SIMULATOR}/prediction_error', errors),
+                                  (DiagnosticArray, '/diagnostics', told)):
+            node.create_subscription(kind, name, heard.append, 10)
+        other.spin_until(lambda: other.states and spreads and machine.get_subscription_count()
+                         and node.count_publishers(f'{SIMULATOR}/prediction_error'))
+        for k in range(20):
+            count = len(errors)
+            machine.publish(observation([0.2 + 0.001 * k, 7.0], ('x0', 'gripper')))
+            other.spin_until(lambda count=count: len(errors) > count)
+        for bad in (observation([NAN]), observation([0.1, 0.2]), observation([0.1], ('x1',)),
+                    observation([0.1], ('x0',), at=10**18), observation([], ())):
+            machine.publish(bad)
+            other.spin(0.05)
+        for k in range(500):  # of a flood some are dropped, and none is a reason to stop
+            machine.publish(observation([0.2], velocity=[0.0]))
+        count = len(other.states)
+
+        def ignored() -> int:
+            values = {value.key: value.value for message in told for status in message.status
+                      if status.name.endswith(': twin') for value in status.values}
+            return int(values.get('ignored observations [1]', 0))
+        other.spin_until(lambda: ignored() == 5 and len(other.states) > count + 20)
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0 and '~/observations: message ignored' in error
+    assert list(spreads[-1].name) == ['x0', 'p_x0'] and min(spreads[-1].position) > 0.0
+    assert list(errors[0].name) == [
+        'x0', 'prediction_x0', 'normalised_error', 'running_prediction_time',
+        'valid_prediction_time']
+    # The first observation: nothing is predicted before it.
+    assert np.isnan(errors[0].position[1]) and np.isfinite(errors[-1].position[0])
+    names = {status.name.rpartition(': ')[2] for message in told for status in message.status}
+    assert {'twin', 'uncertainty'} <= names
+    assert any('spread of the ensemble' == value.value for message in told
+               for status in message.status for value in status.values)
+    verdict = check_replay(tmp_path / 'bag')
+    assert verdict.good, verdict.text
+    check_bag(tmp_path / 'bag')
+
+
+def check_bag(bag: Path) -> None:
+    """Assert that observations, errors and the spread are in the bag as they were."""
+    topics = read_bag(bag)
+    commands = list(RecordedRun(bag).commands())
+    observed = topics[f'{SIMULATOR}/observations']
+    assert len(commands) == len(observed) >= 20
+    assert len(topics[f'{SIMULATOR}/prediction_error']) == len(observed)
+    states = dict(topics[f'{SIMULATOR}/state'])
+    time, first = topics[f'{SIMULATOR}/prediction_error'][0]
+    if time in states:
+        q = states[time].position[0]
+        assert first.position[0] == observed[0][1].position[0] - q
+    spread = topics[f'{SIMULATOR}/uncertainty']
+    assert [time for time, _ in spread] == [*states]
+    assert all(stamp(message) == time for time, message in spread)
