@@ -8,6 +8,7 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.commands import Command, Observation
 import numpy as np
 
+MOST_PREDICTIONS = 40
 # What joints are at, or move by in a second; far beyond, numbers overflow.
 _LARGEST = 1e9
 # Older than the last one by less than this, an observation is the same one again [s].
@@ -39,9 +40,11 @@ class ObserverParameters(NamedTuple):
     clock: np.ndarray
 
 
-def check_observed(names: Sequence[str], deviations: Sequence[float] | None, **gains: float
-                   ) -> None:
-    """Raise ValueError where names, a standard deviation for each, or gains cannot be used."""
+def check_observed(names: Sequence[str], deviations: Sequence[float] | None, predictions: int,
+                   **gains: float) -> None:
+    """Raise ValueError where what an observer takes beside its time-out cannot be used."""
+    if not 1 <= predictions <= MOST_PREDICTIONS:
+        raise ValueError(f'predictions = {predictions} must be from 1 to {MOST_PREDICTIONS}')
     for gain, value in gains.items():
         if not (np.isfinite(value) and value >= 0.0):
             raise ValueError(f'{gain} = {value} must be at least 0 and finite')

@@ -21,10 +21,9 @@ class Observer(StepEffect, Commanded):
     """
     A Luenberger observer: q' = H_p - lambda (q - y), p' = -H_q - k (q - y), y(t) observed.
 
-    The pull by the potential k (q - y)^2 / 2 and the decay to y are taken by their exact flow for
-    half a step, before and after that of a method of order 1 or 2 (Strang splitting). Errors of a
-    mass m decay as a damped oscillator, s^2 + lambda s + k / m = 0. Between observations y goes
-    on at the observed velocity. Energy account: the change of H.
+    The pull and the decay to y are taken by their exact flow for half a step, before and after
+    that of a method of order 1 or 2 (Strang). Errors of a mass m decay by s^2 + lambda s + k / m.
+    y goes on at the observed velocity until the next. Energy account: the change of H.
 
     Parameters
     ----------
@@ -37,8 +36,9 @@ class Observer(StepEffect, Commanded):
     timeout : float
         How long an observation holds, and how old one may be, > 0 [s].
     deviations : list of float, optional
-        Standard deviation of each coordinate, by which errors of predictions are judged [m],
-        [rad]; by default that of the observations so far.
+        Standard deviations, the units of errors [m], [rad]; by default of what was observed.
+    predictions : int
+        From 1 to 40; one begins every 2 s / this.
 
     Raises
     ------
@@ -51,26 +51,26 @@ class Observer(StepEffect, Commanded):
 
     """
 
-    single, knots = True, 1
-    takes = frozenset({OBSERVATION})
+    single, knots, takes = True, 1, frozenset({OBSERVATION})
 
     def __init__(self, coordinates: list[str], gain: float = 0.0, damping: float = 0.0,
-                 timeout: float = 0.5, deviations: list[float] | None = None):
+                 timeout: float = 0.5, deviations: list[float] | None = None,
+                 predictions: int = 4):
         check_positive(timeout=timeout)
-        check_observed(coordinates, deviations, gain=gain, damping=damping)
+        check_observed(coordinates, deviations, predictions, gain=gain, damping=damping)
         self.names, self.gain, self.damping = coordinates, float(gain), float(damping)
-        self.timeout, self.deviations = float(timeout), deviations
+        self.timeout = float(timeout)
 
     def accepts(self, integrator: Integrator) -> bool:
         """Tell whether splitting leaves the method its order."""
-        return super().accepts(integrator) and integrator.order <= 2 \
-            and integrator.requirements.from_state
+        own = integrator.requirements
+        return own.from_state and integrator.order <= 2 and super().accepts(integrator)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ObserverParameters:
         """Return the places, the gains, and what is observed."""
         places = np.array([coordinate_index(coordinates, name) for name in self.names])
-        return ObserverParameters(
-            places, self.gain, self.damping, state.reference.knots, state.clock)
+        knots = state.reference.knots
+        return ObserverParameters(places, self.gain, self.damping, knots, state.clock)
 
     def prepare(self, command: Command, parameters: ObserverParameters, q: np.ndarray
                 ) -> Callable[[], None]:
@@ -90,7 +90,7 @@ def _flow(own: ObserverParameters, h: float, q: np.ndarray, p: np.ndarray, p_car
     # Half a step from either end is the same instant: the splitting stays symmetric.
     t, row = own.clock[0] + h, own.knots[own.knots.shape[0] - 1]
     n, decay = own.places.size, math.expm1(-own.damping * h)
-    # Of both together, which do not commute: the integral of exp(-lambda t) over h.
+    # The integral of exp(-lambda t) over h: both act together.
     pull = own.gain * (-decay / own.damping if own.damping > 0.0 else h)
     if t <= row[0] and own.gain + own.damping > 0.0:
         for k in range(n):

@@ -172,7 +172,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
 
     """
     path = Path(path)
-    tensors = {}
+    tensors: dict[str, np.ndarray] = {}
     for k, member in enumerate(checkpoint.members, start=1):
         tensors |= _tensors(path, member, f'member{k}.')
     if not checkpoint.members:

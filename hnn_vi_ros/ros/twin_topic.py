@@ -97,5 +97,5 @@ class TwinTopic:
             'running_prediction_time [s]': report.running,
             'valid_prediction_time [s]': twin.valid_prediction_time}
         return Status('twin', level, message, {
-            **figures, 'predictions [1]': twin.ended, 'failed predictions [1]': twin.failed,
+            **figures, 'predictions [1]': len(twin.times), 'failed predictions [1]': twin.failed,
             'ignored observations [1]': ignored})

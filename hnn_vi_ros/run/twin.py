@@ -3,7 +3,6 @@
 """How well a simulation follows the machine that it is the twin of, while both run."""
 
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 import warnings
 
@@ -23,6 +22,8 @@ VALID = 0.01
 # A prediction that is still valid after this time ends all the same [s], and predictions of
 # which the median is taken.
 _LONGEST, _KEPT = 2.0, 1000
+# Times that are no further apart are the same [s].
+_SAME = 1e-9
 
 
 class Report(NamedTuple):
@@ -36,11 +37,11 @@ class Report(NamedTuple):
     error : np.ndarray, shape (n,)
         Observed less simulated coordinates.
     prediction_error : np.ndarray, shape (n,)
-        Observed less predicted ones; NaN while nothing is predicted.
+        Observed less predicted ones, of the oldest prediction; NaN while there is none.
     normalised : float
         sum_i (error of the prediction of q_i)^2 / var_i [1].
     running : float
-        For how long the present prediction has been valid [s].
+        For how long that prediction has run [s].
 
     """
 
@@ -51,13 +52,23 @@ class Report(NamedTuple):
     running: float
 
 
+class Prediction:
+    """A simulation without an observer, which begins at an observation."""
+
+    def __init__(self, simulation: Simulation):
+        self.simulation = simulation
+        # When it began [s]; None while it waits.
+        self.began: float | None = None
+
+
 class Twin:
     """
     Compare a simulation, and predictions beside it, with what is observed; see Companion.
 
-    A prediction is a second simulation of the scene without its observer, under the same
-    commands. It begins at an observation, and ends where its error is no longer valid, or after
-    two seconds; then the next one begins at the observation that ended it.
+    A prediction is another simulation of the scene without its observer, under the same commands.
+    It begins at an observation, at even times, and ends where its error is no longer valid, or
+    after two seconds. Those that begin at even times are a fair sample: if each began where the
+    one before has ended, hard instants would count too little or too much.
 
     Parameters
     ----------
@@ -83,25 +94,28 @@ class Twin:
         names = columns(simulation.hamiltonian.coordinates)[0]
         self._places = [names.index(name) for name in self.names]
         free = [choice.model_dump() for choice in scene.effects if choice.kind != 'observer']
+        alone = scene.changed({'effects': free, 'events': [], 'uncertainty': None})
         with warnings.catch_warnings():
             # What is to be said of the scene is said of the simulation.
             warnings.simplefilter('ignore')
-            self._shadow = build(scene.changed({'effects': free, 'events': []}))
-            self._shadow.compile()
+            self._predictions = [Prediction(build(alone)) for _ in range(observer.predictions)]
+            self._predictions[0].simulation.compile()
+        self._every = _LONGEST / observer.predictions
         self.newest: Report | None = None
         self.failed = 0
-        self._simulation, self._command = simulation, None
-        self._ended: deque[float] = deque(maxlen=_KEPT)
+        self._simulation = simulation
         self._forget()
 
     def _forget(self) -> None:
         """Know nothing of the machine."""
         self.newest, self.failed = None, 0
         self._command = self._before = None
-        self._began: float | None = None
-        self._ended.clear()
+        self._ended: deque[float] = deque(maxlen=_KEPT)
+        self._due = -np.inf
         self._count, self._mean, self._square = 0, np.zeros(len(self.names)), np.zeros(
             len(self.names))
+        for prediction in self._predictions:
+            prediction.began = None
 
     def begin(self, simulation: Simulation) -> None:
         """See Companion."""
@@ -110,11 +124,11 @@ class Twin:
 
     def advance(self, n: int) -> None:
         """See Companion."""
-        if self._began is not None:
+        for prediction in self._active():
             try:
-                self._shadow.advance(n)
+                prediction.simulation.advance(n)
             except StepFailure:
-                self._fail()
+                prediction.began, self.failed = None, self.failed + 1
 
     def set_command(self, command: Command) -> None:
         """See Companion; an observation is compared."""
@@ -122,8 +136,8 @@ class Twin:
             self._observe(command)
             return
         self._command = command, self._now
-        if self._began is not None:
-            self._shadow.set_command(command)
+        for prediction in self._active():
+            prediction.simulation.set_command(command)
 
     @property
     def times(self) -> list[float]:
@@ -131,54 +145,55 @@ class Twin:
         return list(self._ended)
 
     @property
-    def valid_prediction_time(self) -> float:
-        """Return the median of these; NaN before one has ended."""
-        return self.median(self._ended)
-
-    @staticmethod
-    def median(times: Sequence[float]) -> float:
-        """
-        Return the median of prediction times [s], each of which counts by its length.
-
-        So often would predictions that begin at even times, as those of ``evaluate``, have begun
-        while it lasted.
-        """
-        if not times:
-            return np.nan
-        ordered = np.sort(times)
-        shares = np.cumsum(ordered)
-        return float(ordered[np.searchsorted(shares, 0.5 * shares[-1])])
+    def running(self) -> list[float]:
+        """Return for how long each prediction has been valid that has not ended [s]."""
+        return [self._now - began for one in self._active() if (began := one.began) is not None]
 
     @property
-    def ended(self) -> int:
-        """Return how many predictions the median is of."""
-        return len(self._ended)
+    def valid_prediction_time(self) -> float:
+        """Return the median of those that ended [s]; NaN before one has."""
+        return float(np.median(self._ended)) if self._ended else np.nan
 
     @property
     def _now(self) -> float:
         return float(self._simulation.steps * self._simulation.step_size)
 
+    def _active(self) -> list[Prediction]:
+        """Return the predictions that run, the oldest first."""
+        return sorted((one for one in self._predictions if one.began is not None),
+                      key=lambda one: one.began)
+
     def _observe(self, seen: Observation) -> None:
         position, velocity = select(seen, self.names)
         velocity = self._velocity(position, velocity, seen.delay)
-        simulated = self._at(self._simulation, seen.delay)
         self._count += 1
         change = position - self._mean
         self._mean = self._mean + change / self._count
         self._square = self._square + change * (position - self._mean)
-        error, normalised, running = np.full(len(self.names), np.nan), np.nan, 0.0
-        if self._began is not None:
-            error = position - self._at(self._shadow, seen.delay)
-            running = max(0.0, self._now + seen.delay - self._began)
-            with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-                parts = error**2 / self._variance
-            normalised = float(np.where(error == 0.0, 0.0, parts).sum())
-            if not normalised < VALID or running >= _LONGEST:
-                self._ended.append(running)
-                self._began = None
-        if self._began is None:
+        found = [(error, *self._judge(one, error, seen.delay)) for one in self._active()
+                 for error in (position - self._at(one.simulation, seen.delay),)]
+        error, normalised, age = found[0] if found else (
+            np.full(len(self.names), np.nan), np.nan, 0.0)
+        now = self._now + seen.delay
+        if now >= self._due - _SAME:
             self._predict(position, velocity, seen.delay)
-        self.newest = Report(seen.delay, position - simulated, error, normalised, running)
+            # At even times, whatever the rate of the observations.
+            late = self._due <= now - self._every
+            self._due = (now if late else self._due) + self._every
+        self.newest = Report(seen.delay, position - self._at(self._simulation, seen.delay),
+                             error, normalised, age)
+
+    def _judge(self, prediction: Prediction, error: np.ndarray, delay: float
+               ) -> tuple[float, float]:
+        """Return the normalised error and the age of a prediction, and end it where that is due."""
+        assert prediction.began is not None, 'it runs'
+        age = max(0.0, self._now + delay - prediction.began)
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+            normalised = float(np.where(error == 0.0, 0.0, error**2 / self._variance).sum())
+        if not normalised < VALID or age >= _LONGEST - _SAME:
+            self._ended.append(age)
+            prediction.began = None
+        return normalised, age
 
     @property
     def _variance(self) -> np.ndarray:
@@ -201,24 +216,24 @@ class Twin:
 
     def _predict(self, position: np.ndarray, velocity: np.ndarray, delay: float) -> None:
         """Begin a prediction at an observation; what is not observed is as it is simulated."""
-        own, shadow = self._simulation, self._shadow
+        waiting = [one for one in self._predictions if one.began is None]
+        if not waiting:
+            return
+        own, simulation = self._simulation, waiting[0].simulation
         q, v = own.q.copy(), own.dH_dp.copy()
         q[self._places], v[self._places] = position - delay * velocity, velocity
         try:
-            p = momentum(shadow.hamiltonian, q, v, own.p.copy())
-            shadow.restart(q, p, step=own.steps)
+            p = momentum(simulation.hamiltonian, q, v, own.p.copy())
+            simulation.restart(q, p, step=own.steps)
             if self._command is not None:
-                shadow.set_command(self._aged(*self._command))
+                simulation.set_command(self._aged(*self._command))
         except (ModelError, StepFailure, ValueError):
-            self._fail()
+            self.failed += 1
             return
-        self._began = self._now + delay
+        waiting[0].began = self._now + delay
 
     def _aged(self, command: Command, since: float) -> Command:
         """Return a command as it stands now."""
         if isinstance(command, JointPath):
             return command._replace(delay=command.delay - (self._now - since))
         return command
-
-    def _fail(self) -> None:
-        self._began, self.failed = None, self.failed + 1

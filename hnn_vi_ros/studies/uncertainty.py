@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 # States of either kind, and motions.
-_STATES, _MOTIONS = 4000, 1000
+_STATES, _MOTIONS = 4000, 500
 # How much wider the box is that states outside are drawn from.
 _WIDER = 2.0
 
