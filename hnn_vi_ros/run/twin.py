@@ -185,7 +185,7 @@ class Twin:
 
     def _judge(self, prediction: Prediction, error: np.ndarray, delay: float
                ) -> tuple[float, float]:
-        """Return the normalised error and the age of a prediction, and end it where that is due."""
+        """Return normalised error and age of a prediction, and end it where that is due."""
         assert prediction.began is not None, 'it runs'
         age = max(0.0, self._now + delay - prediction.began)
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):

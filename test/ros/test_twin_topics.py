@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulator tells of an ensemble and of a machine, and what it makes of bad observations."""
+"""What a simulator tells of an ensemble and a machine, and makes of bad observations."""
 
 from pathlib import Path
 import signal
