@@ -74,7 +74,8 @@ class Scene(StrictModel):
               initial_state: Mapping[str, Any] | tuple[Any, Any],
               step_size: float | None = None, effects: Sequence[Choice] = (),
               events: Sequence[Mapping[str, Any]] = (),
-              invariants: Sequence[Mapping[str, Any]] = (), on_failure: str = 'substep',
+              invariants: Sequence[Mapping[str, Any]] = (),
+              uncertainty: Mapping[str, Any] | None = None, on_failure: str = 'substep',
               mechanism: str | None = None, description: str = '', name: str = 'scene'
               ) -> 'Scene':
         """
@@ -93,6 +94,8 @@ class Scene(StrictModel):
             What acts beside H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
         events, invariants : sequence of mapping, optional
             What is watched for, and what the motion conserves beside H.
+        uncertainty : mapping, optional
+            Of an ensemble, what is told of how far its members come apart.
         on_failure : str, optional
             What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
         mechanism : str, optional
@@ -115,6 +118,7 @@ class Scene(StrictModel):
             'effects': [of_kind(effect) for effect in effects],
             'integrator': of_kind(integrator), 'step_size': step_size, 'initial_state': state,
             'on_failure': on_failure, 'events': events, 'invariants': invariants,
+            'uncertainty': uncertainty,
             'mechanism': mechanism})
         scene = _validated(data, f'Scene.build {name}')
         scene._origin = Origin(Path(name))
