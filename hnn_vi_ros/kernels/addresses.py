@@ -97,8 +97,9 @@ def provide(kernel: Kernel, *which: int) -> None:
     """
     target: Any = kernel.parameters
     memory = _memory_of(target)
-    for inner in _called_by(memory.kernel):
-        provide(kernel._replace(parameters=inner), *{*which, 1} if 2 in which else which)
+    inner = memory.kernel.parameters
+    if isinstance(inner, tuple) and inner and isinstance(inner[0], Target):
+        provide(kernel._replace(parameters=inner[0]), *{*which, 1} if 2 in which else which)
     for k in which:
         if k not in memory.entries:
             function = functions_of(memory.kernel)[k]
@@ -134,15 +135,6 @@ def _memory_of(target: Target) -> _Memory:
     memory = Block.of(target.words)
     assert isinstance(memory, _Memory)
     return memory
-
-
-def _called_by(kernel: Kernel) -> tuple[Target, ...]:
-    """Return what the functions of a kernel call by address: its first parameter, or all of it."""
-    first: Any = next(iter(kernel.parameters), None)
-    if isinstance(first, Target):
-        return (first,)
-    several = type(first) is tuple and first and all(isinstance(one, Target) for one in first)
-    return first if several else ()
 
 
 def _late(memory: _Memory, k: int) -> Any:

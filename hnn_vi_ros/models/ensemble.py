@@ -22,14 +22,17 @@ class MeanParameters(NamedTuple):
 
     Parameters
     ----------
-    members : tuple of Target
-        The parameters of each member, by address.
+    first : Target
+        The parameters of the first member, by address: what is compiled before the first step.
+    others : tuple of Target
+        Those of the others, which are of the same type and call the same code.
     part_q, part_p : np.ndarray, shape (d,)
         Space for what one member says of one state.
 
     """
 
-    members: tuple[Target, ...]
+    first: Target
+    others: tuple[Target, ...]
     part_q: np.ndarray
     part_p: np.ndarray
 
@@ -71,9 +74,8 @@ class EnsembleHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         kernels = [by_address(member.kernel) for member in self.members]
-        parameters = MeanParameters(
-            tuple(Target(kernel.parameters[0]) for kernel in kernels), *np.zeros(
-                (2, self.dimension)))
+        first, *others = (Target(*kernel.parameters) for kernel in kernels)
+        parameters = MeanParameters(first, tuple(others), *np.zeros((2, self.dimension)))
         return composed(kernels[0], _mean(*functions_of(kernels[0])), (EnsembleHamiltonian,),
                         parameters)
 
@@ -110,34 +112,40 @@ def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonia
 def _mean(member_energy: Energy, member_gradient: Gradient,
           member_hessian_vector: HessianVector) -> Functions:
     def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
-        total = 0.0
-        for member in parameters.members:
-            total += member_energy(member, q, p)
-        return total / len(parameters.members)
+        total = member_energy(parameters.first, q, p)
+        for other in parameters.others:
+            total += member_energy(other, q, p)
+        return total / (1 + len(parameters.others))
 
     def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
-        part_q, part_p, share = parameters.part_q, parameters.part_p, 1.0 / len(parameters.members)
-        d = part_q.size
-        dH_dq[:], dH_dp[:] = 0.0, 0.0
-        for member in parameters.members:
+        part_q, part_p = parameters.part_q, parameters.part_p
+        d, share = part_q.size, 1.0 / (1 + len(parameters.others))
+        member_gradient(parameters.first, q, p, dH_dq, dH_dp)
+        for other in parameters.others:
             for a in range(0, q.size, d):
-                member_gradient(member, q[a:a + d], p[a:a + d], part_q, part_p)
+                member_gradient(other, q[a:a + d], p[a:a + d], part_q, part_p)
                 for i in range(d):
-                    dH_dq[a + i] += share * part_q[i]
-                    dH_dp[a + i] += share * part_p[i]
+                    dH_dq[a + i] += part_q[i]
+                    dH_dp[a + i] += part_p[i]
+        for i in range(q.size):
+            dH_dq[i] *= share
+            dH_dp[i] *= share
 
     def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray,
                        v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                        product_p: np.ndarray) -> None:
-        part_q, part_p, share = parameters.part_q, parameters.part_p, 1.0 / len(parameters.members)
-        d = part_q.size
-        product_q[:], product_p[:] = 0.0, 0.0
-        for member in parameters.members:
+        part_q, part_p = parameters.part_q, parameters.part_p
+        d, share = part_q.size, 1.0 / (1 + len(parameters.others))
+        member_hessian_vector(parameters.first, q, p, v_q, v_p, product_q, product_p)
+        for other in parameters.others:
             for a in range(0, q.size, d):
                 b = a + d
-                member_hessian_vector(member, q[a:b], p[a:b], v_q[a:b], v_p[a:b], part_q, part_p)
+                member_hessian_vector(other, q[a:b], p[a:b], v_q[a:b], v_p[a:b], part_q, part_p)
                 for i in range(d):
-                    product_q[a + i] += share * part_q[i]
-                    product_p[a + i] += share * part_p[i]
+                    product_q[a + i] += part_q[i]
+                    product_p[a + i] += part_p[i]
+        for i in range(q.size):
+            product_q[i] *= share
+            product_p[i] *= share
     return energy, gradient, hessian_vector
