@@ -30,6 +30,6 @@ def test_bands_are_the_state_less_and_plus_its_spread_where_there_are_members(
     if not band:
         assert not set(BANDS) & set(entities)
         return
-    q, p = ([row for row in entities[path]['Scalars:scalars']] for path in BANDS)
+    q, p = (entities[path]['Scalars:scalars'] for path in BANDS)
     assert q == [[1.0 - 0.25 * k, 1.0 + 0.25 * k] for k in range(3)]
     assert p == [[-2.0 - 0.5 * k, -2.0 + 0.5 * k] for k in range(3)]
