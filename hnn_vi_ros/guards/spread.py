@@ -29,6 +29,8 @@ class SpreadGuard(Guard):
     """
 
     kind = 'spread of the ensemble'
+    remedy = ('start where the data are dense, or train on more of them along this motion; '
+              '`uncertainty: {limit: ...}` of the scene is the bound')
 
     def __init__(self, spread: Callable[[], np.ndarray], box: tuple[np.ndarray, np.ndarray],
                  limit: float):
