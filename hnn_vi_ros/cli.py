@@ -95,6 +95,11 @@ def evaluate() -> NoReturn:
     _run('evaluate')
 
 
+def identify() -> NoReturn:
+    """Fit numbers of a scene to measured motions."""
+    _run('identify')
+
+
 def import_checkpoint() -> NoReturn:
     """Turn a network of the original HNN code into a model."""
     _run('import_checkpoint')

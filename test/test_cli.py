@@ -21,7 +21,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text())
 # The parsers are told apart by the package that their executable belongs to.
-HOMES = {'learning': ['train', 'evaluate', 'import_checkpoint'],
+HOMES = {'learning': ['train', 'evaluate', 'identify', 'import_checkpoint'],
          'ros': ['simulator', 'replay', 'rerun_bridge', 'listener'],
          'bags': ['recover_bag'], 'sweeps': ['sweep']}
 # What help can do without: these take seconds to import.

@@ -123,12 +123,17 @@ def provide_for(kernel: Kernel, step: Callable[..., Any], options: Parameters) -
     a solver uses its argument ``tangent``; see solvers.
     """
     functions = reached(step, options)
-    solves = any(line.argval == 'tangent' and line.opname.startswith('LOAD')
-                 for function in functions for line in dis.get_instructions(function))
+    solves = any(map(_takes_tangent, functions))
     names = {name for function in functions
              if solves or not function.__name__.endswith('_tangent')
              for name in names_in(function.__code__)}
     provide(kernel, *(k for k, name in enumerate(Kernel._fields[:3]) if name in names))
+
+
+@cache
+def _takes_tangent(function: Callable[..., Any]) -> bool:
+    return any(line.argval == 'tangent' and line.opname.startswith('LOAD')
+               for line in dis.get_instructions(function))
 
 
 def _memory_of(target: Target) -> _Memory:

@@ -216,7 +216,7 @@ class DifferentiableRun:
     def on_step_size(self) -> Dependence:
         """Return the dependence on h: of so many steps, so the time at their end changes too."""
         # In a step H' stands beside h, and nowhere else.
-        return _OnNumber(lambda q, p: _gradient(self._kernel, q, p) / self._h)
+        return _OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
 
     def _start(self, block: slice) -> Simulation:
         """Return the simulation with its trajectories at the initial states of a block."""
@@ -280,11 +280,11 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float) -> Dependence:
                for k, weight in enumerate(_WEIGHTS) for sign in (1.0, -1.0)]
 
     def slope(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return sum(weight * _gradient(kernel, q, p) for weight, kernel in kernels)
+        return sum(weight * gradient_of(kernel, q, p) for weight, kernel in kernels)
     return _OnNumber(slope)
 
 
-def _gradient(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+def gradient_of(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Return (H_q, H_p), shape (2, N)."""
     both = np.empty((2, q.size))
     kernel.gradient(kernel.parameters, q, p, *both)
