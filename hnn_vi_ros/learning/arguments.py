@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of training, identification and import; import nothing of what they work with."""
+"""The command lines of training, identification and import; import nothing of their work."""
 
 from pathlib import Path
 

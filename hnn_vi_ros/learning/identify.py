@@ -27,7 +27,6 @@ from hnn_vi_ros.learning.identify_windows import check_times, steps_per_sample
 from hnn_vi_ros.learning.motion_arrays import ArraysData, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 

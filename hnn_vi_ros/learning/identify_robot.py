@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a robot's URDF, by name: those of its links, and of the friction in its joints."""
+"""The numbers of a URDF, by name: those of its links, and of the friction in its joints."""
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy

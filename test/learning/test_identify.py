@@ -1,0 +1,237 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of scenes from measured motions: what is found, how sure it is, and what is not told."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+import shutil
+
+import hnn_vi_ros
+from hnn_vi_ros.cli import _call
+from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.learning.identify import main
+from hnn_vi_ros.learning.identify_fit import fit
+from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
+from hnn_vi_ros.learning.identify_scene import edited
+from hnn_vi_ros.learning.identify_statistics import (
+    correlations_of, Estimates, estimates_of, profile)
+from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
+from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.studies import identify_coverage
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+NOISE = 0.01, 0.05
+
+
+def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> Motion:
+    """Return a log of a scene from its initial state, with white noise unless without a seed."""
+    motion = hnn_vi_ros.simulate(scene, duration, every=every)
+    v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
+    random = np.random.default_rng(seed)
+    q, v = (part + (seed is not None) * noise * random.normal(size=part.shape)
+            for part, noise in zip((motion.q, v), NOISE, strict=True))
+    return smoothed('log', motion.t, q, v, np.zeros_like(q), 40.0)
+
+
+def freed(scene: Scene, folder: Path, **starts: float) -> FreeScene:
+    """Return a scene with numbers free, and where the search begins."""
+    names = [name.replace('__', '.') for name in starts]
+    return free_scene(scene, names, {}, folder, True).starting_at([*starts.values()])
+
+
+def estimated(free: FreeScene, motion: Motion, robust: bool = False,
+              horizon: float | None = None) -> Estimates:
+    solution, problem, _ = fit(free, [motion], True, horizon, robust)
+    return estimates_of(solution, problem, free, (), False)
+
+
+@pytest.fixture(scope='module')
+def pendulum() -> Scene:
+    return load_scene('exact_pendulum')
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(pendulum, tmp_path):
+    # Errors in units of the standard error: their squares sum to chi squared of so many logs,
+    # which is outside of these bounds once in a thousand.
+    logs = 25
+    errors = []
+    for seed in range(logs):
+        one, = estimated(freed(pendulum, tmp_path, length=1.03), swing(pendulum, 2.0, 4, seed)
+                         ).estimates
+        errors.append((one.value - 1.0) / one.standard_error)
+    low, high = chi2.ppf([0.0005, 0.9995], logs)
+    assert low < np.sum(np.square(errors)) < high
+    # Binomial: more than six of 25 are missed by chance once in a thousand.
+    assert np.sum(np.abs(errors) > 1.96) <= 6
+
+
+@pytest.mark.parametrize('case', identify_coverage.CASES, ids=lambda case: case.scene)
+def test_the_study_of_coverage_finds_what_made_its_logs(case):
+    # Of a log of three numbers all intervals miss once in 0.05^3 or so: their errors share data.
+    assert any(next(identify_coverage.held(case, 1, 3)))
+
+
+@pytest.mark.parametrize('name, numbers', [
+    ('exact_double_pendulum', {'mass2': 1.1, 'length2': 0.9}),
+    ('two_joint_arm', {'forearm__mass': 1.1})])
+def test_exact_tangents_are_differences_of_simulations(name, numbers, tmp_path, monkeypatch):
+    scene = load_scene(name)
+    free = freed(scene, tmp_path, **numbers)
+    values = np.array([*numbers.values()])
+    windows = windows_of([swing(scene, 0.5, 5)], 0.3, True)
+    starts = np.tile([*scene.initial_state.q, 0.3, -0.2], (len(windows.run), 1))
+
+    def slopes() -> list[np.ndarray]:
+        prediction = Prediction(free, values, windows)
+        return [*prediction.by_starts(starts), prediction.by_numbers(starts)]
+    exact = slopes()
+    assert Prediction(free, values, windows)._run is not None
+    monkeypatch.setattr(Prediction, '_run', None)
+    for one, other in zip(exact, slopes(), strict=True):
+        # Differences lose two thirds of the digits, and some more by the motion's growth.
+        np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(other).max())
+
+
+def test_what_no_data_tell_has_no_interval(pendulum, tmp_path):
+    # Of a free pendulum only g / l shows: neither the mass, nor one of the two by itself.
+    found = estimated(freed(pendulum, tmp_path, mass=1.2, length=1.0, gravity=9.5),
+                      swing(pendulum, 2.0, 4))
+    assert [one.known for one in found.estimates] == [False] * 3
+    assert sorted(map(sorted, found.unknown)) == [['gravity', 'length'], ['mass']]
+    length, gravity = (found.estimates[k].value for k in (1, 2))
+    assert gravity / length == pytest.approx(9.81, rel=0.01)
+
+
+def test_delay_and_friction_of_a_driven_pendulum_are_found(tmp_path):
+    late, rate, dt = 0.043, 0.3, 0.02
+    scene = Scene.build(
+        hamiltonian='pendulum', integrator='implicit_midpoint', step_size=0.01,
+        initial_state=([0.5], [0.0]), effects=[
+            {'kind': 'damping', 'rate': rate},
+            {'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}])
+
+    def force(t: np.ndarray) -> np.ndarray:
+        return 3.0 * np.sin(3.0 * t + 0.7 * t**2)
+    # Of the mean of a force over a step its value in the middle is wrong by h^2 / 24 of F''.
+    motion = hnn_vi_ros.simulate(
+        scene, 4.0, every=2, commands=lambda t: [float(force(np.array(t + 0.005 - late)))])
+    v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
+    log = smoothed('log', motion.t, motion.q, v, force(motion.t)[:, None], 40.0)
+    found = estimated(freed(scene, tmp_path, input_delay=0.0, damping__rate=0.2, mass=1.1), log)
+    delay, damping, mass = (one.value for one in found.estimates)
+    # Between samples the force is taken for straight: dt^2 / 12 of F'', at most 3 N m * 8.6^2.
+    assert delay == pytest.approx(late, abs=dt**2)
+    assert damping == pytest.approx(rate, rel=0.01)
+    assert mass == pytest.approx(1.0, rel=0.01)
+
+
+def test_outliers_move_a_robust_fit_less(pendulum, tmp_path):
+    log = swing(pendulum, 2.0, 4)
+    q = log.q.copy()
+    q[::17] += 0.5
+    spoilt = replace(log, q=q)
+    free = freed(pendulum, tmp_path, length=1.03)
+    plain, robust = (estimated(free, spoilt, robust).estimates[0] for robust in (False, True))
+    assert abs(robust.value - 1.0) < 4.0 * robust.standard_error
+    assert robust.standard_error < 0.7 * plain.standard_error
+
+
+def test_profile_of_a_number_is_its_interval_where_all_is_nearly_linear(pendulum, tmp_path):
+    free = freed(pendulum, tmp_path, length=1.0)
+    solution, problem, _ = fit(free, [swing(pendulum, 2.0, 4)], True, None, False)
+    one, = estimates_of(solution, problem, free, (), False).estimates
+    told = profile(solution, problem, free, one)
+    # Curvature is of the relative size of the interval, some 1 %; the search ends at 1e-3.
+    assert told.low == pytest.approx(one.low, abs=0.03 * one.standard_error)
+    assert told.high == pytest.approx(one.high, abs=0.03 * one.standard_error)
+
+
+def test_correlated_noise_is_noticed_and_white_noise_is_not():
+    random, n, share = np.random.default_rng(4), 20000, 0.8
+    white = random.normal(size=n)
+    red = np.zeros(n)
+    for k in range(1, n):
+        red[k] = share * red[k - 1] + white[k]
+    there = np.ones((1, n), dtype=bool)
+    assert correlations_of(white[None], there) == []
+    # 1 + 2 sum share^k = 9, within some 10 % of it by so many samples.
+    assert 1.0 + 2.0 * sum(correlations_of(red[None], there)) == pytest.approx(9.0, rel=0.25)
+
+
+def test_numbers_are_put_into_yaml_and_comments_stay():
+    text = ('# Mine.\nhamiltonian: {kind: pendulum, mass: 1.0}  # [kg]\neffects:\n'
+            '  - kind: damping  # slow\n    rate: 0.1\n')
+    assert edited(text, {('hamiltonian', 'mass'): '2.0', ('hamiltonian', 'length'): '3.0',
+                         ('effects', '0', 'rate'): '0.5', ('effects', '0', 'x'): '1'}) == (
+        '# Mine.\nhamiltonian: {kind: pendulum, mass: 2.0, length: 3.0}  # [kg]\neffects:\n'
+        '  - kind: damping  # slow\n    x: 1\n    rate: 0.5\n')
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory) -> Path:
+    """Return a file of arrays, as measured."""
+    motion = swing(load_scene('exact_pendulum'), 2.0, 4)
+    path = tmp_path_factory.mktemp('logs') / 'swing.npz'
+    np.savez(path, t=motion.t, q=motion.q, v=motion.v)
+    return path
+
+
+def test_command_writes_numbers_posterior_report_and_scene(log, tmp_path, capsys):
+    paths = {name: tmp_path / name for name in ('a.json', 'b.json', 'report', 'fitted.yaml')}
+    main(['exact_pendulum', '--data', str(log), '--free', 'length', 'mass', 'initial_state',
+          '--bounds', 'length', '0.5', '2', '--json', str(paths['a.json']),
+          '--posterior', str(paths['b.json']), '--out', str(paths['report']),
+          '--write', str(paths['fitted.yaml'])])
+    numbers = json.loads(paths['a.json'].read_text())
+    assert [*numbers] == ['length', 'mass', 'initial_state.angle', 'initial_state.p_angle']
+    assert all(sorted(one) == ['high', 'low', 'value'] for one in numbers.values())
+    assert numbers['length']['low'] < 1.0 < numbers['length']['high']
+    assert numbers['mass']['low'] is None
+    told = json.loads(paths['b.json'].read_text())
+    assert told['covariance']['names'] == ['length', 'initial_state.angle']
+    assert told['covariance']['matrix'][0][0]**0.5 == pytest.approx(
+        told['parameters']['length']['standard_error'])
+    assert 'nothing measured depends on' in capsys.readouterr().out
+    assert {path.name for path in paths['report'].iterdir()} == {
+        'report.md', 'fit.png', 'correlations.png'}
+    scene = load_scene(paths['fitted.yaml'])
+    assert scene.hamiltonian.length == numbers['length']['value']
+    assert hnn_vi_ros.simulate(scene, 0.1).q.shape[1] == 1
+
+
+def test_fitted_robot_is_written_beside_its_scene(tmp_path):
+    scene = load_scene('two_joint_arm')
+    motion = swing(scene, 0.5, 4, None)
+    data = tmp_path / 'arm.npz'
+    np.savez(data, t=motion.t, q=motion.q, dq=motion.v)
+    shutil.copy(shipped_file('scene', 'two_joint_arm'), tmp_path / 'arm.yaml')
+    text = (tmp_path / 'arm.yaml').read_text().replace('../robots/two_joint_arm.urdf', 'arm.urdf')
+    (tmp_path / 'arm.yaml').write_text(text)
+    robot = scene.model_files()[scene.hamiltonian.file].read_text()
+    (tmp_path / 'arm.urdf').write_text(robot.replace('<mass value="1.2"/>',
+                                                     '<mass value="1.3"/>'))
+    main([str(tmp_path / 'arm.yaml'), '--data', str(data), '--free', 'forearm.mass',
+          '--horizon', '0.5', '--write', str(tmp_path / 'fitted.yaml')])
+    link = load_scene(tmp_path / 'fitted.yaml').create_hamiltonian().robot.links['forearm']
+    # Without noise what is left is the end of the search.
+    assert link.inertial is not None and link.inertial.mass == pytest.approx(1.2, rel=1e-5)
+
+
+@pytest.mark.parametrize('free, data, said', [
+    (['lenght'], {}, "did you mean 'length'? valid: mass, length, gravity, initial_state"),
+    ([DELAY], {}, 'the data hold no forces that could come late'),
+    (['length', 'length'], {}, 'stands twice'),
+    (['length'], {'q': np.zeros((100, 2))}, 'expected numbers of shape (100, 1)'),
+    (['length'], {'t': np.arange(5.0), 'q': np.zeros((5, 1))}, '5 samples, expected at least 20'),
+    (['length'], {'tau': np.ones((100, 1))}, 'has no effect external_force'),
+])
+def test_what_cannot_be_fitted_is_one_line(free, data, said, tmp_path):
+    t = 0.02 * np.arange(100)
+    np.savez(tmp_path / 'log.npz', **{'t': t, 'q': np.sin(t)[:, None]} | data)
+    problem = _call('identify', ['exact_pendulum', '--data', str(tmp_path / 'log.npz'),
+                                 '--free', *free], 'identify')
+    assert isinstance(problem, str) and said in problem and '\n' not in problem
