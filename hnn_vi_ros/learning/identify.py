@@ -184,9 +184,9 @@ def report_of(found: Identified) -> str:
         '| number | value | unit | standard error | 95 % interval |',
         '|---|---:|---|---:|---|', *map(_row, estimates.estimates), '']
     for direction in estimates.unknown:
-        named = ' and '.join(f'{part:+.3g} {name}' for name, part in direction.items())
-        lines.append(f'Not identifiable: these data do not tell {named} (relative changes that '
-                     'nothing measured shows)' if len(direction) > 1 else
+        named = ', '.join(f'{name} {part:+.3g}' for name, part in direction.items())
+        lines.append(f'Not identifiable: nothing measured shows it if these change together, '
+                     f'relatively: {named}' if len(direction) > 1 else
                      f'Not identifiable: nothing measured depends on {next(iter(direction))}')
     lines += [f'Correlation of {one} and {other}: {r:.3f}; what one gains in error the other '
               'makes up for' for one, other, r in estimates.correlated]

@@ -108,7 +108,7 @@ class Problem:
         self._starts, self._at = starts, np.full(len(free.numbers), np.nan)
         self._slope = np.zeros((*starts.shape, len(free.numbers)))
         self._solved: Solution | None = None
-        self._key = b''
+        self._key: bytes | None = None
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Return them at the best initial states, flat."""
