@@ -18,6 +18,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.weights import OnWeights, with_weights
 from hnn_vi_ros.models.learned import warn_of_scheme
+from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.derivatives import Dependence, DifferentiableRun, on_number
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import with_numbers
@@ -52,7 +53,8 @@ class Motion(NamedTuple):
 
 def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
              parameters: Mapping[str, torch.Tensor] | None = None,
-             step_size: float | torch.Tensor | None = None, every: int = 1) -> Motion:
+             commands: torch.Tensor | None = None, step_size: float | torch.Tensor | None = None,
+             every: int = 1) -> Motion:
     """
     Simulate a scene, as a function that torch differentiates, once, in reverse or forward mode.
 
@@ -63,7 +65,8 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
     Parameters
     ----------
     scene : Scene, str or Path
-        See ``hnn_vi_ros.simulate``. Of effects it may have those that join H.
+        See ``hnn_vi_ros.simulate``. Of effects it may have those that join H, forces that depend
+        on time and state, damping, and external_force on coordinates.
     q0, p0 : torch.Tensor, shape (d,) or (m, d)
         The initial state, or those of m trajectories, of float64.
     duration : float
@@ -72,6 +75,9 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         Numbers in place of the scene's, of shape (), by their place in it:
         ``'hamiltonian.mass'``, ``'effects.0.stiffness'``; and tensors in place of those of its
         model, by their names in the file: ``'hamiltonian.linear1.weight'``.
+    commands : torch.Tensor, shape (N, c) or (N, m, c), optional
+        Of external_force: a row for each of N samples, which holds until the next; for all
+        trajectories or for each of m.
     step_size : float or torch.Tensor, shape (), optional
         h [s], in place of the scene's. By a tensor the motion is differentiated with the number
         of steps as it is, and so are the times.
@@ -95,7 +101,8 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         An argument that is not usable.
 
     """
-    _check_tensors({'q0': q0, 'p0': p0, **(parameters or {})})
+    given = {} if commands is None else {'commands': commands}
+    _check_tensors({'q0': q0, 'p0': p0, **given, **(parameters or {})})
     check_count('every', every)
     check_seconds('duration', duration)
     scene, run, others = _prepared(
@@ -105,8 +112,13 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
                          f'expected ({d},) or (m, {d}) twice')
     z0 = torch.cat([q0, p0], dim=-1)
+    trajectories = 1 if q0.ndim == 1 else len(q0)
+    if commands is not None and (commands.ndim not in (2, 3) or len(commands) != samples or (
+            commands.ndim == 3 and commands.shape[1] != trajectories)):
+        raise ValueError(f'commands have shape {tuple(commands.shape)}, expected ({samples}, c) '
+                         f'or ({samples}, {trajectories}, c)')
     z = _Run.apply(run, [dependence for dependence, _ in others], samples, every,
-                   z0.reshape(-1, z0.shape[-1]), *(tensor for _, tensor in others))
+                   z0.reshape(-1, z0.shape[-1]), commands, *(tensor for _, tensor in others))
     q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
     h = step_size if isinstance(step_size, torch.Tensor) else scene.known_step_size
     return Motion(torch.arange(samples + 1, dtype=torch.float64) * every * h, q, p)
@@ -153,33 +165,39 @@ class _Run(torch.autograd.Function):
 
     @staticmethod
     def forward(run: DifferentiableRun, dependences: list[Dependence], samples: int, every: int,
-                z0: torch.Tensor, *others: torch.Tensor) -> torch.Tensor:
-        return torch.from_numpy(run.record(z0.detach().numpy(), samples, every))
+                z0: torch.Tensor, commands: torch.Tensor | None, *others: torch.Tensor
+                ) -> torch.Tensor:
+        return torch.from_numpy(run.record(
+            z0.detach().numpy(), samples, every,
+            None if commands is None else commands.detach().numpy()))
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: torch.Tensor) -> None:
-        ctx.run, ctx.dependences, _, _, z0, *_ = inputs
+        ctx.run, ctx.dependences, _, _, z0, commands, *_ = inputs
         ctx.shape = tuple(z0.shape)
+        ctx.commands = None if commands is None else tuple(commands.shape)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangents: torch.Tensor) -> tuple:
-        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[5:]) if needed]
+        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[6:]) if needed]
+        by_commands = np.empty(ctx.commands) if ctx.needs_input_grad[5] else None
         gradient, found = ctx.run.pull_back(
-            cotangents.contiguous().numpy(), [ctx.dependences[k] for k in wanted])
+            cotangents.contiguous().numpy(), [ctx.dependences[k] for k in wanted], by_commands)
         others: list[torch.Tensor | None] = [None] * len(ctx.dependences)
         for k, part in zip(wanted, found, strict=True):
             others[k] = torch.from_numpy(part)
-        return None, None, None, None, torch.from_numpy(gradient), *others
+        pushed = None if by_commands is None else torch.from_numpy(by_commands)
+        return None, None, None, None, torch.from_numpy(gradient), pushed, *others
 
     @staticmethod
     def jvp(ctx: Any, *tangents: torch.Tensor | None) -> torch.Tensor:
-        z0, *others = (None if change is None else change.detach().contiguous().numpy()
+        z0, commands, *others = (None if change is None else change.detach().contiguous().numpy()
                        for change in tangents[4:])
         changes = [(dependence, change) for dependence, change in zip(
             ctx.dependences, others, strict=True) if change is not None and change.any()]
         return torch.from_numpy(
-            ctx.run.push_forward(np.zeros(ctx.shape) if z0 is None else z0, changes))
+            ctx.run.push_forward(np.zeros(ctx.shape) if z0 is None else z0, changes, commands))
 
 
 class _OnNumberOfScene:
@@ -197,13 +215,23 @@ class _OnNumberOfScene:
         """Return the change; see Dependence."""
         return self._made.changed(q, p, change)
 
+    @property
+    def rates(self) -> np.ndarray | None:
+        """Return how rates of damping change with the number."""
+        return getattr(self._made, 'rates', None)
+
     @cached_property
     def _made(self) -> Dependence:
         try:
-            return on_number(self._kernel, self._value)
+            return on_number(self._kernel, self._value, self._rates)
         except SceneError as problem:
             raise ValueError(f'{self._name} = {self._value:g} is too near to the end of its '
                              f'range to be differentiated by: {problem}') from problem
+
+    def _rates(self, value: float) -> np.ndarray:
+        """Return the rates of damping around the steps with another value."""
+        scene = with_numbers(self._scene, {self._name: value})
+        return flow_rates(self._hamiltonian, scene.create_integrator(), scene.create_effects())
 
     def _kernel(self, value: float) -> Kernel:
         """Return the kernel of H with another value."""

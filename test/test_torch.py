@@ -243,3 +243,72 @@ def test_events_are_refused_by_name(tmp_path, pendulum):
     zero = torch.zeros(1, dtype=torch.float64)
     with pytest.raises(ValueError, match='events are not differentiable yet: leave those of '):
         simulate(path, zero, zero, duration=1.0)
+
+
+FORCED = ('hamiltonian.mass2', 'effects.0.rate', 'effects.1.friction.angle2',
+          'effects.2.coefficient', 'effects.3.frequency')
+
+
+def forced(method: str) -> Scene:
+    """Return a scene with forces of every kind, whose damping acts as the method has it."""
+    return Scene.build(
+        hamiltonian='double_pendulum', integrator=method, step_size=0.02,
+        initial_state=([0.5, -0.3], [0.1, 0.2]), effects=[
+            {'kind': 'damping', 'rate': 0.4},
+            {'kind': 'joint_friction', 'friction': {'angle2': 0.2}, 'speed': 0.5},
+            {'kind': 'quadratic_drag', 'coordinates': ['angle1', 'angle2'], 'coefficient': 0.3},
+            {'kind': 'periodic_drive', 'coordinate': 'angle1', 'amplitude': 1.0,
+             'frequency': 0.7},
+            {'kind': 'external_force', 'coordinates': ['angle2']}])
+
+
+# Around the steps of the first damping is a flow, in those of the second a force.
+@pytest.mark.parametrize('method', ['generalized_leapfrog', 'gauss4'])
+def test_derivatives_go_through_forces_damping_and_commands(method, measured):
+    scene, random = forced(method), np.random.default_rng(0)
+    values = [np.array([[0.5, -0.3], [0.2, 0.4]]), np.array([[0.1, 0.2], [-0.3, 0.1]]),
+              random.normal(size=(6, 2, 1)), *map(np.array, (1.0, 0.4, 0.2, 0.3, 0.7))]
+    direction = [random.normal(size=value.shape) for value in values]
+    weights = torch.from_numpy(random.normal(size=(7, 2, 4)))
+
+    def loss(tensors: list[torch.Tensor]) -> torch.Tensor:
+        q, p, commands, *numbers = tensors
+        motion = simulate(scene, q, p, duration=0.6, every=5, commands=commands,
+                          parameters=dict(zip(FORCED, numbers, strict=True)))
+        return (torch.cat([motion.q, motion.p], dim=-1) * weights).sum()
+
+    def along(distance: float) -> float:
+        return float(loss([torch.from_numpy(np.asarray(value + distance * part))
+                           for value, part in zip(values, direction, strict=True)]))
+    # Of order 6: what is cut off is some (2e-3)^6.
+    expected = sum(weight * (along(2e-3 * k) - along(-2e-3 * k)) for k, weight in (
+        (1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * 2e-3)
+    tensors = [torch.tensor(value, requires_grad=True) for value in values]
+    loss(tensors).backward()
+    backward = sum(float((tensor.grad.numpy() * part).sum())
+                   for tensor, part in zip(tensors, direction, strict=True))
+    with forward_ad.dual_level():
+        forward = float(forward_ad.unpack_dual(loss([
+            forward_ad.make_dual(torch.tensor(value), torch.tensor(part))
+            for value, part in zip(values, direction, strict=True)])).tangent)
+    error = max(abs(backward - expected), abs(forward - expected)) / abs(expected)
+    measured('error of a derivative through forces and commands', method, error, '<= 1e-8')
+    # Second derivatives of forces are differences, good to some 1e-10.
+    assert error <= 1e-8
+
+
+def test_states_with_commands_are_those_of_simulate():
+    scene, commands = forced('gauss4'), np.random.default_rng(1).normal(size=(6, 1))
+    state = scene.initial_state
+    motion = simulate(scene, torch.tensor(state.q, dtype=torch.float64),
+                      torch.tensor(state.p, dtype=torch.float64), duration=0.6, every=5,
+                      commands=torch.from_numpy(commands))
+    expected = hnn_vi_ros.simulate(scene, 0.6, every=5, commands=commands)
+    assert np.array_equal(motion.q.numpy(), expected.q)
+
+
+def test_step_size_with_forces_is_refused():
+    state = torch.zeros(1, 2, dtype=torch.float64)
+    with pytest.raises(UnsupportedSystem, match='the step size is not differentiable yet togeth'):
+        simulate(forced('gauss4'), state, state, duration=0.2,
+                 step_size=torch.tensor(0.02, dtype=torch.float64))

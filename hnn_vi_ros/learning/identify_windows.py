@@ -11,10 +11,11 @@ from hnn_vi_ros.effects.base import Effect, Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.errors import DataError, HnnViRosError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.identify_numbers import FreeScene
 from hnn_vi_ros.learning.measured_force import MeasuredForce
 from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.derivatives import DifferentiableRun, gradient_of
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import Scene
@@ -133,7 +134,7 @@ class Prediction:
         self._effects, self._force = self._acting(scene)
         self._on_failure = scene.on_failure
         # Time, and what was measured, are others in each window.
-        self._alone = any(effect.place(self._integrator) is not Place.ENERGY
+        self._alone = any(isinstance(effect, MeasuredForce | PeriodicDrive)
                           for effect in self._effects)
 
     def _acting(self, scene: Scene) -> tuple[list[Effect], MeasuredForce | None]:
@@ -161,7 +162,14 @@ class Prediction:
             return q
         flat = [np.ascontiguousarray(part.reshape(-1, part.shape[-1])) for part in (q, p)]
         with np.errstate(all='ignore'):
-            return np.concatenate([q, self.hamiltonian.gradient(*flat)[1].reshape(q.shape)], -1)
+            return np.concatenate([q, self._joined.gradient(*flat)[1].reshape(q.shape)], -1)
+
+    @cached_property
+    def _joined(self) -> Hamiltonian:
+        """Return H with what joins it, such as a magnetic field, by which velocities change."""
+        if all(effect.place(self._integrator) is not Place.ENERGY for effect in self._effects):
+            return self.hamiltonian
+        return System(self.hamiltonian, self._effects, self._integrator).hamiltonian
 
     def states(self, starts: np.ndarray) -> np.ndarray:
         """
@@ -278,7 +286,7 @@ class Prediction:
             states = states.swapaxes(0, 1)
             slopes = []
             for tangents, k in changes:
-                number = None if k is None else _OnNumber(self._kernels(k))
+                number = None if k is None else self._on_number(k)
                 moved = run.push_forward(
                     np.ascontiguousarray(tangents), [] if number is None else [
                         (number, np.array(1.0))]).swapaxes(0, 1)
@@ -295,22 +303,22 @@ class Prediction:
             return moved[..., :d]
         flat = [np.ascontiguousarray(part.reshape(-1, d)) for part in (
             *np.split(states, 2, axis=-1), *np.split(moved, 2, axis=-1))]
-        v = self.hamiltonian.hessian_vector(*flat)[1]
+        v = self._joined.hessian_vector(*flat)[1]
         if number is not None:
-            q, p = flat[0].ravel(), flat[1].ravel()
-            v = v + number.changed(q, p, np.array(1.0))[1].reshape(v.shape)
+            v = v + number.velocity(*flat[:2])
         return np.concatenate([moved[..., :d], v.reshape(*moved.shape[:-1], d)], axis=-1)
 
-    def _kernels(self, k: int) -> list[tuple[float, Kernel]]:
-        """Return the kernels of H and its potentials with other values of one number."""
-        kernels = []
+    def _on_number(self, k: int) -> '_OnNumber':
+        """Return the dependence of the steps on one number."""
+        systems, rates = [], []
         for value in self._beside(k):
             values = self._values.copy()
             values[k] = value
             scene, _ = self._free.at(values)
-            system = System(scene.create_hamiltonian(), scene.create_effects(), self._integrator)
-            kernels.append((value, system.kernel))
-        return kernels
+            hamiltonian, effects = scene.create_hamiltonian(), scene.create_effects()
+            systems.append((value, System(hamiltonian, effects, self._integrator)))
+            rates.append(flow_rates(hamiltonian, self._integrator, effects))
+        return _OnNumber(systems, rates)
 
     def _beside(self, k: int) -> tuple[float, float]:
         """Return a value of a number below its own and one above, both within the bounds."""
@@ -322,20 +330,27 @@ class Prediction:
 
 
 class _OnNumber:
-    """The dependence of H' on a number, by a central difference; see Dependence."""
+    """The dependence of H' and of rates of damping on a number, by differences; see Dependence."""
 
-    def __init__(self, kernels: Sequence[tuple[float, Kernel]]):
-        self._kernels = kernels
+    def __init__(self, systems: Sequence[tuple[float, System]], rates: Sequence[np.ndarray]):
+        (low, self._below), (high, self._above) = systems
+        self._width = high - low
+        self.rates = (rates[1] - rates[0]) / self._width
 
     def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
         """Return how (H_q, H_p) change, shape (2, N)."""
-        (low, below), (high, above) = ((value, gradient_of(kernel, q, p))
-                                       for value, kernel in self._kernels)
-        return change * (above - below) / (high - low)
+        below, above = (gradient_of(system.kernel, q, p) for system in (self._below, self._above))
+        return change * (above - below) / self._width
 
     def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return the gradient by the number, shape ()."""
         return np.array((weights * self.changed(q, p, np.array(1.0))).sum())
+
+    def velocity(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return how the velocities of states change, shape (N, d)."""
+        below, above = (system.hamiltonian.gradient(q, p)[1]
+                        for system in (self._below, self._above))
+        return (above - below) / self._width
 
 
 def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose derivatives are known: the exact ones of the steps that were taken."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, Joined, Place
+from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
@@ -15,9 +14,11 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.run.acting_effects import ActingEffects
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.stages import entry_of, find_stages, pull_back, push_forward, StageWork
+from hnn_vi_ros.simulation.stage_work import StageWork
+from hnn_vi_ros.simulation.stages import entry_of, find_stages, pull_back, push_forward
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
@@ -37,10 +38,11 @@ class Dependence(Protocol):
 
 
 class _OnNumber:
-    """A dependence on a number, by the derivative of (H_q, H_p) with respect to it."""
+    """A dependence on a number, by the derivatives of (H_q, H_p) and of rates of damping."""
 
-    def __init__(self, slope: Callable[[np.ndarray, np.ndarray], np.ndarray]):
-        self._slope = slope
+    def __init__(self, slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
+                 rates: np.ndarray | None = None):
+        self._slope, self.rates = slope, rates
 
     def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return a number, shape (); see Dependence."""
@@ -75,6 +77,8 @@ class DifferentiableRun:
     ----------
     hamiltonian, integrator, step_size, effects
         As of Simulation. A step that fails ends the run: one taken in parts would be another map.
+        The effects may join H, be forces that depend on time and state, take commands of plain
+        numbers, or be damping.
 
     Raises
     ------
@@ -92,16 +96,20 @@ class DifferentiableRun:
 
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
                  effects: Sequence[Effect] = ()):
-        self._tableau = _differentiable(hamiltonian, integrator, effects)
-        self._h, self._d = float(step_size), hamiltonian.dimension
-        self._kernel = System(hamiltonian, effects, integrator).kernel
+        self._tableau = _differentiable(hamiltonian, integrator)
+        self._h, system = float(step_size), System(hamiltonian, effects, integrator)
+        self._acting = ActingEffects(system, hamiltonian, integrator, effects, self._h)
+        # With a channel for each force.
+        self._kernel, self._d = system.kernel, system.kernel.dimension
+        _check_unknowns(self._tableau, integrator, self._d)
         self._work = StageWork.empty(self._tableau.stages, self._d)
         self._arguments = hamiltonian, integrator, self._h
         self._effects = list(effects)
         self._simulation: Simulation | None = None
         self._entries: dict[Callable[..., int], Callable[..., int]] = {}
 
-    def record(self, z: np.ndarray, samples: int, every: int = 1) -> np.ndarray:
+    def record(self, z: np.ndarray, samples: int, every: int = 1,
+               commands: np.ndarray | None = None) -> np.ndarray:
         """
         Take samples every so many steps, from initial states on.
 
@@ -111,6 +119,9 @@ class DifferentiableRun:
             (q, p) of m trajectories.
         samples, every : int
             How many, and steps from one to the next.
+        commands : np.ndarray, shape (samples, c) or (samples, m, c), optional
+            Of an effect that takes them, each held until the next sample; for all trajectories,
+            or for each, which then step alone.
 
         Returns
         -------
@@ -127,24 +138,27 @@ class DifferentiableRun:
         """
         steps = samples * every
         self._every, self._z = every, z.copy()
+        self._acting.set_commands(commands, every)
+        size = BLOCK if commands is None or commands.ndim == 2 else 1
         stride = max(1, math.isqrt(steps))
         self._blocks: list[tuple[slice, list[_Segment]]] = []
         sampled = np.empty((samples + 1, *z.shape))
         sampled[0] = z
-        for a in range(0, len(z), BLOCK):
-            block = slice(a, a + BLOCK)
+        for a in range(0, len(z), size):
+            block = slice(a, a + size)
             simulation, segments = self._start(block), []
             for first in range(0, steps, stride):
                 segment = _Segment(first, min(stride, steps - first), simulation.snapshot())
-                states = np.concatenate(simulation.record(segment.count, 1), axis=2)
+                states = self._acting.advance(
+                    simulation, block, segment.first, segment.count, every)
                 inside, at = self._samples_in(segment)
                 sampled[at, block] = states[inside]
                 segments.append(segment)
             self._blocks.append((block, segments))
         return sampled
 
-    def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = ()
-                  ) -> tuple[np.ndarray, list[np.ndarray]]:
+    def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
+                  by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
         """
         Return the gradient of what depends on the samples of the last run.
 
@@ -154,6 +168,8 @@ class DifferentiableRun:
             Its gradient by each of them.
         dependences : sequence of Dependence
             On what else its gradient is asked for; see ``on_step_size`` and ``on_number``.
+        by_commands : np.ndarray, of the shape of the commands, optional
+            Filled with the gradient by them.
 
         Returns
         -------
@@ -162,26 +178,33 @@ class DifferentiableRun:
 
         """
         gradient, others = cotangents[0].copy(), [np.zeros(()) for _ in dependences]
+        if by_commands is not None:
+            by_commands[...] = 0.0
         for block, segments in self._blocks:
             simulation = self._start(block)
-            following = np.zeros_like(gradient[block])
+            following = self._acting.padded(np.zeros_like(gradient[block]))
             for segment in reversed(segments):
-                stages = self._stages(simulation, segment)
+                stages, states = self._stages(simulation, segment, block)
                 local = np.zeros((segment.count + 1, *following.shape))
                 inside, at = self._samples_in(segment)
-                local[1 + inside] = cotangents[at, block]
+                local[1 + inside] = self._acting.padded(cotangents[at, block])
                 local[-1] += following
                 directions = np.empty_like(stages)
-                self._call(pull_back, segment, stages, local, directions)
+                felt = np.empty((segment.count, 2, *local.shape[1:]))
+                self._call(pull_back, segment, block, stages, local, directions, felt)
                 following = local[0]
-                states, weights = self._halves(stages), self._halves(directions)
-                others = [total + dependence.contracted(*states, weights)
+                at_stages, weights = self._timed(stages, segment), self._halves(directions)
+                others = [total + dependence.contracted(*at_stages, weights)
+                          + self._by_rates(dependence, states, felt)
                           for total, dependence in zip(others, dependences, strict=True)]
-            gradient[block] += following
+                if by_commands is not None:
+                    self._add_by_commands(by_commands, directions, segment, block)
+            gradient[block] += self._acting.cut(following)
         return gradient, [np.asarray(total) for total in others]
 
     def push_forward(self, tangents: np.ndarray,
-                     changes: Sequence[tuple[Dependence, np.ndarray]] = ()) -> np.ndarray:
+                     changes: Sequence[tuple[Dependence, np.ndarray]] = (),
+                     commands: np.ndarray | None = None) -> np.ndarray:
         """
         Return how the samples of the last run change, shape (samples + 1, m, 2 d).
 
@@ -191,30 +214,43 @@ class DifferentiableRun:
             How the initial states change.
         changes : sequence of (Dependence, np.ndarray)
             What else changes, and by how much; see ``pull_back``.
+        commands : np.ndarray, of the shape of the commands, optional
+            How these change.
 
         """
         last = max((segment.first + segment.count for segment in self._blocks[0][1]), default=0)
         sampled = np.empty((last // self._every + 1, *tangents.shape))
         sampled[0] = tangents
         for block, segments in self._blocks:
-            simulation, before = self._start(block), tangents[block]
+            simulation, before = self._start(block), self._acting.padded(tangents[block])
             for segment in segments:
-                stages = self._stages(simulation, segment)
+                stages, states = self._stages(simulation, segment, block)
                 local = np.empty((segment.count + 1, *before.shape))
                 local[0] = before
                 sources = np.zeros((segment.count, len(before), 2, stages.shape[2] // 2))
+                added = np.zeros((segment.count, 2, *before.shape))
                 for dependence, change in changes:
-                    both = dependence.changed(*self._halves(stages), change)
+                    both = dependence.changed(*self._timed(stages, segment), change)
                     sources += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3)
-                self._call(push_forward, segment, stages, sources.reshape(stages.shape), local)
+                    rates = getattr(dependence, 'rates', None)
+                    if rates is not None:
+                        added += change * self._acting.flowed(states) * \
+                            self._acting.per_momentum(rates)
+                if commands is not None:
+                    self._add_commands(sources, commands, segment, block)
+                self._call(push_forward, segment, block, stages, sources.reshape(stages.shape),
+                           added, local)
                 inside, at = self._samples_in(segment)
-                sampled[at, block] = local[1 + inside]
+                sampled[at, block] = self._acting.cut(local[1 + inside])
                 before = local[-1]
         return sampled
 
     @property
     def on_step_size(self) -> Dependence:
         """Return the dependence on h: of so many steps, so the time at their end changes too."""
+        if self._acting.any:
+            raise UnsupportedSystem('the step size is not differentiable yet together with forces '
+                                    'or damping; leave one of them out')
         # In a step H' stands beside h, and nowhere else.
         return _OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
 
@@ -233,19 +269,52 @@ class DifferentiableRun:
         inside = np.flatnonzero(steps % self._every == 0)
         return inside, steps[inside] // self._every
 
-    def _stages(self, simulation: Simulation, segment: _Segment) -> np.ndarray:
-        """Take the steps of a segment once more; return their stages, shape (K, m, 2 s d)."""
+    def _stages(self, simulation: Simulation, segment: _Segment, block: slice
+                ) -> tuple[np.ndarray, np.ndarray]:
+        """Take a segment's steps once more; return stages (K, m, 2 s d), states (K + 1, m, 2 d)."""
         simulation.restore(segment.snapshot)
-        states = np.empty((segment.count + 1, len(simulation.q), 2 * self._d))
-        states[0] = np.hstack([simulation.q, simulation.p])
-        states[1:] = np.concatenate(simulation.record(segment.count, 1), axis=2)
+        before = np.hstack([simulation.q, simulation.p])[None]
+        states = self._acting.padded(np.concatenate([before, self._acting.advance(
+            simulation, block, segment.first, segment.count, self._every)]))
         stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
-        self._call(find_stages, segment, states, stages)
-        return stages
+        self._call(find_stages, segment, block, states, stages)
+        return stages, states
 
-    def _call(self, loop: Callable[..., int], segment: _Segment, *arrays: np.ndarray) -> None:
+    def _by_rates(self, dependence: Dependence, states: np.ndarray, felt: np.ndarray
+                  ) -> np.ndarray:
+        """Return the gradient by what changes rates of damping, shape ()."""
+        rates = getattr(dependence, 'rates', None)
+        return np.zeros(()) if rates is None else np.array(float(
+            (felt * self._acting.flowed(states) * self._acting.per_momentum(rates)).sum()))
+
+    def _add_by_commands(self, gradient: np.ndarray, directions: np.ndarray, segment: _Segment,
+                         block: slice) -> None:
+        """Add the gradient by the commands that hold in a segment: a force lessens H_q."""
+        places = self._acting.places
+        d, s = places.shape[1], self._tableau.stages
+        on_q = directions[..., :s * self._d].reshape(*directions.shape[:2], s, self._d)
+        felt = -on_q[..., :d].sum(axis=2) @ places.T
+        rows = (segment.first + np.arange(segment.count)) // self._every
+        if gradient.ndim == 2:
+            np.add.at(gradient, rows, felt.sum(axis=1))
+        else:
+            np.add.at(gradient[:, block], rows, felt)
+
+    def _add_commands(self, sources: np.ndarray, commands: np.ndarray, segment: _Segment,
+                      block: slice) -> None:
+        """Add to the sources what commands that change make of H_q at the stages."""
+        places = self._acting.places
+        d, s = places.shape[1], self._tableau.stages
+        rows = (segment.first + np.arange(segment.count)) // self._every
+        change = commands[rows][:, None] if commands.ndim == 2 else commands[rows, block]
+        view = sources[:, :, 0].reshape(*sources.shape[:2], s, self._d)
+        view[..., :d] -= (change @ places)[:, :, None]
+
+    def _call(self, loop: Callable[..., int], segment: _Segment, block: slice,
+              *arrays: np.ndarray) -> None:
         """Run a loop of the module stages over the steps of a segment, or raise."""
-        arguments = self._kernel, self._h, self._tableau, *arrays, self._work
+        acting = self._acting.acting(block, segment.first, segment.count, self._every)
+        arguments = self._kernel, self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
             self._entries[loop] = entry_of(loop, *arguments)
         failed = self._entries[loop](*arguments)
@@ -256,6 +325,16 @@ class DifferentiableRun:
             raise HnnViRosError(f'the step at t = {t:.9g} s has no derivative: {problem}; use a '
                                 'smaller step_size or another integrator')
 
+    def _timed(self, stages: np.ndarray, segment: _Segment) -> np.ndarray:
+        """Return the stages' halves for a kernel whose clock is at the start of the run."""
+        channels = self._kernel.channels
+        if channels:
+            stages = stages.copy()
+            q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)
+            times = (segment.first + np.arange(segment.count)) * self._h
+            q[..., self._d - channels:] += times[:, None, None, None]
+        return self._halves(stages)
+
     def _halves(self, stages: np.ndarray) -> np.ndarray:
         """Return what stands for q, then for p, of all stages one after another: (2, N)."""
         s = self._tableau.stages
@@ -263,7 +342,8 @@ class DifferentiableRun:
             stages.reshape(-1, 2, s * self._d).swapaxes(0, 1)).reshape(2, -1)
 
 
-def on_number(kernel_of: Callable[[float], Kernel], value: float) -> Dependence:
+def on_number(kernel_of: Callable[[float], Kernel], value: float,
+              rates_of: Callable[[float], np.ndarray] | None = None) -> Dependence:
     """
     Return the dependence on a number of H, by differences of H' of order 6.
 
@@ -273,15 +353,21 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float) -> Dependence:
         Returns the kernel of H with another value of the number.
     value : float
         The number.
+    rates_of : callable, optional
+        Returns the rates of damping around the steps with another value; see ``flow_rates``.
 
     """
     spacing = _SPACING * (abs(value) or 1.0)
+    rates = None
+    if rates_of is not None:
+        # Linear in the number, if they depend on it at all.
+        rates = (rates_of(value + spacing) - rates_of(value - spacing)) / (2.0 * spacing)
     kernels = [(sign * weight / spacing, kernel_of(value + sign * (k + 1) * spacing))
                for k, weight in enumerate(_WEIGHTS) for sign in (1.0, -1.0)]
 
     def slope(q: np.ndarray, p: np.ndarray) -> np.ndarray:
         return sum(weight * gradient_of(kernel, q, p) for weight, kernel in kernels)
-    return _OnNumber(slope)
+    return _OnNumber(slope, rates)
 
 
 def gradient_of(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -291,8 +377,7 @@ def gradient_of(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
     return both
 
 
-def _differentiable(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect]
-                    ) -> PartitionedTableau:
+def _differentiable(hamiltonian: Hamiltonian, integrator: Integrator) -> PartitionedTableau:
     """Return the tableau of a method, or raise UnsupportedSystem."""
     tableau = integrator.partitioned
     if tableau is None:
@@ -302,24 +387,13 @@ def _differentiable(hamiltonian: Hamiltonian, integrator: Integrator, effects: S
     if not hamiltonian.canonical:
         raise UnsupportedSystem('a model of the family symplectic_form is not differentiable yet: '
                                 'its second derivatives are differences')
-    for effect in effects:
-        if effect.place(integrator) is not Place.ENERGY:
-            raise UnsupportedSystem(
-                f'the effect {_kind(effect)} is not differentiable yet; effects that are: '
-                f'{", ".join(_names(lambda kind: issubclass(kind, Joined)))}; leave others out')
-    unknowns = 2 * tableau.stages * hamiltonian.dimension
-    if unknowns > LARGEST_MATRIX:
-        raise UnsupportedSystem(
-            f'{method_name(integrator)} has {tableau.stages} stages of {hamiltonian.dimension} '
-            f'coordinates, {unknowns} unknowns, of which up to {LARGEST_MATRIX} are '
-            'differentiable; take a method of fewer stages')
     return tableau
 
 
-def _names(are: Callable[[Any], bool]) -> Iterator[str]:
-    return (name for name, kind in EFFECTS.items() if are(kind))
-
-
-def _kind(effect: Effect) -> str:
-    """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
-    return next(_names(lambda kind: type(effect) is kind), type(effect).__name__)
+def _check_unknowns(tableau: PartitionedTableau, integrator: Integrator, d: int) -> None:
+    unknowns = 2 * tableau.stages * d
+    if unknowns > LARGEST_MATRIX:
+        raise UnsupportedSystem(
+            f'{method_name(integrator)} has {tableau.stages} stages of {d} coordinates, '
+            f'{unknowns} unknowns, of which up to {LARGEST_MATRIX} are differentiable; take a '
+            'method of fewer stages')

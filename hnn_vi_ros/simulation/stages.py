@@ -21,57 +21,17 @@ from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.solvers import anderson
-from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.simulation.stage_work import Acting, StageWork
 import numpy as np
 
 _MOST = 20
 # Relative to a state: a step that ends further from the next one was not taken by the tableau.
 _SAME = 1e-9
-
-
-class StageWork(NamedTuple):
-    """
-    What one step's derivatives are worked out in, of s stages of d coordinates.
-
-    Parameters
-    ----------
-    solver : SolverWork
-        Of the equation for the stages.
-    change : np.ndarray, shape (2 d,)
-        The mean rate of change in the step.
-    v_q, v_p, product_q, product_p : np.ndarray, shape (s d,)
-        A direction, and H'' times it or H' itself, at each stage.
-    slopes : np.ndarray, shape (s, 2 d, 2 d)
-        H'' at each stage.
-    matrix : np.ndarray, shape (2 s d, 2 s d)
-        I - G_Z, or its transpose.
-    right : np.ndarray, shape (2 s d,)
-        The right-hand side, then the solution.
-
-    """
-
-    solver: SolverWork
-    change: np.ndarray
-    v_q: np.ndarray
-    v_p: np.ndarray
-    product_q: np.ndarray
-    product_p: np.ndarray
-    slopes: np.ndarray
-    matrix: np.ndarray
-    right: np.ndarray
-
-    @classmethod
-    def empty(cls, s: int, d: int) -> 'StageWork':
-        """Return the working space."""
-        n = 2 * s * d
-        v_q, v_p, product_q, product_p = np.zeros((4, s * d))
-        return cls(SolverWork.empty(n), np.zeros(2 * d), v_q, v_p, product_q, product_p,
-                   np.zeros((s, 2 * d, 2 * d)), np.zeros((n, n)), np.zeros(n))
 
 
 class _Problem(NamedTuple):
@@ -94,8 +54,8 @@ def entry_of(loop: Loop, kernel: Kernel, *arguments: Any) -> Loop:
         if kernel.compiled else loop
 
 
-def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, states: np.ndarray,
-                stages: np.ndarray, work: StageWork) -> int:
+def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+                states: np.ndarray, stages: np.ndarray, work: StageWork) -> int:
     """
     Fill the stages of steps.
 
@@ -107,6 +67,8 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, states: n
         Step size [s].
     tableau : PartitionedTableau
         Of the method.
+    acting : Acting
+        What effects do.
     states : np.ndarray, shape (K + 1, m, 2 d)
         Of m trajectories, before and after each of K steps.
     stages : np.ndarray, shape (K, m, 2 s d)
@@ -120,27 +82,36 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, states: n
         -1, or the first step whose stages are not found.
 
     """
-    kernel, tableau, states, stages, work = bare((kernel, tableau, states, stages, work))
+    kernel, tableau, acting, states, stages, work = bare(
+        (kernel, tableau, acting, states, stages, work))
+    start, end, flow = work.start, work.end, acting.flow
     for n in range(stages.shape[0]):
+        _enter(acting, n)
         for m in range(stages.shape[1]):
-            if not _find(kernel, h, tableau, states[n, m], states[n + 1, m], stages[n, m], work):
+            for k in range(flow.size):
+                start[k] = flow[k] * states[n, m, k]
+                end[k] = states[n + 1, m, k] / flow[k] if flow[k] != 0.0 else 0.0
+            if not _find(kernel, h, tableau, start, end, stages[n, m], work):
                 return n
     return -1
 
 
-def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, stages: np.ndarray,
-              cotangents: np.ndarray, directions: np.ndarray, work: StageWork) -> int:
+def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+              stages: np.ndarray, cotangents: np.ndarray, directions: np.ndarray,
+              felt: np.ndarray, work: StageWork) -> int:
     """
     Take cotangents back through steps.
 
     Parameters
     ----------
-    kernel, h, tableau, stages, work
+    kernel, h, tableau, acting, stages, work
         See ``find_stages``.
     cotangents : np.ndarray, shape (K + 1, m, 2 d)
         Of each state by itself; of it and of all that follows from it afterwards.
     directions : np.ndarray, shape (K, m, 2 s d)
         Filled with the cotangents of H_q at the stages, then of H_p.
+    felt : np.ndarray, shape (K, 2, m, 2 d)
+        Filled with the cotangents after the flow before each step, and after that behind it.
 
     Returns
     -------
@@ -148,28 +119,38 @@ def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, stages: np.
         -1, or a step whose matrix is singular.
 
     """
-    kernel, tableau, stages, cotangents, directions, work = bare(
-        (kernel, tableau, stages, cotangents, directions, work))
+    kernel, tableau, acting, stages, cotangents, directions, felt, work = bare(
+        (kernel, tableau, acting, stages, cotangents, directions, felt, work))
+    start, end, flow = work.start, work.end, acting.flow
     for k in range(stages.shape[0]):
         n = stages.shape[0] - 1 - k
+        _enter(acting, n)
         for m in range(stages.shape[1]):
-            if not _pull(kernel, h, tableau, stages[n, m], cotangents[n, m],
-                         cotangents[n + 1, m], directions[n, m], work):
+            for i in range(flow.size):
+                felt[n, 1, m, i] = cotangents[n + 1, m, i]
+                start[i], end[i] = 0.0, flow[i] * cotangents[n + 1, m, i]
+            if not _pull(kernel, h, tableau, stages[n, m], start, end, directions[n, m], work):
                 return n
+            for i in range(flow.size):
+                felt[n, 0, m, i] = start[i]
+                cotangents[n, m, i] += flow[i] * start[i]
     return -1
 
 
-def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, stages: np.ndarray,
-                 sources: np.ndarray, tangents: np.ndarray, work: StageWork) -> int:
+def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+                 stages: np.ndarray, sources: np.ndarray, added: np.ndarray,
+                 tangents: np.ndarray, work: StageWork) -> int:
     """
     Take tangents through steps.
 
     Parameters
     ----------
-    kernel, h, tableau, stages, work
+    kernel, h, tableau, acting, stages, work
         See ``find_stages``.
     sources : np.ndarray, shape (K, m, 2 s d)
         Changes of H_q at the stages, then of H_p, for other reasons than the state.
+    added : np.ndarray, shape (K, 2, m, 2 d)
+        Changes of the state after the flow before each step, and after that behind it, likewise.
     tangents : np.ndarray, shape (K + 1, m, 2 d)
         Of the first state; of all states afterwards.
 
@@ -179,14 +160,27 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, stages: 
         -1, or a step whose matrix is singular.
 
     """
-    kernel, tableau, stages, sources, tangents, work = bare(
-        (kernel, tableau, stages, sources, tangents, work))
+    kernel, tableau, acting, stages, sources, added, tangents, work = bare(
+        (kernel, tableau, acting, stages, sources, added, tangents, work))
+    start, end, flow = work.start, work.end, acting.flow
     for n in range(stages.shape[0]):
+        _enter(acting, n)
         for m in range(stages.shape[1]):
-            if not _push(kernel, h, tableau, stages[n, m], sources[n, m], tangents[n, m],
-                         tangents[n + 1, m], work):
+            for k in range(flow.size):
+                start[k] = flow[k] * tangents[n, m, k] + added[n, 0, m, k]
+            if not _push(kernel, h, tableau, stages[n, m], sources[n, m], start, end, work):
                 return n
+            for k in range(flow.size):
+                tangents[n + 1, m, k] = flow[k] * end[k] + added[n, 1, m, k]
     return -1
+
+
+@inlined
+def _enter(acting: Acting, n: int) -> None:
+    """Let forces find time and command as they were in a step."""
+    acting.clock[0], acting.clock[1] = acting.times[n], 0.0
+    for i in range(acting.command.size):
+        acting.command[i] = acting.commands[n, i]
 
 
 @inlined
@@ -220,7 +214,7 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
             break
     if outcome != OK:
         return False
-    for k in range(d):
+    for k in range(d - kernel.channels):
         dq, dp = 0.0, 0.0
         for j in range(s):
             dq += tableau.q_weights[j] * problem.dH_dp[j * d + k]

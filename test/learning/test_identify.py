@@ -77,9 +77,14 @@ def test_the_study_of_coverage_finds_what_made_its_logs(case):
 
 @pytest.mark.parametrize('name, numbers', [
     ('exact_double_pendulum', {'mass2': 1.1, 'length2': 0.9}),
+    ('exact_double_pendulum', {'mass2': 1.1, 'damping__rate': 0.4,
+                               'quadratic_drag__coefficient': 0.1}),
     ('two_joint_arm', {'forearm__mass': 1.1})])
 def test_exact_tangents_are_differences_of_simulations(name, numbers, tmp_path, monkeypatch):
     scene = load_scene(name)
+    if 'damping__rate' in numbers:
+        scene = scene.changed({'effects': [{'kind': 'damping', 'rate': 0.3}, {
+            'kind': 'quadratic_drag', 'coordinates': ['angle1'], 'coefficient': 0.2}]})
     free = freed(scene, tmp_path, **numbers)
     values = np.array([*numbers.values()])
     windows = windows_of([swing(scene, 0.5, 5)], 0.3, True)

@@ -94,10 +94,9 @@ def test_method_without_derivatives_is_refused_by_name(name: str):
 
 
 @pytest.mark.parametrize('kind, arguments, method', [
-    ('damping', {'rate': 0.1}, 'variational_euler'), ('damping', {'rate': 0.1}, 'gauss4'),
     ('impact', {'coordinate': 'angle', 'position': -1.0}, 'variational_euler'),
-    ('dry_friction', {'coordinate': 'angle', 'force': 1.0}, 'gauss4'),
-    ('external_force', {'coordinates': ['angle']}, 'gauss4')])
+    ('thermostat', {'temperature': 1.0, 'rate': 1.0}, 'variational_euler'),
+    ('servo', {'coordinates': ['angle'], 'stiffness': 1.0}, 'gauss4')])
 def test_effect_without_derivatives_is_refused_by_name(kind: str, arguments: dict, method: str):
     effect = EFFECTS[kind](**arguments)
     with pytest.raises(UnsupportedSystem, match=f'^the effect {kind} is not differentiable yet; '
