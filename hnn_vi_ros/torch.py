@@ -192,8 +192,9 @@ class _Run(torch.autograd.Function):
 
     @staticmethod
     def jvp(ctx: Any, *tangents: torch.Tensor | None) -> torch.Tensor:
-        z0, commands, *others = (None if change is None else change.detach().contiguous().numpy()
-                       for change in tangents[4:])
+        z0, commands, *others = (
+            None if change is None else change.detach().contiguous().numpy()
+            for change in tangents[4:])
         changes = [(dependence, change) for dependence, change in zip(
             ctx.dependences, others, strict=True) if change is not None and change.any()]
         return torch.from_numpy(

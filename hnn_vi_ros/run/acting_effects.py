@@ -37,14 +37,16 @@ class ActingEffects:
     Raises
     ------
     UnsupportedSystem
-        One of them is not differentiable yet; names those that are.
+        They are not differentiable together.
 
     """
 
     def __init__(self, system: System, hamiltonian: Hamiltonian, integrator: Integrator,
                  effects: Sequence[Effect], h: float):
-        for effect in effects:
-            _check(effect, integrator, system)
+        if system.effect_state.gauge.any() and flow_rates(
+                hamiltonian, integrator, effects).any():
+            raise UnsupportedSystem('the effect damping is not differentiable yet in magnetic '
+                                    'fields; leave one of them out')
         self._system, self._h, self._channels = system, h, system.kernel.channels
         self.rates = flow_rates(hamiltonian, integrator, effects)
         self._flow = np.concatenate([
@@ -170,18 +172,20 @@ def flow_rates(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequen
     return rates
 
 
-def _check(effect: Effect, integrator: Integrator, system: System) -> None:
+def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
+    """Raise UnsupportedSystem, which names those that are, if one is not differentiable."""
+    for effect in effects:
+        _check(effect, integrator)
+
+
+def _check(effect: Effect, integrator: Integrator) -> None:
     place = effect.place(integrator)
-    damps = type(effect) is EFFECTS['damping']
     if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
         if getattr(effect, 'names', None) == ():
             raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet by '
                                     'the input map of a model: give it coordinates')
         return
-    if damps and place is Place.AROUND:
-        if system.effect_state.gauge.any():
-            raise UnsupportedSystem('the effect damping is not differentiable yet in magnetic '
-                                    'fields; leave one of them out')
+    if type(effect) is EFFECTS['damping'] and place is Place.AROUND:
         return
     able = ', '.join(names_of(lambda kind: issubclass(kind, Joined) or _is_known(kind)))
     raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet; effects '

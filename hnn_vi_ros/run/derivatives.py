@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.run.acting_effects import ActingEffects
+from hnn_vi_ros.run.acting_effects import ActingEffects, check_effects
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.stage_work import StageWork
@@ -97,10 +97,10 @@ class DifferentiableRun:
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
                  effects: Sequence[Effect] = ()):
         self._tableau = _differentiable(hamiltonian, integrator)
+        check_effects(effects, integrator)
         self._h, system = float(step_size), System(hamiltonian, effects, integrator)
         self._acting = ActingEffects(system, hamiltonian, integrator, effects, self._h)
-        # With a channel for each force.
-        self._kernel, self._d = system.kernel, system.kernel.dimension
+        self._kernel, self._d = system.kernel, system.kernel.dimension  # channels included
         _check_unknowns(self._tableau, integrator, self._d)
         self._work = StageWork.empty(self._tableau.stages, self._d)
         self._arguments = hamiltonian, integrator, self._h
@@ -271,7 +271,7 @@ class DifferentiableRun:
 
     def _stages(self, simulation: Simulation, segment: _Segment, block: slice
                 ) -> tuple[np.ndarray, np.ndarray]:
-        """Take a segment's steps once more; return stages (K, m, 2 s d), states (K + 1, m, 2 d)."""
+        """Take a segment's steps again; return stages (K, m, 2 s d), states (K + 1, m, 2 d)."""
         simulation.restore(segment.snapshot)
         before = np.hstack([simulation.q, simulation.p])[None]
         states = self._acting.padded(np.concatenate([before, self._acting.advance(

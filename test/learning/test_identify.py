@@ -227,7 +227,7 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
 
 
 @pytest.mark.parametrize('free, data, said', [
-    (['lenght'], {}, "did you mean length?; valid: mass, length, gravity, initial_state"),
+    (['lenght'], {}, 'did you mean length?; valid: mass, length, gravity, initial_state'),
     ([DELAY], {}, 'the data hold no forces that could come late'),
     (['length', 'length'], {}, 'stands twice'),
     (['length'], {'q': np.zeros((100, 2))}, 'expected numbers of shape (100, 1)'),
