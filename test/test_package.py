@@ -27,8 +27,8 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 FLOORS = (
     'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
     'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
-    'accuracy', 'guards', 'bags', 'viewer', 'run', 'learning', 'torch', 'sweeps', 'envs',
-    'studies', 'ros', 'commands', 'cli', '__init__')
+    'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch', 'sweeps',
+    'envs', 'studies', 'ros', 'commands', 'cli', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -46,7 +46,7 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
     'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
-             r'|torch\.py',
+             r'|torch\.py|lockstep/\w+\.py|run/device_ensemble\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/peers\.py',
     'diffrax': r'studies/peers\.py',

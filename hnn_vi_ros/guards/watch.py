@@ -9,9 +9,13 @@ from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.base import Alarm, Guard, Look
 from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.cost import CostGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.invariant import InvariantGuard
+from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.guards.screening import suspects
+from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
@@ -182,3 +186,9 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
         warnings.warn(
             f'{kind} in {len(found)} of {len(alarms)} trajectories; in number {first}, '
             f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning, stacklevel=3)
+
+
+def watch_of_block(simulation: Simulation) -> Watch:
+    """Return the guards of what is told of all trajectories that step together; see show_many."""
+    return Watch(simulation, None, kinds=(
+        CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))

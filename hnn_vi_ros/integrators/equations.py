@@ -14,7 +14,7 @@ import numpy as np
 
 
 # Unknowns smaller than this are as good as zero: eps times it is the smallest normal number.
-_LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
+LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
 class Known(NamedTuple):
@@ -231,9 +231,9 @@ def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope:
         rounding, size = abs(h) * kernel.gradient_scale[which], 0.0
         for i in range(start, middle):
             own = max(abs(base[i]), abs(h) * abs(slope[i]), rounding)
-            if 0.0 < own < _LEAST_SCALE:
+            if 0.0 < own < LEAST_SCALE:
                 # What friction has brought to rest decays until its digits run out.
-                own = _LEAST_SCALE
+                own = LEAST_SCALE
             own_scale[i], size = own, max(size, own)
         for i in range(start, middle):
             scale[i] = size

@@ -32,7 +32,7 @@ import numpy as np
 _EPS = float(np.finfo(np.float64).eps)
 # Iterations of the secant method, as many as steps take that are resolved. Of the 6155 steps of
 # two methods that H = q sin(5 p) was tried with, one took another solution without a sign.
-_QUICK = 5
+QUICK = 5
 # Residuals that are not rounding alone.
 _NOISE = 1e-11
 GO_ON = -1
@@ -165,7 +165,7 @@ def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarr
     # In this order: what is read from arrays costs more.
     if not options.connected or iterations < 3:
         return False
-    if iterations <= _QUICK + min(d - 1, DEPTH) and slow_start[0] == 0:
+    if iterations <= QUICK + min(d - 1, DEPTH) and slow_start[0] == 0:
         return False
     return 0 < matrix.shape[0] <= FAST_MATRIX
 

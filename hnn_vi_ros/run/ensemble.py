@@ -11,12 +11,10 @@ from typing import Any
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.cost import CostGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.solutions import SolutionGuard
-from hnn_vi_ros.guards.watch import energies_of, look, show_many, tell, tell_many, Watch
+from hnn_vi_ros.guards.watch import (
+    energies_of, look, show_many, tell, tell_many, Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
@@ -189,7 +187,7 @@ def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
 
 def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
                   p: Sequence[Sequence[float]], duration: float, *, samples: int = 1,
-                  threads: int | None = None) -> Trajectory:
+                  threads: int | None = None, device: str | None = None) -> Trajectory:
     """
     Simulate one scene from many initial states.
 
@@ -209,7 +207,11 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     samples : int, optional
         Samples after the initial one, evenly spaced; see DenseStep for times between steps.
     threads : int, optional
-        By default as many as there are processors.
+        By default as many as there are processors; of no meaning on a GPU.
+    device : str, optional
+        ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch, with each trajectory solved
+        by itself, in place of compiled loops; see docs/scale.md. For an H of perceptrons, without
+        effects, and some of the methods.
 
     Returns
     -------
@@ -227,6 +229,8 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     ------
     HnnViRosError
         The scene cannot be built, or a step of some trajectory fails.
+    MissingPackage
+        A device takes the extra ``train``.
     ValueError
         An argument that is not usable, or more samples than fit into memory.
     TypeError
@@ -259,20 +263,48 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
         return Simulation(hamiltonian.copy(), integrator, scene.step_size, q0[block], p0[block],
                           effects, scene.on_failure)
 
-    workers = min(threads or os.cpu_count() or 1, -(-len(q0) // size))
-    q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
     alarms: list[list[Alarm]] = [[] for _ in q0]
-    q_all[0], p_all[0] = q0, p0
-    with ThreadPoolExecutor(workers) as pool:
-        # Taken from the iterator, so that a failure of one worker is raised here.
-        list(pool.map(lambda worker: _fill(
-            start, range(worker * size, len(q0), workers * size), size,
-            t[1:] if share else every, q_all, p_all, alarms), range(workers)))
+    if device is None:
+        q_all, p_all = _compiled(start, q0, p0, samples, t[1:] if share else every, size,
+                                 threads or os.cpu_count() or 1, alarms)
+    else:
+        if share:
+            raise ValueError(
+                f'device = {device}: samples lie {interval:g} s apart, '
+                f'{interval / scene.step_size:g} steps: on a device these are whole; take '
+                'another duration or samples')
+        with optional('torch', f'device = {device}'):
+            from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
+            from hnn_vi_ros.run.device_ensemble import record_on_device
+
+        def make() -> LockstepEnsemble:
+            return LockstepEnsemble(hamiltonian.copy(), integrator, scene.known_step_size, effects,
+                                    scene.on_failure, device)
+        q_all, p_all, failures = record_on_device(
+            start(slice(0, 1)), make, device, q0, p0, [k * every for k in range(samples + 1)],
+            threads, alarms)
+        for _, failure in sorted(failures.items()):
+            raise failure
     energies = show_many(
         start(slice(0, 1)), t / scene.step_size, q_all, p_all, alarms)
     tell_many(alarms, scene.step_size)
     return Trajectory(t, q_all, p_all, energies, hamiltonian.coordinates,
                       tuple(map(tuple, alarms)), scene=scene)
+
+
+def _compiled(start: Callable[[slice], Simulation], q0: np.ndarray, p0: np.ndarray, samples: int,
+              every: int | np.ndarray, size: int, threads: int, alarms: list[list[Alarm]]
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and p, shape (samples + 1, m, d), by compiled loops over blocks of a size."""
+    workers = min(threads, -(-len(q0) // size))
+    q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
+    q_all[0], p_all[0] = q0, p0
+    with ThreadPoolExecutor(workers) as pool:
+        # Taken from the iterator, so that a failure of one worker is raised here.
+        list(pool.map(lambda worker: _fill(
+            start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all,
+            alarms), range(workers)))
+    return q_all, p_all
 
 
 def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
@@ -292,9 +324,3 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         for own in alarms[block]:
             own += watch.alarms
         q_all[1:, block], p_all[1:, block] = q_block, p_block
-
-
-def watch_of_block(simulation: Simulation) -> Watch:
-    """Return the guards of what is told of all trajectories that step together; see show_many."""
-    return Watch(simulation, None, kinds=(
-        CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))

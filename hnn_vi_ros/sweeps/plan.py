@@ -15,6 +15,7 @@ from typing import Any
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
@@ -34,6 +35,8 @@ _MOST_NUMBERS, _MOST_ROWS = 2**23, 2**18
 # Steps that make a shard where none asks for another size, and its most trajectories: some ten
 # seconds, so that little is lost by an end and little time is spent on files.
 _STEPS, _MOST_TRAJECTORIES = 10**7, 2**13
+# Trajectories that step together on a device.
+_ON_DEVICE = {'cpu': 3840, 'cuda': 2**17}
 _PACKAGES = ('numba', 'numpy', 'pyarrow', 'scipy')
 
 
@@ -56,6 +59,8 @@ class SweepPlan:
         What varies, the last one fastest.
     parts : list of tuple
         The parts of each key that varies; see ``find_key``.
+    device : str or None
+        What trajectories are computed on in torch; None for compiled loops.
 
     """
 
@@ -65,6 +70,7 @@ class SweepPlan:
     hamiltonian: Hamiltonian
     axes: list[Axis]
     parts: list[tuple[str | int, ...]]
+    device: str | None = None
 
     @property
     def keys(self) -> list[str]:
@@ -95,13 +101,16 @@ class SweepPlan:
     def block(self) -> int:
         """Return how many neighbours step together; what they are depends on that."""
         most = _MOST_NUMBERS // (2 * self.hamiltonian.dimension * self.samples)
-        return min(BLOCK, most)
+        if self.device is None:
+            return min(BLOCK, most)
+        together = _ON_DEVICE[self.device.partition(':')[0]]
+        return min(together, most, self.sweep.shard_size or together)
 
     @cached_property
     def shard_size(self) -> int:
         """Return how many trajectories a shard has: whole blocks."""
         rows = self.samples if self.sweep.keep == 'samples' else 1
-        most = min(_MOST_TRAJECTORIES, _STEPS // self.steps)
+        most = min(max(_MOST_TRAJECTORIES, self.block), _STEPS // self.steps)
         size = min(self.sweep.shard_size or max(most, 1), max(_MOST_ROWS // rows, 1))
         return -(-size // self.block) * self.block
 
@@ -132,7 +141,11 @@ class SweepPlan:
     @cached_property
     def record(self) -> dict[str, Any]:
         """Return all that the results depend on, and how they are cut: JSON's plain data."""
-        record = {
+        record: dict[str, Any] = {}
+        if self.device is not None:
+            from hnn_vi_ros.lockstep.devices import description
+            record['device'] = description(self.device)
+        record |= {
             'sweep': self.sweep.model_dump(mode='json'),
             'scene': self.scene.model_dump(mode='json'),
             'models': self.scene.model_digests,
@@ -153,7 +166,7 @@ def as_json(data: object) -> str:
 
 
 def make_plan(definition: str | Path | Mapping[str, Any],
-              chosen: Mapping[str, Any] | None = None) -> SweepPlan:
+              chosen: Mapping[str, Any] | None = None, device: str | None = None) -> SweepPlan:
     """
     Make a sweep ready.
 
@@ -163,6 +176,8 @@ def make_plan(definition: str | Path | Mapping[str, Any],
         See ``load_sweep``.
     chosen : mapping, optional
         What the integrator auto chose where the sweep was begun: "step_size" and "integrator".
+    device : str, optional
+        See ``simulate_many``.
 
     Returns
     -------
@@ -173,8 +188,14 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     ------
     HnnViRosError
         The sweep, its scene, or what it varies cannot be used; one line.
+    ValueError
+        The device is not known.
 
     """
+    if device is not None:
+        with optional('torch', f'device = {device}'):
+            from hnn_vi_ros.lockstep.devices import open_device
+        open_device(device)
     sweep, places, folder = load_sweep(definition)
     beside = folder / sweep.scene
     scene = load_scene(
@@ -185,7 +206,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     hamiltonian = scene.create_hamiltonian()
     axes = [make_axis(axis, sweep.seed, number, folder, places.place('vary', number))
             for number, axis in enumerate(sweep.vary)]
-    plan = SweepPlan(sweep, folder, scene, hamiltonian, axes, [])
+    plan = SweepPlan(sweep, folder, scene, hamiltonian, axes, [], device)
     for number, axis in enumerate(axes):
         plan.parts.extend(find_key(scene, key, plan.names, places.place('vary', number))
                           for key in axis.keys)

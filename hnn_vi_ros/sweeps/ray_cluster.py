@@ -80,7 +80,7 @@ def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], addre
                 'or take --ray local; with an address, a cluster that asks for a token takes '
                 'RAY_AUTH_MODE=token') from problem
     try:
-        yield from _spread(job, folder, shards)
+        yield from _spread(job, folder, shards, address)
     except RayError as problem:
         raise HnnViRosError(f'--ray {address}: {one_line(problem)}; what is whole stays: give the '
                             'same command again') from problem
@@ -89,10 +89,17 @@ def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], addre
             ray.shutdown()
 
 
-def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int]) -> Iterator[int]:
-    cores = int(ray.cluster_resources().get('CPU', 1))
-    actor = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=_RETRIES)(ShardMaker)
-    free = deque(actor.remote(job) for _ in range(min(cores, len(shards))))
+def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: str
+            ) -> Iterator[int]:
+    on_gpu = job.device is not None and job.device.startswith('cuda')
+    there = ray.cluster_resources()
+    makers = int(there.get('GPU', 0) if on_gpu else there.get('CPU', 1))
+    if makers == 0:
+        raise HnnViRosError(f'--ray {address} --device {job.device}: the cluster has no GPU; '
+                            'leave --device out, or begin it with ray start --num-gpus N')
+    actor = ray.remote(num_cpus=1, num_gpus=int(on_gpu), max_restarts=-1,
+                       max_task_retries=_RETRIES)(ShardMaker)
+    free = deque(actor.remote(job) for _ in range(min(makers, len(shards))))
     free.extend(list(free) * (_AHEAD - 1))
     pending, running = deque(shards), dict[Any, tuple[int, Any]]()
     while pending or running:

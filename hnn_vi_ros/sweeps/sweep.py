@@ -50,7 +50,7 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     try:
         begin = time.monotonic()
-        jobs = (os.cpu_count() or 1) if options.jobs is None else options.jobs
+        jobs = _processes(options.device) if options.jobs is None else options.jobs
         sweep(options.sweep, out, shard=options.shard, jobs=jobs, ray=options.ray,
               device=options.device, progress=True)
     except (ValueError, TypeError) as problem:
@@ -59,16 +59,23 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
         print(f'sweep: stopped; what is whole is in {out}: the same command goes on',
               file=sys.stderr)
         raise
-    plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'))
+    plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'),
+                     options.device)
     print(_summary(plan, SweepFolder(out), time.monotonic() - begin))
     return 0
 
 
+def _processes(device: str | None) -> int:
+    """Return how many processes there are where none asks for another number."""
+    return 1 if device is not None and device.startswith('cuda') else os.cpu_count() or 1
+
+
 def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
     """Write the trajectories that the command line selects, and say how many there are."""
-    if options.ray or options.jobs is not None or options.shard != '0/1':
-        raise ParameterError('--episodes writes one after another: leave --jobs, --ray and '
-                             '--shard out; give each of several processes a --select and an --out')
+    if options.ray or options.jobs is not None or options.shard != '0/1' or options.device:
+        raise ParameterError('--episodes writes one after another: leave --jobs, --ray, --device '
+                             'and --shard out; give each of several processes a --select and '
+                             'an --out')
     out = options.out or Path('episodes') / Path(options.sweep).stem
     plan, failed = make_plan(options.sweep), dict[int, str]()
     indices = selected(options.select or '', plan.count)
@@ -80,8 +87,8 @@ def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
 
 
 def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard: str = '0/1',
-          jobs: int = 1, ray: str | None = None, device: str = 'cpu', progress: bool = False
-          ) -> Path:
+          jobs: int = 1, ray: str | None = None, device: str | None = None,
+          progress: bool = False) -> Path:
     """
     Simulate a scene for many parameters and initial states, and keep a Parquet dataset.
 
@@ -102,7 +109,8 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     ray : str, optional
         In place of processes, the address of a Ray cluster, ``'auto'`` or ``'local'``.
     device : str, optional
-        ``'cpu'``.
+        Take the steps in torch, on ``'cuda'``, ``'cuda:N'`` or ``'cpu'``, in place of compiled
+        loops; see ``simulate_many``. The device is recorded, and the folder is of it alone.
     progress : bool, optional
         Whether a line on standard error tells how far it is.
 
@@ -123,19 +131,17 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
         # Imported here: it is an extra. First of all: it may be missing.
         from hnn_vi_ros.sweeps.ray_cluster import make_on_ray
     check_count('jobs', jobs)
-    if device != 'cpu':
-        raise ValueError(f'device = {device!r} is not known; valid: cpu')
     share, folder = shards_of(shard), SweepFolder(Path(out))
     if not isinstance(definition, Mapping) and is_path('sweep', str(definition)):
         # As workers find it, wherever they are started.
         definition = os.path.abspath(definition)
-    plan = make_plan(definition, (folder.record() or {}).get('scene'))
+    plan = make_plan(definition, (folder.record() or {}).get('scene'), device)
     Runner(plan).check()
     folder.begin(plan)
     shards = folder.missing(plan, share)
     line = _Progress(plan, shards, share) if progress else None
     job = ShardJob(definition if isinstance(definition, Mapping) else str(definition),
-                   plan.record['scene'], plan.record['digest'])
+                   plan.record['scene'], plan.record['digest'], device)
     made: Iterator[int]
     if ray is not None:
         made = make_on_ray(job, folder, shards, ray)

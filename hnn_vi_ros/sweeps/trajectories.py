@@ -3,15 +3,15 @@
 """The trajectories of a sweep: a block of neighbours at a time, each failure a row."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 import warnings
 
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import HnnViRosError, StepFailure
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.watch import look, show_many
+from hnn_vi_ros.guards.watch import look, show_many, watch_of_block
 from hnn_vi_ros.phase_space import Event
-from hnn_vi_ros.run.ensemble import record_one, watch_of_block
+from hnn_vi_ros.run.ensemble import record_one
 from hnn_vi_ros.run.recorders import recorders
 from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.simulation import Simulation
@@ -21,6 +21,9 @@ from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.sweeps.measures import measure, Parts, Reducer
 from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
 
 # What a trajectory may fail by; anything else is a fault of this package, and ends the sweep.
 _FAILURES = HnnViRosError, ValueError, ArithmeticError
@@ -148,6 +151,12 @@ class Runner:
         self._made[key] = made
         while len(self._made) > _KEPT:
             del self._made[next(iter(self._made))]
+        if self._plan.device is not None:
+            try:
+                return self._on_device(made, indices, rows)
+            except _FAILURES as problem:
+                return [self._failed(index, row, problem)
+                        for index, row in zip(indices, rows, strict=True)]
         if made.lockstep and len(rows) > 1:
             try:
                 return self._together(made, indices, rows)
@@ -163,10 +172,24 @@ class Runner:
                 found.append(self._failed(index, row, problem))
         return found
 
+    def _on_device(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
+                   ) -> list[Rows]:
+        """Return what becomes of some on a device, where each fails by itself."""
+        found, failures = made.on_device(rows)
+        left = [k for k in range(len(rows)) if k not in failures]
+        taken = [] if not left else self._kept_rows(
+            made, [indices[k] for k in left], [rows[k] for k in left], found.of(left))
+        return taken + [self._failed(indices[k], rows[k], problem)
+                        for k, problem in failures.items()]
+
     def _together(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
                   ) -> list[Rows]:
         """Return what becomes of some that step in lockstep."""
-        found = made.together(indices, rows)
+        return self._kept_rows(made, indices, rows, made.together(indices, rows))
+
+    def _kept_rows(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]],
+                   found: '_Path') -> list[Rows]:
+        """Return what is kept of trajectories together, measured one by one if that is asked."""
         if self._measures:
             single = [found._replace(
                 q=found.q[:, k], p=found.p[:, k], energy=found.energy[:, k],
@@ -213,6 +236,12 @@ class _Path(NamedTuple):
     alarms: list[Any]
     events: tuple[Event, ...] = ()
 
+    def of(self, chosen: list[int]) -> '_Path':
+        """Return some of several."""
+        return self._replace(q=self.q[:, chosen], p=self.p[:, chosen],
+                             energy=self.energy[:, chosen],
+                             alarms=[self.alarms[k] for k in chosen])
+
 
 class _Made:
     """A scene with its values, and simulations of it."""
@@ -234,6 +263,8 @@ class _Made:
             raise HnnViRosError(f'step_size = {scene.known_step_size:g} s makes more than twice '
                                 'the samples of the scene as it is, for which memory is')
         self._simulations: dict[str, Any] = {}
+        if plan.device is not None:
+            self._ensemble = self._make_ensemble(plan.device)
 
     def states(self, rows: list[tuple[Any, ...]]) -> _State:
         """Return q and p, shape (m, d) each, as rows have them."""
@@ -264,6 +295,36 @@ class _Made:
         one = self._begin('first', q[:1], p[:1], indices[0])
         energy = show_many(one, t / simulation.step_size, q_all, p_all, alarms)
         return _Path(t, q_all, p_all, energy, alarms)
+
+    def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
+        """Return what takes the steps on a device."""
+        from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
+        scene, hamiltonian, _, integrator, effects = self.parts
+        if scene.events:
+            raise HnnViRosError('trajectories step on a device without events; leave those of '
+                                f'{scene.name} out, or the device')
+        if whole_steps(self._plan.sweep.duration, scene.known_step_size)[1]:
+            raise HnnViRosError(
+                f'duration = {self._plan.sweep.duration:g} s is no whole number of steps of '
+                f'{scene.known_step_size:g} s, as a device takes it; take another')
+        return LockstepEnsemble(hamiltonian.copy(), integrator, scene.known_step_size, effects,
+                                scene.on_failure, device)
+
+    def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[_Path, dict[int, StepFailure]]:
+        """Return trajectories on a device, and those that fail by their number."""
+        from hnn_vi_ros.run.device_ensemble import record_on_device
+        q, p = self.states(rows)
+        device, h = self._plan.device, self.parts.scene.known_step_size
+        assert device is not None, 'it is asked for'
+        steps, _ = whole_steps(self._plan.sweep.duration, h)
+        samples = sorted({*range(0, steps + 1, self._every), steps})
+        alarms: list[list[Alarm]] = [[] for _ in rows]
+        one = self._begin('first', self._state['q'][None], self._state['p'][None], 0)
+        q_all, p_all, failures = record_on_device(
+            one, lambda: self._ensemble, device, q, p, samples, 1, alarms)
+        t = np.array(samples) * h
+        energy = show_many(one, t / h, q_all, p_all, alarms)
+        return _Path(t, q_all, p_all, energy, alarms), failures
 
     def alone(self, index: int, row: tuple[Any, ...]) -> _Path:
         """Return one trajectory, with noise and events of its own."""

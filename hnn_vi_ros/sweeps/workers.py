@@ -38,12 +38,15 @@ class ShardJob:
         See ``make_plan``.
     digest : str
         Of the plan that must come of it.
+    device : str or None
+        See ``make_plan``.
 
     """
 
     definition: str | Mapping[str, Any]
     chosen: Mapping[str, Any]
     digest: str
+    device: str | None = None
 
     def prepare(self) -> tuple[SweepPlan, Runner]:
         """
@@ -55,7 +58,7 @@ class ShardJob:
             It comes out otherwise here: other files or versions.
 
         """
-        plan = make_plan(self.definition, self.chosen)
+        plan = make_plan(self.definition, self.chosen, self.device)
         if plan.record['digest'] != self.digest:
             raise HnnViRosError(
                 'the sweep, its scene, its model or the versions of packages are others in a '

@@ -404,6 +404,39 @@ def test_ray_cluster_that_is_not_there_is_one_line(tmp_path):
         sweep(LENGTHS, tmp_path / 'out', ray='auto')
 
 
+def test_sweep_on_a_device_is_recorded_and_its_bytes_do_not_depend_on_shares(tmp_path):
+    torch = pytest.importorskip('torch', reason='torch is not installed')
+    definition = {'scene': 'pendulum', 'duration': 0.2, 'every': 4, 'shard_size': 40,
+                  'statistics': ['energy_band'], 'vary': [BOX | {'count': 100}]}
+    whole = sweep(definition, tmp_path / 'whole', device='cpu')
+    for share in ('1/2', '0/2'):
+        sweep(definition, tmp_path / 'parts', shard=share, device='cpu')
+    assert contents(tmp_path / 'parts') == contents(whole) and len(contents(whole)) == 4
+    assert json.loads((whole / 'sweep.json').read_text())['device'] == {
+        'kind': 'cpu', 'torch': torch.__version__}
+    compiled = sweep(definition, tmp_path / 'compiled')
+    with pytest.raises(RecordingError, match='holds another sweep: device is null there, {"kind"'):
+        sweep(definition, compiled, device='cpu')
+    found, plain = (table_of(folder).drop_columns(['energy_band', 'energy', 'alarms', 'failure'])
+                    for folder in (whole, compiled))
+    for name in found.column_names:
+        # Of 20 steps, 1e-13 each.
+        assert np.abs(np.array(found[name]) - np.array(plain[name])).max() <= 20e-13
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_failure_of_one_trajectory_on_a_device_is_a_row(tmp_path):
+    pytest.importorskip('torch', reason='torch is not installed')
+    vary = [{'kind': 'values', 'key': 'step_size', 'values': [0.01, 0.02, 0.03]},
+            {'kind': 'values', 'key': 'initial_state.p', 'values': [[0.0], [1.0]]}]
+    rows = table_of(sweep({'scene': 'pendulum', 'duration': 0.2, 'vary': vary}, tmp_path / 'out',
+                          device='cpu')).to_pylist()
+    assert [row['failure'] is None for row in rows] == [True] * 4 + [False] * 2
+    assert rows[5]['failure'].startswith('duration = 0.2 s is no whole number of steps of 0.03 s')
+    with pytest.raises(HnnViRosError, match='not an H of perceptrons'):
+        sweep(LENGTHS, tmp_path / 'exact', device='cpu')
+
+
 def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):
     with pytest.raises(RecordingError, match=r'holds another sweep: sweep.duration is 0.2 there'):
         sweep(LENGTHS | {'duration': 0.3}, whole)

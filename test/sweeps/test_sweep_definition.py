@@ -101,7 +101,7 @@ def test_arguments_that_cannot_be_used_are_told():
         main(['nothing'])
     with pytest.raises(TypeError, match='sweep is a int'):
         sweep(3, 'out')
-    with pytest.raises(ValueError, match="device = 'tpu' is not known"):
+    with pytest.raises(ValueError, match="device = 'tpu' is not known; valid: cpu, cuda"):
         sweep({}, 'out', device='tpu')
 
 

@@ -1,0 +1,299 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of variational methods for many trajectories; the methods' own files have formulas."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.integrators import INTEGRATORS, method_name
+from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, OK
+from hnn_vi_ros.integrators.equations import LEAST_SCALE
+from hnn_vi_ros.integrators.gauss import Gauss, gauss_tableau
+from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.solvers import fixed_point, QUICK, secant, SolverOptions
+from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX
+from hnn_vi_ros.lockstep.gradient import Gradient
+from hnn_vi_ros.lockstep.solvers import (
+    Anderson, dot, FixedPoint, Iteration, Known, Scales, Secant, solve, Solved)
+import torch
+
+_Pair = tuple[torch.Tensor, torch.Tensor]
+
+
+class State(NamedTuple):
+    """
+    States of m trajectories, and what their next steps start from.
+
+    Parameters
+    ----------
+    z, carry, slope : torch.Tensor, shape (2 d, m)
+        q and p; what compensated summation has rounded off them; and (H_q, H_p) at z, or what
+        scales the next solve in its place.
+    counts : torch.Tensor, shape (K, m)
+        How many earlier solutions of each of K equations there are.
+    earlier : tuple of torch.Tensor, each (..., m)
+        What is kept of them.
+
+    """
+
+    z: torch.Tensor
+    carry: torch.Tensor
+    slope: torch.Tensor
+    counts: torch.Tensor
+    earlier: tuple[torch.Tensor, ...]
+
+    def of(self, chosen: torch.Tensor) -> 'State':
+        """Return those of some trajectories."""
+        return State(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
+                     self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
+
+
+class Stepped(NamedTuple):
+    """
+    What came of a step.
+
+    Parameters
+    ----------
+    state : State
+        After it; of no meaning where it was not taken.
+    outcome : torch.Tensor, shape (m,)
+        OK, or why the step was not taken.
+    gradients : torch.Tensor, shape (m,)
+        How many were evaluated.
+
+    """
+
+    state: State
+    outcome: torch.Tensor
+    gradients: torch.Tensor
+
+
+class System(NamedTuple):
+    """
+    What is simulated, and how.
+
+    Parameters
+    ----------
+    gradient : callable
+        Of H.
+    d : int
+        Its degrees of freedom.
+    rounding : tuple of float
+        See ``Kernel.gradient_scale``.
+    h : float
+        Step size [s].
+    options : SolverOptions
+        Of the method.
+
+    """
+
+    gradient: Gradient
+    d: int
+    rounding: tuple[float, float]
+    h: float
+    options: SolverOptions
+
+    def iteration(self) -> Iteration:
+        """Return the method's solver, before its first iteration."""
+        if self.options.solve is fixed_point:
+            return FixedPoint()
+        return Secant() if self.options.solve is secant else Anderson()
+
+    def solve(self, equation: Callable, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
+        """Solve an equation; one that may have another solution is in doubt."""
+        by_secant = self.options.solve is secant
+        solved = solve(self.iteration(), equation, known, x,
+                       Scales(scales.own, scales.own) if by_secant else scales,
+                       self.options.max_iterations)
+        if not self.options.connected or self.d > FAST_MATRIX:
+            return solved
+        quick = solved.iterations <= QUICK + min(self.d - 1, DEPTH)
+        doubt = (solved.iterations >= 3) & (~quick | solved.slow_start)
+        return solved._replace(outcome=torch.where(
+            (solved.outcome == OK) & doubt, IN_DOUBT, solved.outcome))
+
+    def scales(self, base: torch.Tensor, slope: torch.Tensor, h: float, which: int) -> Scales:
+        """Return the scales of unknowns, shape (d, m); see ``set_scale`` of equations."""
+        own = torch.maximum(base.abs(), abs(h) * slope.abs()).clamp_min(
+            abs(h) * self.rounding[which])
+        own = torch.where((own > 0.0) & (own < LEAST_SCALE), LEAST_SCALE, own)
+        return Scales(own.amax(dim=0).expand_as(own), own)
+
+
+Step = Callable[[System, State], Stepped]
+
+
+def plus(x: torch.Tensor, carry: torch.Tensor, increment: torch.Tensor) -> _Pair:
+    """Add an increment by compensated summation; see ``arithmetic.plus``."""
+    addend = increment + carry
+    total = x + addend
+    virtual = total - x
+    return total, (x - (total - virtual)) + (addend - virtual)
+
+
+def extrapolated(counts: torch.Tensor, earlier: torch.Tensor, base: torch.Tensor, x: torch.Tensor
+                 ) -> torch.Tensor:
+    """Start from up to three earlier solutions, shape (3, N, m), where there are; else from x."""
+    first, second, third = earlier
+    x = torch.where(counts == 1, base + first, x)
+    x = torch.where(counts == 2, base + (2.0 * first - second), x)
+    return torch.where(counts == 3, base + (3.0 * (first - second) + third), x)
+
+
+def remembered(counts: torch.Tensor, earlier: torch.Tensor, increment: torch.Tensor) -> _Pair:
+    """Keep a solution relative to its base, for the next start."""
+    return (counts + 1).clamp_max(3), torch.cat([increment[None], earlier[:2]])
+
+
+def _half_step(system: System, h: float, which: int, held: torch.Tensor, base: torch.Tensor,
+               carry: torch.Tensor, slope: torch.Tensor, history: _Pair
+               ) -> tuple[Solved, torch.Tensor, _Pair]:
+    """
+    Solve p1 = p - h H_q(q, p1), or q1 = q + h H_p(q1, p), for which = 0 or 1.
+
+    Returns
+    -------
+    tuple
+        The solution, with the gradient there; its carry; and its history.
+
+    """
+    factor = (-h, h)[which]
+    counts, earlier = history
+    x = base + factor * slope
+    if system.options.extrapolate:
+        x = extrapolated(counts, earlier, base, x)
+
+    def equation(known: Known, x: torch.Tensor) -> _Pair:
+        held, base, carry = known
+        found = system.gradient(torch.cat((held, x) if which == 0 else (x, held)))
+        return plus(base, carry, factor * found.chunk(2)[which])[0], found
+
+    solved = system.solve(equation, (held, base, carry), x,
+                          system.scales(base, slope, h, which))
+    total, rest = plus(base, carry, factor * solved.found.chunk(2)[which])
+    return (solved, rest + (total - solved.x),
+            remembered(counts, earlier, solved.x - base))
+
+
+def _variational_euler(system: System, state: State) -> Stepped:
+    (q, p), (q_carry, p_carry) = state.z.chunk(2), state.carry.chunk(2)
+    H_q, H_p = state.slope.chunk(2)
+    q1, q1_carry = plus(q, q_carry, system.h * H_p)
+    solved, p1_carry, (counts, earlier) = _half_step(
+        system, system.h, 0, q1, p, p_carry, H_q, (state.counts[0], state.earlier[0]))
+    return Stepped(State(torch.cat([q1, solved.x]), torch.cat([q1_carry, p1_carry]), solved.found,
+                         counts[None], (earlier,)), solved.outcome, solved.iterations)
+
+
+def _generalized_leapfrog(system: System, state: State) -> Stepped:
+    (q, p), (q_carry, p_carry), half = state.z.chunk(2), state.carry.chunk(2), 0.5 * system.h
+    first, carry, kept = _half_step(
+        system, half, 0, q, p, p_carry, state.slope[:system.d], (state.counts[0],
+                                                                 state.earlier[0]))
+    H_p = first.found[system.d:]
+    half_q, half_carry = plus(q, q_carry, half * H_p)
+    second, q1_carry, kept_too = _half_step(
+        system, half, 1, first.x, half_q, half_carry, H_p, (state.counts[1], state.earlier[1]))
+    p1, p1_carry = plus(first.x, carry, -half * second.found[:system.d])
+    return Stepped(
+        State(torch.cat([second.x, p1]), torch.cat([q1_carry, p1_carry]), second.found,
+              torch.stack([kept[0], kept_too[0]]), (kept[1], kept_too[1])),
+        torch.where(first.outcome == OK, second.outcome, first.outcome),
+        first.iterations + second.iterations)
+
+
+def _turned(gradient: torch.Tensor, dim: int = 0) -> torch.Tensor:
+    """Return (H_p, -H_q) of (H_q, H_p)."""
+    H_q, H_p = gradient.chunk(2, dim=dim)
+    return torch.cat([H_p, -H_q], dim=dim)
+
+
+def _both_scales(system: System, state: State) -> Scales:
+    (q, p), (H_q, H_p) = state.z.chunk(2), state.slope.chunk(2)
+    of_q, of_p = system.scales(q, H_p, system.h, 1), system.scales(p, H_q, system.h, 0)
+    return Scales(*(torch.cat(pair) for pair in zip(of_q, of_p, strict=True)))
+
+
+def _implicit_midpoint(system: System, state: State) -> Stepped:
+    half, counts, earlier = 0.5 * system.h, state.counts[0], state.earlier[0]
+    y = state.z + half * _turned(state.slope)
+    if system.options.extrapolate:
+        y = extrapolated(counts, earlier, state.z, y)
+
+    def equation(known: Known, x: torch.Tensor) -> _Pair:
+        z, carry = known
+        found = system.gradient(x)
+        return z + (carry + half * _turned(found)), found
+
+    solved = system.solve(equation, (state.z, state.carry), y, _both_scales(system, state))
+    z1, carry = plus(state.z, state.carry, system.h * _turned(solved.found))
+    counts, earlier = remembered(counts, earlier, solved.x - state.z)
+    return Stepped(State(z1, carry, solved.found, counts[None], (earlier,)), solved.outcome,
+                   solved.iterations)
+
+
+def _gauss(system: System, state: State, stages: int) -> Stepped:
+    """Take a step; the unknowns are the stages' z one after another, shape (s 2 d, m)."""
+    h, n, m = system.h, 2 * system.d, state.z.shape[1]
+    matrix, weights, start = (torch.from_numpy(a.T.copy()).to(state.z.device)[..., None, None]
+                              for a in gauss_tableau(stages))
+    flows = state.earlier[0]
+    moved = dot(start, flows) if system.options.extrapolate else torch.zeros_like(flows)
+    x = state.z + h * torch.where(state.counts[0] > 0, moved, 0.0)
+
+    def equation(known: Known, x: torch.Tensor) -> _Pair:
+        z, carry = known
+        at = x.reshape(stages, n, -1).transpose(0, 1)
+        found = system.gradient(at.reshape(n, -1)).reshape(at.shape).transpose(0, 1)
+        flow = _turned(found, dim=1)
+        value = z + (carry + h * dot(matrix, flow))
+        return value.reshape(stages * n, -1), flow
+
+    scales = Scales(*(scale.repeat(stages, 1) for scale in _both_scales(system, state)))
+    solved = system.solve(equation, (state.z, state.carry), x.reshape(stages * n, m), scales)
+    flow = dot(weights, solved.found)
+    z1, carry = plus(state.z, state.carry, h * flow)
+    d_flow, e_flow = flow.chunk(2)
+    return Stepped(State(z1, carry, torch.cat([-e_flow, d_flow]),
+                         torch.ones_like(state.counts), (solved.found,)),
+                   solved.outcome, stages * solved.iterations)
+
+
+_STEPS: dict[str, Step] = {
+    'variational_euler': _variational_euler, 'generalized_leapfrog': _generalized_leapfrog,
+    'implicit_midpoint': _implicit_midpoint}
+
+
+def step_of(integrator: Integrator) -> Step:
+    """
+    Return the step of a method for many trajectories.
+
+    Raises
+    ------
+    UnsupportedSystem
+        It has none; names the methods that do.
+
+    """
+    if isinstance(integrator, Gauss):
+        stages = integrator.stages
+        return lambda system, state: _gauss(system, state, stages)
+    name = method_name(integrator)
+    if name not in _STEPS:
+        able = ', '.join([*_STEPS, *(key for key, kind in INTEGRATORS.items()
+                                     if issubclass(kind, Gauss))])
+        raise UnsupportedSystem(f'{name} has no step for many trajectories on a device; leave '
+                                f'device out, or take one of: {able}')
+    return _STEPS[name]
+
+
+def first_state(system: System, integrator: ImplicitIntegrator, z: torch.Tensor) -> State:
+    """Return the states before the first step, shape (2 d, m), as the step takes them."""
+    m, d = z.shape[1], system.d
+
+    def zeros(*shape: int) -> torch.Tensor:
+        return torch.zeros((*shape, m), dtype=z.dtype, device=z.device)
+    earlier = [zeros(integrator.stages, 2 * d)] if isinstance(integrator, Gauss) else [
+        zeros(3, n) for n in integrator.unknowns(d)]
+    counts = torch.zeros((len(earlier), m), dtype=torch.int64, device=z.device)
+    return State(z, zeros(2 * d), system.gradient(z), counts, tuple(earlier))
