@@ -3,7 +3,7 @@
 """What varies in a sweep: the values of its keys at any place of an axis, by the place alone."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from hashlib import sha256
 from math import prod
 import os
@@ -13,7 +13,9 @@ from typing import Any
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.definition import (
-    AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, RepeatsChoice, SobolChoice, ValuesChoice)
+    AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, PosteriorChoice, RepeatsChoice,
+    SobolChoice, ValuesChoice)
+from hnn_vi_ros.sweeps.posterior import read_posterior
 import numpy as np
 
 # What is drawn for so many places has one seed: as many random states as places take long.
@@ -101,17 +103,42 @@ class BoxAxis(Axis):
     def __init__(self, axis: BoxChoice, entropy: int, number: int):
         self.keys, self.count = axis.keys, axis.count
         self._low, self._high = np.array(axis.low), np.array(axis.high)
-        self._entropy, self._number = entropy, number
+        self._seed = entropy, number
 
     def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""
-        shares = np.empty((len(places), len(self.keys)))
-        for block in np.unique(places // _DRAWN):
-            seeds = np.random.SeedSequence(self._entropy, spawn_key=(self._number, int(block)))
-            drawn = np.random.default_rng(seeds).random((_DRAWN, len(self.keys)))
-            own = places // _DRAWN == block
-            shares[own] = drawn[places[own] % _DRAWN]
+        shares = _drawn(places, self, self._seed, lambda rng: rng.random((_DRAWN, len(self.keys))))
         return list((self._low + (self._high - self._low) * shares).T)
+
+
+def _drawn(places: np.ndarray, axis: 'BoxAxis | PosteriorAxis', seed: tuple[int, int],
+           draw: Callable[[np.random.Generator], np.ndarray]) -> np.ndarray:
+    """Return what is drawn for each place: _DRAWN rows have a seed of their own."""
+    rows, (entropy, number) = np.empty((len(places), len(axis.keys))), seed
+    for block in np.unique(places // _DRAWN):
+        seeds = np.random.SeedSequence(entropy, spawn_key=(number, int(block)))
+        own = places // _DRAWN == block
+        rows[own] = draw(np.random.default_rng(seeds))[places[own] % _DRAWN]
+    return rows
+
+
+class PosteriorAxis(Axis):
+    """See PosteriorChoice."""
+
+    def __init__(self, axis: PosteriorChoice, entropy: int, number: int, folder: Path, place: str):
+        posterior = read_posterior(folder / axis.path, place, axis.keys)
+        self.keys, self.count, self.digest = posterior.keys, axis.count, posterior.digest
+        self._mean, self._root, self._seed = posterior.mean, posterior.root, (entropy, number)
+
+    def values(self, places: np.ndarray) -> list[Column]:
+        """See Axis."""
+        normal = _drawn(places, self, self._seed, lambda rng: rng.standard_normal(
+            (_DRAWN, len(self.keys))))
+        # Term by term: in a matrix product the order of a sum depends on how many rows there are.
+        drawn = np.tile(self._mean, (len(places), 1))
+        for k, column in enumerate(self._root.T):
+            drawn += normal[:, k, None] * column
+        return list(drawn.T)
 
 
 class SobolAxis(Axis):
@@ -235,6 +262,8 @@ def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: 
             made = SobolAxis(axis, entropy, number)
         case FileChoice():
             made = FileAxis(axis, folder, place)
+        case PosteriorChoice():
+            made = PosteriorAxis(axis, entropy, number, folder, place)
         case RepeatsChoice():
             made = RepeatsAxis(axis, entropy, number)
     if made.count > MOST:

@@ -87,6 +87,20 @@ class FileChoice(StrictModel):
     path: str = Field(min_length=1, max_length=4096, description='from the folder of this file')
 
 
+class PosteriorChoice(StrictModel):
+    """Numbers of an identified model, drawn from the normal distribution that was found."""
+
+    kind: Literal['posterior'] = Field(description=(
+        'numbers of an identified model, drawn from what was found of them'))
+    path: str = Field(min_length=1, max_length=4096, description=(
+        'the JSON file of the identification, from the folder of this file'))
+    count: int = Field(ge=1, le=MOST, description='how many draws')
+    keys: dict[Annotated[str, Field(min_length=1, max_length=256)], Key] | None = Field(
+        None, min_length=1, max_length=1000, description=(
+            'the key of the scene for each number that is drawn, by its name in the file; without '
+            'it the names there are keys'))
+
+
 class RepeatsChoice(StrictModel):
     """The same again, each time with other noise; with a key, a seed is put there as well."""
 
@@ -97,7 +111,8 @@ class RepeatsChoice(StrictModel):
 
 
 AxisChoice = Annotated[
-    ValuesChoice | GridChoice | BoxChoice | SobolChoice | FileChoice | RepeatsChoice,
+    ValuesChoice | GridChoice | BoxChoice | SobolChoice | FileChoice | PosteriorChoice
+    | RepeatsChoice,
     Field(discriminator='kind')]
 
 

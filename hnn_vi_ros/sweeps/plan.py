@@ -23,7 +23,7 @@ from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.sweeps.axes import Axis, FileAxis, make_axis
+from hnn_vi_ros.sweeps.axes import Axis, FileAxis, make_axis, PosteriorAxis
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
 from hnn_vi_ros.sweeps.keys import find_key, with_values
 from hnn_vi_ros.version import __version__
@@ -149,7 +149,8 @@ class SweepPlan:
             'sweep': self.sweep.model_dump(mode='json'),
             'scene': self.scene.model_dump(mode='json'),
             'models': self.scene.model_digests,
-            'files': [axis.digest for axis in self.axes if isinstance(axis, FileAxis)],
+            'files': [axis.digest for axis in self.axes
+                      if isinstance(axis, FileAxis | PosteriorAxis)],
             'versions': {'hnn_vi_ros': __version__, 'python': platform.python_version(),
                          'machine': platform.machine(),
                          **{name: version(name) for name in _PACKAGES}},
