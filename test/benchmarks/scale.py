@@ -38,7 +38,7 @@ _EFFICIENCY, _WRITING, _GROWTH = 0.9, 0.1, 5.0
 _TIMED, _WARM, _LAST = 4, 8, 40
 # Trajectories beside diffrax, their time [s], and the largest error at its end.
 _BATCH, _TIME, _WANTED = 1000, 10.0, 1e-6
-_METHODS = ('gauss4', 'gauss6', 'gauss8', 'gauss10')
+_METHODS = ('gauss6', 'gauss8', 'gauss10', 'gauss12', 'gauss14')
 _ADAPTIVE = ('Tsit5', 'Dopri8')
 _COMMAND = 'from hnn_vi_ros.cli import sweep; sweep()'
 _MISS = ('our methods of order 4 and more are implicit for a network that is not separable: each '
