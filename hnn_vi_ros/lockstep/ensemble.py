@@ -9,7 +9,9 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK
+from hnn_vi_ros.integrators.gauss import Tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.gradient import make_gradient
 from hnn_vi_ros.lockstep.steps import first_state, State, step_of, Stepped, System
@@ -95,11 +97,11 @@ class LockstepEnsemble:
         assert isinstance(integrator, ImplicitIntegrator), 'only such have a step here'
         self._hamiltonian, self._integrator, self._h = hamiltonian, integrator, step_size
         self._on_failure, self._alone = on_failure, None
-        d = hamiltonian.dimension
+        options: SolverOptions | Tableau = integrator.options(dimension=hamiltonian.dimension)
         self._system = System(
-            make_gradient(hamiltonian, self._device), d, hamiltonian.kernel.gradient_scale,
-            step_size, integrator.options(dimension=d) if not hasattr(integrator, 'stages')
-            else integrator.options(dimension=d).solver)
+            make_gradient(hamiltonian, self._device), hamiltonian.dimension,
+            hamiltonian.kernel.gradient_scale, step_size,
+            options.solver if isinstance(options, Tableau) else options)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be copied or pickled."""
@@ -107,7 +109,6 @@ class LockstepEnsemble:
 
     _alone: Simulation | None
 
-    @torch.no_grad()
     def record(self, q: np.ndarray, p: np.ndarray, samples: Sequence[int]) -> Recorded:
         """
         Take steps from initial states, and samples.

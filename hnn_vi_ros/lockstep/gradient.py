@@ -58,6 +58,7 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
 
     """
     def of(layers: Layers) -> PerceptronGradient:
+        assert isinstance(hamiltonian, LearnedHamiltonian), 'only such have layers'
         return PerceptronGradient(layers, hamiltonian.checkpoint.card.activation, device)
 
     match hamiltonian:

@@ -15,7 +15,7 @@ from hnn_vi_ros.integrators.solvers import fixed_point, QUICK, secant, SolverOpt
 from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX
 from hnn_vi_ros.lockstep.gradient import Gradient
 from hnn_vi_ros.lockstep.solvers import (
-    Anderson, dot, FixedPoint, Iteration, Known, Scales, Secant, solve, Solved)
+    Anderson, dot, Equation, FixedPoint, Iteration, Known, Scales, Secant, solve, Solved)
 import torch
 
 _Pair = tuple[torch.Tensor, torch.Tensor]
@@ -100,7 +100,7 @@ class System(NamedTuple):
             return FixedPoint()
         return Secant() if self.options.solve is secant else Anderson()
 
-    def solve(self, equation: Callable, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
+    def solve(self, equation: Equation, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
         """Solve an equation; one that may have another solution is in doubt."""
         by_secant = self.options.solve is secant
         solved = solve(self.iteration(), equation, known, x,
