@@ -3,12 +3,12 @@
 """Measure the family mechanical on published data of machines, beside what others reached."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import itertools
 import json
 from pathlib import Path
 import tempfile
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.evaluate import simulation_of
 from hnn_vi_ros.learning.evaluation import Predict, score, simulated, variance_of
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, fix_scale, learn
-from hnn_vi_ros.learning.machine_training import fit, split_motions
+from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
@@ -38,9 +38,20 @@ _EVERY = 0.05
 NETWORKS, WITH_PRIOR = 'networks', 'rigid body and networks'
 RIGID_BODY, PLAIN = 'rigid body', 'plain network'
 
+# Beside the file of the tables: what was measured of each model and seed.
+RUNS = 'machine_runs.json'
+
 # Values by the name of the measure; of several coordinates, one each.
 Measures = dict[str, list[float]]
 Measure = Callable[[Predict, Sequence[Motion], Path], Measures]
+
+
+class CaseMotions(NamedTuple):
+    """What to learn from, what to judge by, and what they are."""
+
+    train: list[Motion]
+    test: list[Motion]
+    description: str
 
 
 @dataclass(frozen=True)
@@ -113,17 +124,21 @@ def dfki_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measu
 
 
 def multiarm_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
-    """Return errors over the first seconds of each segment."""
-    measures = {}
-    for duration in (0.5, 1.0, 2.0):
-        squares = []
-        for motion in test:
-            n = round(duration / motion.spacing)
-            q = predict(motion, np.array([0]), n)[0, 1:]
-            squares.append(np.mean((q - motion.q[1:n + 1])**2, axis=0))
-        measures[f'RMS error [rad] over {duration:g} s, validation'] = np.sqrt(
-            np.mean(squares, axis=0)).tolist()
-    return measures
+    """
+    Return errors over the first seconds of each segment, the mean over all segments.
+
+    Each is simulated from its first sample, as it was recorded: so the authors fitted their model.
+    """
+    durations = (0.5, 1.0, 2.0)
+    errors = []
+    for motion in test:
+        first = replace(motion, q_smooth=motion.q, v_smooth=motion.v)
+        n = round(max(durations) / motion.spacing)
+        errors.append(predict(first, np.array([0]), n)[0, 1:] - motion.q[1:n + 1])
+    spacing = test[0].spacing
+    return {f'RMS error [rad] over {duration:g} s, validation': np.mean([
+        np.sqrt(np.mean(error[:round(duration / spacing)]**2, axis=0)) for error in errors
+    ], axis=0).tolist() for duration in durations}
 
 
 CASES = {
@@ -162,7 +177,9 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     """
     Train and measure every case whose data are there, and write docs/learning/machines.json.
 
-    Cases whose data are not there keep what the file says of them.
+    Each model that was measured is written at once to machine_runs.json beside that, and is not
+    trained again: a run that was stopped goes on from there. Cases of which no run stands there
+    keep what the file says of them.
 
     Parameters
     ----------
@@ -173,67 +190,116 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     seeds : sequence of int
         Of the models of each case.
     quick : bool
-        Whether a few steps are enough.
+        Whether a few steps are enough; then all is trained anew.
 
     Raises
     ------
     ParameterError
-        No data set is there.
+        No data set is there, or the runs cannot be read.
 
     """
     there = {name: case for name, case in CASES.items() if (data / case.file).is_file()}
     if not there:
         raise ParameterError(f'--data {data}: none of {", ".join(c.file for c in CASES.values())} '
                              'is there; give the folder that holds them')
-    rows = json.loads(out.read_text(encoding='utf-8')) if out.is_file() else []
-    by_case = {name: [row for row in rows if row['case'] == name] for name in CASES}
-    with tqdm(total=len(there) * len(seeds), unit='model', disable=None) as progress:
-        for name, case in there.items():
-            results = []
-            for seed in seeds:
-                results.append(run_case(case, data, seed, quick))
-                progress.update()
-            by_case[name] = [*rows_of(name, case, results)]
-            rows = [row for found in by_case.values() for row in found]
-            out.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
+    file = out.with_name(RUNS)
+    runs = [] if quick or not file.is_file() else read_runs(file)
+    known = {(run['case'], run['model'], run['seed']) for run in runs}
+    # Seed after seed, so that one that is stopped has as many of each as of the others.
+    jobs = [(name, model, seed) for seed in seeds for name, case in there.items()
+            for model in models_of(case)
+            # Least squares know no seed.
+            if model != RIGID_BODY or seed == seeds[0]]
+    motions: dict[str, CaseMotions] = {}
+    for name, model, seed in tqdm([job for job in jobs if job not in known], unit='model',
+                                  disable=None):
+        case = CASES[name]
+        if name not in motions:
+            motions[name] = read_case(case, data)
+        measures = run_case(case, model, motions[name], data, seed, quick)
+        runs.append({'case': name, 'model': model, 'seed': seed, 'measures': measures})
+        if not quick:
+            _write(file, runs)
+        _write(out, rows_of_runs(runs, out))
     return out
 
 
-def run_case(case: Case, data: Path, seed: int, quick: bool) -> dict[str, Measures]:
-    """Train the models of a case, and a plain network, and measure each of them."""
+def read_runs(file: Path) -> list[dict[str, Any]]:
+    """Read what was measured of each model and seed, or raise ParameterError."""
+    try:
+        runs: list[dict[str, Any]] = json.loads(file.read_text(encoding='utf-8'))
+        for run in runs:
+            if run['model'] not in models_of(CASES[run['case']]) or not (
+                    run['measures'].keys() >= CASES[run['case']].references.keys()):
+                raise ValueError(f'no {run["model"]} of {run["case"]} has these measures')
+            int(run['seed'])
+    except (OSError, KeyError, TypeError, ValueError) as problem:
+        raise ParameterError(f'{file}: cannot be read ({problem}); move it away, to measure all '
+                             'anew') from problem
+    return runs
+
+
+def rows_of_runs(runs: Sequence[dict[str, Any]], out: Path) -> list[dict[str, Any]]:
+    """Return the rows of all runs, and those in a file of cases that have no run."""
+    rows = json.loads(out.read_text(encoding='utf-8')) if out.is_file() else []
+    found = []
+    for name, case in CASES.items():
+        results: dict[str, list[Measures]] = {}
+        for run in sorted(runs, key=lambda run: int(run['seed'])):
+            if run['case'] == name:
+                results.setdefault(run['model'], []).append(run['measures'])
+        found += [*rows_of(name, case, results)] if results else [
+            row for row in rows if row['case'] == name]
+    return found
+
+
+def _write(file: Path, content: Sequence[dict[str, Any]]) -> None:
+    file.write_text(json.dumps(content, indent=1) + '\n', encoding='utf-8')
+
+
+def read_case(case: Case, data: Path) -> CaseMotions:
+    """Return what to learn from, and what to judge by."""
     config = load_machine(find_config(case.config))
-    if quick:
-        config = _quick(config)
-    config = config.model_copy(update={'seed': seed})
     names = [coordinate.name for coordinate in config.coordinates]
     with tempfile.TemporaryDirectory() as folder:
         file = data / case.file
         if case.measure is valid_times:
             file = letters_by_name(file, Path(folder) / 'letters.npz')
         motions, description = read_motions(file, config.data, names, [str(file)])
-        train, test = split_motions(motions, config.data.test_runs)
-        measures = {}
-        for name, variant in _variants(case, config):
-            network, losses = learn(variant, train)
-            if not any(motion.tau.any() for motion in train):
-                fix_scale(network, train)
-            checkpoint = describe(network, variant, train, description, losses, case.config, '')
-            model = Path(folder) / f'{name}.safetensors'
-            save_checkpoint(model, checkpoint)
-            measures[name] = case.measure(_predicted(case, model, checkpoint, train, test), test,
-                                          data)
-        plain = PlainNetwork(network.structure.kinds, config.hidden, network.scales, seed)
-        fit(plain, config, train)
-        return measures | {PLAIN: case.measure(predicted_by(plain), test, data)}
+    return CaseMotions(*split_motions(motions, config.data.test_runs), description)
 
 
-def _variants(case: Case, config: MachineConfig) -> Iterator[tuple[str, MachineConfig]]:
-    """Yield the models of a case, by name, with what trains them."""
-    yield NETWORKS, config
-    if case.prior is not None:
-        for name, residual in ((WITH_PRIOR, True), (RIGID_BODY, False)):
-            family = config.family.model_copy(update={'prior': case.prior, 'residual': residual})
-            yield name, config.model_copy(update={'family': family})
+def models_of(case: Case) -> list[str]:
+    """Return the models of a case by their names in the tables."""
+    return [NETWORKS, *([WITH_PRIOR, RIGID_BODY] if case.prior else []), PLAIN]
+
+
+def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int, quick: bool
+             ) -> Measures:
+    """Train a model of a case and measure it."""
+    config = load_machine(find_config(case.config))
+    if quick:
+        config = _quick(config)
+    config = config.model_copy(update={'seed': seed})
+    if model == PLAIN:
+        plain = PlainNetwork([coordinate.kind for coordinate in config.coordinates],
+                             config.hidden, scales_of(motions.train), seed)
+        fit(plain, config, motions.train)
+        return case.measure(predicted_by(plain), motions.test, data)
+    if model != NETWORKS:
+        family = config.family.model_copy(update={
+            'prior': case.prior, 'residual': model == WITH_PRIOR})
+        config = config.model_copy(update={'family': family})
+    network, losses = learn(config, motions.train)
+    if not any(motion.tau.any() for motion in motions.train):
+        fix_scale(network, motions.train)
+    checkpoint = describe(network, config, motions.train, motions.description, losses,
+                          case.config, '')
+    with tempfile.TemporaryDirectory() as folder:
+        # Effects read what a model has learned beside H from a file.
+        file = Path(folder) / 'model.safetensors'
+        save_checkpoint(file, checkpoint)
+        return case.measure(_predicted(case, file, checkpoint, *motions[:2]), motions.test, data)
 
 
 def _predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Motion],
@@ -269,20 +335,22 @@ def letters_by_name(file: Path, out: Path) -> Path:
     return out
 
 
-def rows_of(name: str, case: Case, results: Sequence[dict[str, Measures]]
+def rows_of(name: str, case: Case, results: dict[str, list[Measures]]
             ) -> Iterator[dict[str, Any]]:
     """Yield a row for each model and measure: means over seeds, and whether the goal is met."""
     sign = -1.0 if case.longer else 1.0
-    models = [model for model in (NETWORKS, WITH_PRIOR) if model in results[0]]
+    models = [model for model in (NETWORKS, WITH_PRIOR) if model in results]
     for model, measure in itertools.product(models, case.references):
-        seeds = [measures[model][measure] for measures in results]
+        seeds = [measures[measure] for measures in results[model]]
         ours = np.mean(seeds, axis=0)
         goal = case.goals[model].get(measure, case.references[measure])
         worst = np.min(seeds, axis=0) if case.longer else np.max(seeds, axis=0)
-        baselines = {baseline: np.mean([measures[baseline][measure] for measures in results],
-                                       axis=0).tolist()
-                     for baseline in (RIGID_BODY, PLAIN) if baseline in results[0]}
+        others = {baseline: [measures[measure] for measures in results[baseline]]
+                  for baseline in (RIGID_BODY, PLAIN) if baseline in results}
         yield {'case': name, 'measure': measure, 'model': model, 'ours': ours.tolist(),
-               'worst': worst.tolist(), 'baselines': baselines,
+               'worst': worst.tolist(),
+               'baselines': {key: np.mean(found, axis=0).tolist() for key, found in others.items()},
+               'baseline_seeds': {key: len(found) for key, found in others.items()
+                                  if key != RIGID_BODY},
                'reference': case.references[measure], 'goal': goal,
                'met': bool(np.all(sign * ours <= sign * np.array(goal))), 'seeds': seeds}

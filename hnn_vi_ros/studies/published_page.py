@@ -207,12 +207,20 @@ def _machines_table(path: Path) -> Iterator[str]:
            '| baselines | met |')
     yield '|---' * 8 + '|'
     for row in json.loads(path.read_text(encoding='utf-8')):
-        baselines = '; '.join(f'{name} {_numbers(values)}'
-                              for name, values in row['baselines'].items())
+        baselines = '; '.join(
+            f'{name} {_numbers(values)}{_seeds(row["baseline_seeds"].get(name))}'
+            for name, values in row['baselines'].items())
+        count = len(row['seeds'])
+        worst = f' ({_numbers(row["worst"])} of {count})' if count > 1 else _seeds(1)
         yield (f'| {row["case"]} | {row["measure"]} | {row["model"]} '
                f'| {_numbers(row["reference"])} | {_numbers(row["goal"])} '
-               f'| {_numbers(row["ours"])} ({_numbers(row["worst"])} of {len(row["seeds"])}) '
+               f'| {_numbers(row["ours"])}{worst} '
                f'| {baselines} | {"yes" if row["met"] else "**no**"} |')
+
+
+def _seeds(count: int | None) -> str:
+    """Say how many seeds a mean is of, empty where there are none."""
+    return '' if count is None else ' (one seed)' if count == 1 else f' ({count} seeds)'
 
 
 def _numbers(values: list[float]) -> str:

@@ -6,10 +6,11 @@ import json
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.studies import published_tables
+from hnn_vi_ros.learning import rigid_body
+from hnn_vi_ros.studies import machine_tables, published_tables
 from hnn_vi_ros.studies.machine_tables import (
-    CASES, dfki_errors, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of, valid_times,
-    WITH_PRIOR)
+    CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
+    RUNS, valid_times, WITH_PRIOR)
 import numpy as np
 import pytest
 
@@ -40,10 +41,22 @@ def test_valid_time_is_that_of_the_first_sample_which_is_off(tmp_path):
         'valid prediction time [s], e and v'] == [pytest.approx(3.0)]
 
 
-def test_errors_of_the_free_pendulum_are_means_over_each_duration(tmp_path):
-    found = multiarm_errors(off_by(0.5, after=501), [motion('val_00')], tmp_path)
-    # Of 500, 1000 and 2000 samples, 0, 500 and 1500 are off by 0.5.
-    expected = 0.5 * np.sqrt([0.0, 0.5, 0.75])
+def test_errors_of_the_free_pendulum_are_means_over_durations_and_then_over_segments(tmp_path):
+    rng = np.random.default_rng(0)
+    segments = []
+    for name in ('val_00', 'val_01'):
+        one = motion(name)
+        q, v = (part + 0.01 * rng.normal(size=part.shape) for part in (one.q, one.v))
+        segments.append(smoothed(name, one.t, q, v, one.tau, 40.0))
+
+    def predict(segment, starts, count):
+        # From the first sample as it was recorded, not from what a filter leaves of it.
+        assert (segment.q_smooth[0] == segment.q[0]).all()
+        assert (segment.v_smooth[0] == segment.v[0]).all()
+        return off_by(0.5 * (segment.name == 'val_01'), after=501)(segment, starts, count)
+    found = multiarm_errors(predict, segments, tmp_path)
+    # Of 500, 1000 and 2000 samples, 0, 500 and 1500 of one segment are off by 0.5.
+    expected = 0.5 * 0.5 * np.sqrt([0.0, 0.5, 0.75])
     assert np.allclose([*found.values()], expected[:, None], rtol=1e-12)
 
 
@@ -67,9 +80,42 @@ def test_goal_is_met_by_the_mean_of_every_coordinate():
     for ours, met in (([.0050, .0072], True), ([.0030, .0080], False)):
         values = dict.fromkeys(case.references, ours)
         (row,) = (row for row in rows_of(
-            'x', case, [dict.fromkeys([NETWORKS, WITH_PRIOR, RIGID_BODY, PLAIN], values)])
+            'x', case, dict.fromkeys([NETWORKS, WITH_PRIOR, RIGID_BODY, PLAIN], [values]))
                   if (row['measure'], row['model']) == (measure, NETWORKS))
         assert row['met'] is met and row['ours'] == ours
+
+
+def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
+    case = 'real free double pendulum'
+    (tmp_path / 'multiarm_pendulum').mkdir()
+    (tmp_path / CASES[case].file).touch()
+    done, out = [], tmp_path / 'machines.json'
+
+    def run_case(_case, model, _motions, _data, seed, _quick):
+        if len(done) == 5:
+            done.append('stopped')
+            raise KeyboardInterrupt
+        done.append((model, seed))
+        return dict.fromkeys(CASES[case].references, [0.001 * seed] * 2)
+    monkeypatch.setattr(machine_tables, 'read_case', lambda case, data: None)
+    monkeypatch.setattr(machine_tables, 'run_case', run_case)
+    with pytest.raises(KeyboardInterrupt):
+        measure_machines(tmp_path, out, range(2), False)
+    # As many seeds stand there as were measured.
+    assert {row['model']: len(row['seeds']) for row in json.loads(out.read_text())} == {
+        NETWORKS: 2, WITH_PRIOR: 1}
+    measure_machines(tmp_path, out, range(2), False)
+    # Least squares know no seed.
+    expected = [(NETWORKS, 0), (WITH_PRIOR, 0), (RIGID_BODY, 0), (PLAIN, 0), (NETWORKS, 1),
+                'stopped', (WITH_PRIOR, 1), (PLAIN, 1)]
+    assert done == expected
+    measure_machines(tmp_path, out, range(2), False)
+    assert done == expected
+    row = json.loads(out.read_text())[0]
+    assert (row['seeds'], row['baseline_seeds']) == ([[0.0, 0.0], [0.001, 0.001]], {PLAIN: 2})
+    (tmp_path / RUNS).write_text('[{"case": "x"}]')
+    with pytest.raises(ParameterError, match=f'{RUNS}: cannot be read .*move it away'):
+        measure_machines(tmp_path, out, range(2), False)
 
 
 def test_data_that_are_not_there_are_named(tmp_path):
@@ -77,8 +123,10 @@ def test_data_that_are_not_there_are_named(tmp_path):
         published_tables.main(['--machines', '--data', str(tmp_path), '--out', str(tmp_path)])
 
 
-@pytest.mark.timeout(300)
-def test_every_machine_is_measured_and_stands_on_the_page(tmp_path):
+def test_every_machine_is_measured_and_stands_on_the_page(tmp_path, monkeypatch):
+    # Forces at random fit no rigid body, and its fits would take all that they may.
+    for name, value in (('_EVALUATIONS', 1), ('_SAMPLES', 50), ('_WINDOWS', 50)):
+        monkeypatch.setattr(rigid_body, name, value)
     rng = np.random.default_rng(0)
 
     def run(name: str, n: int, spacing: float) -> dict[str, np.ndarray]:

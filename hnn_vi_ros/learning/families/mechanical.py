@@ -192,6 +192,10 @@ class MechanicalNetwork(torch.nn.Module):
 
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
+        if self.prior is not None and not self.structure.residual:
+            values = self.prior.values()
+            p = (self.prior.mass(q, values) @ v[:, :, None])[:, :, 0]
+            return p, self.prior.slopes(q, v, values)[1] - self.friction(q, v)
         L, _, u, w, rest = self._parts(q, v)
         p = self.root_inertia * (L @ w + self.floor * u)[:, :, 0]
         if self.prior is not None:
@@ -202,6 +206,8 @@ class MechanicalNetwork(torch.nn.Module):
 
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
+        if self.prior is not None and not self.structure.residual:
+            return self._solve(self.prior.mass(q, self.prior.values()), p)
         S = self.root_inertia
         return self._solve(self._gram(q, self._factor(q)), p / S) / S
 
