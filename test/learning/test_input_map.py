@@ -132,7 +132,8 @@ def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'a', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
         'family': {'kind': 'mechanical', 'prior': 'pendulum', 'residual': False,
-                   'input_map': 'learned', 'friction': {'coulomb': 0}}})
+                   'input_map': 'learned', 'friction': {'coulomb': 0}},
+        'loss': {'kind': 'trajectory', 'windows': [{'duration': 0.1, 'steps': 1}]}})
     network, _ = learn(config, [motion])
     with torch.no_grad():
         assert network.input_map().tolist() == [[-1.0]]

@@ -120,7 +120,7 @@ def test_friction_that_accelerations_do_not_show_is_found_by_windows():
 
 def test_best_rigid_body_takes_the_angles_that_fit():
     loss = Trajectory.model_validate({
-        'kind': 'trajectory', 'windows': [{'duration': 0.1, 'steps': 1}]})
+        'kind': 'trajectory', 'windows': [{'duration': 0.05, 'steps': 1}]})
     network = best_rigid_body(loss, motions())
     assert network is not None and network.structure.features == [[1.0, 0.0], [0.0, 1.0]]
     assert parameters(network) == pytest.approx(EXPECTED, rel=SHARE)
