@@ -349,7 +349,8 @@ def rows_of(name: str, case: Case, results: dict[str, list[Measures]]
                   for baseline in (RIGID_BODY, PLAIN) if baseline in results}
         yield {'case': name, 'measure': measure, 'model': model, 'ours': ours.tolist(),
                'worst': worst.tolist(),
-               'baselines': {key: np.mean(found, axis=0).tolist() for key, found in others.items()},
+               'baselines': {key: np.mean(found, axis=0).tolist()
+                             for key, found in others.items()},
                'baseline_seeds': {key: len(found) for key, found in others.items()
                                   if key != RIGID_BODY},
                'reference': case.references[measure], 'goal': goal,

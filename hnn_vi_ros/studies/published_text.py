@@ -125,7 +125,10 @@ hyper-parameter of its own; of several coordinates, one number each. *Networks* 
 machine but what turns; *rigid body and networks* adds `prior: double_pendulum`. *Others* is the
 best that was published with the data, or a rigid body fitted to it. Of the baselines, the rigid
 body is the prior alone with friction, and the plain network is of (q, v, tau), with the same
-hidden layers, trained in the same way. Every value: [machines.json](learning/machines.json).
+hidden layers, trained in the same way. A row is the mean of as many seeds as it says: where that
+is one, luck of the seed is in it. What is not there was not measured. Every value:
+[machines.json](learning/machines.json), of each model and seed
+[machine_runs.json](learning/machine_runs.json).
 
 {machines}
 
@@ -135,7 +138,9 @@ hidden layers, trained in the same way. Every value: [machines.json](learning/ma
 - *real actuated double pendulum* (DFKI, hardware C.1): free simulation with the measured forces
   from a state every 50 ms; the *later* runs are swing-ups of another day.
 - *real free double pendulum* (K. Kaheman et al., HardwareX 2023): from the first sample of each
-  segment.
+  segment, as recorded; the mean of the errors of the four segments. In the last one the first
+  velocities are off what the positions say, by 0.10 and 0.13 rad/s, which makes up most of what
+  any model errs.
 
 ## How the published measures are defined
 

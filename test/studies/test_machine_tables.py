@@ -5,8 +5,8 @@
 import json
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.learning import rigid_body
+from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.studies import machine_tables, published_tables
 from hnn_vi_ros.studies.machine_tables import (
     CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
@@ -80,7 +80,7 @@ def test_goal_is_met_by_the_mean_of_every_coordinate():
     for ours, met in (([.0050, .0072], True), ([.0030, .0080], False)):
         values = dict.fromkeys(case.references, ours)
         (row,) = (row for row in rows_of(
-            'x', case, dict.fromkeys([NETWORKS, WITH_PRIOR, RIGID_BODY, PLAIN], [values]))
+            'x', case, {model: [values] for model in (NETWORKS, WITH_PRIOR, RIGID_BODY, PLAIN)})
                   if (row['measure'], row['model']) == (measure, NETWORKS))
         assert row['met'] is met and row['ours'] == ours
 
