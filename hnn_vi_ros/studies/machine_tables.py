@@ -319,7 +319,8 @@ def _predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[
 
 
 def _quick(config: MachineConfig) -> MachineConfig:
-    loss = {'kind': 'trajectory', 'forward_steps': 2, 'windows': [{'duration': 0.08, 'steps': 2}]}
+    loss = {'kind': 'trajectory', 'forward_steps': 2, 'batch': 32,
+            'windows': [{'duration': 0.04, 'steps': 2}]}
     return MachineConfig.model_validate(config.model_dump() | {'loss': loss})
 
 
