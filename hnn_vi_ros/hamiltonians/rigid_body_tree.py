@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Joint, JointCoordinate, Robot, SLIDING)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
-    compose, displace, force_change_of, force_of, move, place, solve_rate_changes, solve_rates,
+    Bodies, compose, displace, force_change_of, force_of, move, place, solve_rate_changes, solve_rates,
     TreeParameters, Work)
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
@@ -64,7 +64,7 @@ class RigidBodyTree(Hamiltonian):
                  gravity: Sequence[float] = (0.0, 0.0, -9.81), base: str | None = None,
                  rotor_inertia: dict[str, float] | None = None):
         self.robot = replace(read_urdf(Path(file)), locked=locked or {})
-        self._bodies, self.joints = tree_of(
+        self.bodies, self.joints = tree_of(
             self.robot, joints, self.robot.locked, gravity, base or self.robot.root,
             rotor_inertia or {})
         self.coordinates = tuple(_coordinate(joint) for joint in self.joints)
@@ -76,23 +76,38 @@ class RigidBodyTree(Hamiltonian):
 
     def masses(self, q: np.ndarray) -> np.ndarray:
         """Return M(q), shape (m, d, d), for q of shape (m, d)."""
-        return np.array([mass_matrix(self._bodies, one) for one in q])
+        return np.array([mass_matrix(self.bodies, one) for one in q])
 
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        bodies = self._bodies
-        work = Work.empty(self.dimension)
-        # A bound of the moments of the weights: their sum times how far they may be away.
-        reach = np.zeros(len(bodies.parent))
-        for i in range(1, len(reach)):
-            reach[i] = reach[bodies.parent[i]] + np.linalg.norm(bodies.placement[i, 9:])
-        weights = (bodies.inertia[1:, 0] * reach[1:]
-                   + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
-        scale = float(np.linalg.norm(bodies.gravity) * weights.sum())
-        kernel = compiled_kernel((_energy, _gradient, _hessian_vector),
-                                 TreeParameters(bodies, work), self.dimension, (scale, 0.0))
-        return kernel._replace(energy_scale=scale)
+        return tree_kernel(self.bodies)
+
+
+def tree_kernel(bodies: Bodies) -> Kernel:
+    """Return the functions of H of some bodies, with working memory of their own."""
+    d = len(bodies.parent) - 1
+    # A bound of the moments of the weights: their sum times how far they may be away.
+    reach = np.zeros(d + 1)
+    for i in range(1, d + 1):
+        reach[i] = reach[bodies.parent[i]] + np.linalg.norm(bodies.placement[i, 9:])
+    weights = (bodies.inertia[1:, 0] * reach[1:]
+               + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
+    scale = float(np.linalg.norm(bodies.gravity) * weights.sum())
+    kernel = compiled_kernel((_energy, _gradient, _hessian_vector),
+                             TreeParameters(bodies, Work.empty(d)), d, (scale, 0.0))
+    return kernel._replace(energy_scale=scale)
+
+
+def extended_gradient(bodies: Bodies, q: np.ndarray, p: np.ndarray
+                      ) -> tuple[np.ndarray, np.ndarray]:
+    """Return H_q and H_p, of q and p of shape (m, d), in extended precision."""
+    d = q.shape[1]
+    parameters = TreeParameters(bodies, Work.empty(d, np.longdouble))
+    slopes = np.empty((2, q.size), np.longdouble)
+    _gradient(parameters, q.astype(np.longdouble).ravel(), p.astype(np.longdouble).ravel(),
+              *slopes)
+    return slopes[0].reshape(-1, d), slopes[1].reshape(-1, d)
 
 
 def _coordinate(joint: Joint) -> JointCoordinate:
@@ -115,7 +130,8 @@ def _energy(parameters: TreeParameters, q: np.ndarray, p: np.ndarray) -> float:
     first, gravity = work.composite, bodies.gravity
     energy = -(first[0, 1] * gravity[0] + first[0, 2] * gravity[1] + first[0, 3] * gravity[2])
     for i in range(p.size):
-        energy += 0.5 * p[bodies.coordinate[i + 1]] * work.rates[i]
+        at = bodies.coordinate[i + 1]
+        energy += 0.5 * p[at] * work.rates[i] + bodies.load[i + 1] * q[at]
     return energy
 
 

@@ -4,10 +4,10 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy, gradient, hessian_vector, Target)
 from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 import numpy as np
 
@@ -40,10 +40,10 @@ class ExactTerms(NamedTuple):
     at_p: np.ndarray
 
 
-def exact_terms(hamiltonian: Hamiltonian) -> ExactTerms:
+def exact_terms(kernel: Kernel) -> ExactTerms:
     """Return the terms of a system."""
-    d = hamiltonian.dimension
-    target = by_address(hamiltonian.kernel).parameters
+    d = kernel.dimension
+    target = by_address(kernel).parameters
     assert isinstance(target, Target)
     return ExactTerms(target, *np.zeros((2, d, d)), *np.zeros((6, d)))
 

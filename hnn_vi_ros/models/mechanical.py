@@ -4,6 +4,7 @@
 
 from typing import NamedTuple
 
+from hnn_vi_ros.hamiltonians.rigid_body_tree import tree_kernel
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
@@ -133,7 +134,9 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         return card
 
     def _kernel(self) -> Kernel:
-        card, d = self.checkpoint.card, self.dimension
+        card, d, prior = self.checkpoint.card, self.dimension, self._mechanical.prior
+        if prior is not None and prior.alone:
+            return tree_kernel(prior.bodies)
         mechanical, networks = self._mechanical, self.checkpoint.networks
         mass = MassNetwork(
             pack_layers(even_layers(networks['mass']), card.activation),

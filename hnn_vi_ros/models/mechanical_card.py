@@ -7,9 +7,12 @@ from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.planar_chain import (
     chain_terms, CHAINS, check_chain, no_terms, parameter_names, Terms)
+from hnn_vi_ros.models.rigid_body_card import (
+    bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -61,14 +64,43 @@ class PriorCard(StrictModel):
     """A parametric system; M and V of the networks are added to its own."""
 
     kind: str = Field(description=(
-        'rigid links that turn by the angles that are the features, or an exact system of the '
-        'coordinates as they are'))
+        'rigid links that turn by the angles that are the features, a rigid_body of its tree, or '
+        'an exact system of the coordinates as they are'))
     parameters: dict[str, Quantity] = Field(description='as they were fitted')
+    tree: TreeCard | None = Field(None, description='of a rigid_body')
+    alone: bool = Field(False, description=(
+        'whether a rigid_body is all of M and V, and the networks add nothing'))
+    identification: Identification | None = Field(None, description='of a rigid_body')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'PriorCard':
+        if (self.kind == RIGID_BODY) != (self.tree is not None):
+            raise ValueError(f'prior: tree must be given for {RIGID_BODY}, and for no other')
+        if self.tree is None:
+            if self.alone or self.identification is not None:
+                raise ValueError(f'prior: alone and identification are of a {RIGID_BODY}')
+            return self
+        if self.parameters.keys() != self.tree.units.keys():
+            raise ValueError('prior: parameters must be those of the bodies of its tree')
+        check_values(self.tree, self.table)
+        return self
 
     @property
     def values(self) -> dict[str, float]:
         """Return the parameters without their units."""
         return {name: quantity.value for name, quantity in self.parameters.items()}
+
+    @property
+    def table(self) -> np.ndarray:
+        """Return the parameters of each body of a rigid_body, shape (d, 12)."""
+        assert self.tree is not None, 'a rigid_body has one'
+        return np.reshape([self.values[name] for name in self.tree.units], (-1, EACH))
+
+    @property
+    def bodies(self) -> Bodies:
+        """Return the bodies of a rigid_body."""
+        assert self.tree is not None, 'a rigid_body has one'
+        return bodies_of(self.tree, self.table)
 
 
 def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
@@ -150,6 +182,11 @@ class MechanicalCard(StrictModel):
         if prior is None:
             if not self.floor:
                 raise ValueError('floor must be positive without a prior')
+            return
+        if prior.tree is not None:
+            if len(prior.tree.bodies) != len(self.kinds):
+                raise ValueError(f'prior: {len(prior.tree.bodies)} bodies, expected '
+                                 f'{len(self.kinds)}, one for each coordinate')
             return
         check_prior(prior.kind, self.kinds, self.features)
         if prior.kind not in CHAINS:

@@ -5,6 +5,9 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
+from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
+from hnn_vi_ros.hamiltonians.rigid_body_tree import extended_gradient, tree_kernel
 from hnn_vi_ros.kernels.compilation import identify
 from hnn_vi_ros.models import exact_terms, prior_terms
 from hnn_vi_ros.models.exact_prior import create, exact_gradient
@@ -48,11 +51,21 @@ def prior_of(card: MechanicalCard) -> Prior:
     """Return the prior of a card, of no terms where it has none."""
     if card.prior is None or card.prior.kind in CHAINS:
         return Prior(card.terms, *_LINKS)
-    return Prior(exact_terms.exact_terms(create(card.prior.kind, card.prior.values)), *_EXACT)
+    kernel = tree_kernel(card.prior.bodies) if card.prior.tree is not None else \
+        create(card.prior.kind, card.prior.values).kernel
+    return Prior(exact_terms.exact_terms(kernel), *_EXACT)
 
 
 def added(card: MechanicalCard, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return M, shape (m, d, d), and V_q - (v . M v)_q / 2 of (m, d), in extended precision."""
     if card.prior is None or card.prior.kind in CHAINS:
         return prior_terms.prior_gradient(card.terms, q, v)
+    if card.prior.tree is not None:
+        return _tree_gradient(card.prior.bodies, q, v)
     return exact_gradient(create(card.prior.kind, card.prior.values), q, v)
+
+
+def _tree_gradient(bodies: Bodies, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    masses = np.stack([mass_matrix(bodies, one) for one in q.astype(np.longdouble)])
+    momenta = (masses @ v[:, :, None])[:, :, 0]
+    return masses, extended_gradient(bodies, q, momenta)[0]

@@ -51,6 +51,8 @@ class Bodies(NamedTuple):
         Inertia of the rotor behind each joint, in its coordinate [kg m2], [kg].
     gravity : np.ndarray, shape (3,)
         g [m/s2], in the frame of the base.
+    load : np.ndarray, shape (d + 1,)
+        A constant force that acts against each coordinate [N m], [N].
 
     """
 
@@ -61,6 +63,7 @@ class Bodies(NamedTuple):
     inertia: np.ndarray
     armature: np.ndarray
     gravity: np.ndarray
+    load: np.ndarray
 
 
 class Work(NamedTuple):
@@ -219,7 +222,8 @@ def force_of(bodies: Bodies, work: Work, i: int) -> float:
     """Return H_q of the joint of body i; after ``move``."""
     composite = work.composite
     return (power(work.product, work.momentum, i)
-            - weight_power(work.axis, composite[i, 0], composite, bodies.gravity, i))
+            - weight_power(work.axis, composite[i, 0], composite, bodies.gravity, i)
+            + bodies.load[i])
 
 
 @inlined

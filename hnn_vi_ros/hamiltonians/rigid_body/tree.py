@@ -225,7 +225,7 @@ class _Builder:
             self._mimics.append(joint)
             self._reach(joint.child, row, rotation, origin)
         else:
-            frame = _frame_of(joint.axis)
+            frame = frame_of(joint.axis)
             self.joints.append(joint)
             self._rows.append(_Body(row, joint.kind == SLIDING, rotation @ frame, origin))
             self._reach(joint.child, len(self._rows) - 1, frame.T, np.zeros(3))
@@ -239,10 +239,11 @@ class _Builder:
         return Bodies(
             np.array([body.parent for body in rows]), np.array([0, *places]),
             np.array([int(body.slides) for body in rows]), np.array(placement),
-            np.array(inertia), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64))
+            np.array(inertia), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64),
+            np.zeros(len(rows)))
 
 
-def _frame_of(axis: np.ndarray) -> np.ndarray:
+def frame_of(axis: np.ndarray) -> np.ndarray:
     """Return a rotation whose third column is a unit vector; of an axis of the frame, exactly."""
     other = np.zeros(3)
     other[np.argmin(np.abs(axis))] = 1.0
