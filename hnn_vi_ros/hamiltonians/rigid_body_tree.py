@@ -11,8 +11,8 @@ from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Joint, JointCoordinate, Robot, SLIDING)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
-    Bodies, compose, displace, force_change_of, force_of, move, place, solve_rate_changes, solve_rates,
-    TreeParameters, Work)
+    Bodies, compose, displace, force_change_of, force_of, move, place, solve_rate_changes,
+    solve_rates, TreeParameters, Work)
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.kernels.kernel import Kernel

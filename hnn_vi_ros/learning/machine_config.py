@@ -2,12 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The schema of a training configuration of a machine: of the family mechanical."""
 
+from collections.abc import Sequence
+import os
 from pathlib import Path
 import re
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, ModelError
+from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
+from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.learning.excitation import ExcitationData
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
@@ -17,7 +23,9 @@ from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from hnn_vi_ros.models.planar_chain import CHAINS
-from pydantic import Field, model_validator
+from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, values_of
+import numpy as np
+from pydantic import Field, field_validator, model_validator, ValidationError
 
 # A term of a linear combination: sign, number, name.
 _TERM = re.compile(r'\s*([+-]?)\s*(?:(\d+\.?\d*(?:e[+-]?\d+)?)\s*\*\s*)?([^\W\d]\w*)\s*')
@@ -54,7 +62,12 @@ class MachineLog(LogMotions, _TestRuns):
     kind: Literal['log']
 
 
-MachineData = Annotated[MachineArrays | MachineBags | MachineLog, Field(discriminator='kind')]
+class MachineExcitation(ExcitationData, _TestRuns):
+    """Computed motions of a rigid_body."""
+
+
+MachineData = Annotated[MachineArrays | MachineBags | MachineLog | MachineExcitation,
+                        Field(discriminator='kind')]
 
 
 class FrictionChoice(StrictModel):
@@ -92,6 +105,61 @@ class MechanicalChoice(StrictModel):
     residual: bool = Field(True, description='whether there are networks beside a prior')
     residual_weight: float = Field(1e-3, ge=0.0, description=(
         'of the size of the networks beside a prior, at random states, in the loss'))
+
+
+class RigidBodyChoice(StrictModel):
+    """A robot that a URDF describes, whose inertias and friction are identified."""
+
+    kind: Literal['rigid_body']
+    file: str = Field(description=(
+        'the URDF: a path, from the folder of the configuration or else the working directory, or '
+        'package://PACKAGE/PATH'))
+    locked: dict[str, float] = Field({}, description=(
+        'joints that do not move, and where they are held [rad], [m]'))
+    gravity: list[float] = Field([0.0, 0.0, -9.81], min_length=3, max_length=3, description=(
+        'the acceleration of free fall in the frame of the base [m/s^2]'))
+    base: str | None = Field(None, description='the link that rests; default: the root')
+    rotor_inertia: dict[str, float] | Literal['identified'] = Field({}, description=(
+        'of the rotors behind joints, as they feel it [kg m2], [kg]; or it is identified'))
+    offsets: bool = Field(True, description='whether the motors are off by a constant force')
+    friction: FrictionChoice = Field(
+        default_factory=lambda: FrictionChoice(coulomb=1), description='in the joints')
+    residual: list[Literal['potential', 'friction', 'mass']] = Field([], description=(
+        'what networks add to it: V(q), the friction -D(q) v, M(q); one, or a list'))
+    residual_weight: float = Field(1e-3, ge=0.0, description=(
+        'of the size of those networks, at random states, in the loss'))
+    # It is a prior of the family mechanical, whose joints have a force each.
+    prior: ClassVar[str] = RIGID_BODY
+    input_map: ClassVar[str] = 'identity'
+
+    @field_validator('residual', mode='before')
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str) else value
+
+    @model_validator(mode='after')
+    def _check(self) -> 'RigidBodyChoice':
+        if self.friction.network or self.friction.network_depends_on is not None:
+            raise ValueError('friction.network: take residual: friction, a network beside the '
+                             'friction of joints')
+        return self
+
+    def robot(self, joints: Sequence[str]) -> RigidBodyTree:
+        """Return the robot of the file, of these joints, or of all that move; or raise."""
+        rotors = {} if isinstance(self.rotor_inertia, str) else self.rotor_inertia
+        return RigidBodyTree(self.file, [*joints] or None, self.locked, self.gravity, self.base,
+                             rotors)
+
+    def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
+        """Return what is identified, and what networks see: each coordinate."""
+        robot, rows = self.robot(names), np.eye(len(names)).tolist()
+        tree = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name[:200])
+        left_out = tuple(name for name in ('mass', 'potential') if name not in self.residual)
+        return Structure(
+            kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
+            self.friction.stribeck, self.prior, bool(self.residual),
+            rows if 'friction' in self.residual else None, tree, values_of(tree, robot.bodies),
+            left_out)
 
 
 class Stage(StrictModel):
@@ -157,9 +225,10 @@ class MachineConfig(StrictModel):
     """One training run of the family mechanical; a file states what differs from the defaults."""
 
     description: str = Field('', max_length=1000)
-    coordinates: list[MachineCoordinate] = Field(min_length=1, max_length=7)
+    coordinates: list[MachineCoordinate] = Field([], max_length=MOST_JOINTS, description=(
+        'at least one; of a rigid_body joints of its URDF, and all that move if none is named'))
     data: MachineData
-    family: MechanicalChoice
+    family: Annotated[MechanicalChoice | RigidBodyChoice, Field(discriminator='kind')]
     loss: Loss | None = Field(None, description=(
         'how; default: forward where the data hold accelerations, else trajectory'))
     hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
@@ -171,6 +240,16 @@ class MachineConfig(StrictModel):
 
     @model_validator(mode='after')
     def _check(self) -> 'MachineConfig':
+        if isinstance(self.family, RigidBodyChoice):
+            if not isinstance(self.loss, Trajectory | Inverse | None):
+                raise ValueError(f'loss: {self.loss.kind} fits no rigid_body; take inverse or '
+                                 'trajectory')
+            return self
+        if isinstance(self.data, MachineExcitation):
+            raise ValueError('data: excitation computes motions of a rigid_body; take arrays, bag '
+                             'or log')
+        if not self.coordinates:
+            raise ValueError('coordinates: expected at least one')
         self.structure()
         return self
 
@@ -189,6 +268,9 @@ class MachineConfig(StrictModel):
     def structure(self) -> Structure:
         """Return what the networks see; ValueError for what names no coordinate."""
         family, names = self.family, [coordinate.name for coordinate in self.coordinates]
+        kinds = [coordinate.kind for coordinate in self.coordinates]
+        if isinstance(family, RigidBodyChoice):
+            return family.structure(names, kinds)
         seen = names if family.mass_depends_on is None else family.mass_depends_on
         if family.mass == 'constant':
             if family.mass_depends_on:
@@ -203,7 +285,6 @@ class MachineConfig(StrictModel):
         features = [combination(text, names, 'features') for text in family.features or names]
         self._check_map()
         self._check_prior(features)
-        kinds = [coordinate.kind for coordinate in self.coordinates]
         mass_features = [combination(text, names, 'mass_depends_on') for text in seen]
         friction_features = [
             combination(text, names, 'friction.network_depends_on') for text in rubbing
@@ -227,6 +308,7 @@ class MachineConfig(StrictModel):
 
     def _check_prior(self, features: list[list[float]]) -> None:
         family = self.family
+        assert isinstance(family, MechanicalChoice), 'a rigid_body has a prior of its own'
         if family.prior is None:
             if not family.residual:
                 raise ValueError('residual: without a prior there is nothing but the networks')
@@ -257,4 +339,29 @@ def combination(text: str, names: list[str], key: str) -> list[float]:
 
 def load_machine(path: Path) -> MachineConfig:
     """Read and validate a configuration; a DataError names file, line and key."""
-    return load_yaml(path, MachineConfig, DataError)
+    config = load_yaml(path, MachineConfig, DataError)
+    return _with_robot(path, config, config.family) if isinstance(
+        config.family, RigidBodyChoice) else config
+
+
+def _with_robot(path: Path, config: MachineConfig, family: RigidBodyChoice) -> MachineConfig:
+    """Return a configuration whose URDF was found, with the coordinates of its joints."""
+    given = {coordinate.name: coordinate for coordinate in config.coordinates}
+    try:
+        file = package_file(family.file) if family.file.startswith(SCHEME) else \
+            path.parent / family.file
+        family = family.model_copy(update={
+            'file': str(file if os.path.exists(file) else family.file)})
+        robot = family.robot([*given])
+        found = [MachineCoordinate(
+            name=joint.name, q_unit=coordinate.q_unit, p_unit=coordinate.p_unit,
+            kind=joint.kind)  # type: ignore[arg-type]  # those that move are of these kinds
+            for joint, coordinate in zip(robot.joints, robot.coordinates, strict=True)]
+    except ValidationError as problem:
+        first = problem.errors(include_url=False)[0]
+        raise DataError(f'{path}: family: {first["input"]!r}: the name of a joint must be a '
+                        'letter or underscore, then letters, digits, underscores; rename it'
+                        ) from problem
+    except (ModelError, ValueError) as problem:
+        raise DataError(f'{path}: family: {problem}') from problem
+    return config.model_copy(update={'family': family, 'coordinates': found})

@@ -16,8 +16,12 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.energy_account import balance
 from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation_of, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
+from hnn_vi_ros.learning.excitation import excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.machine_config import Forward, load_machine, MachineConfig, Trajectory
+from hnn_vi_ros.learning.identification import identify
+from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
+from hnn_vi_ros.learning.machine_config import (
+    Forward, load_machine, MachineConfig, MachineExcitation, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion, run_of
@@ -29,6 +33,7 @@ from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, PredictionError
 from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
 from hnn_vi_ros.version import __version__
 import numpy as np
 import torch
@@ -38,14 +43,14 @@ _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 
 
 def is_machine(source: Path) -> bool:
-    """Tell whether a configuration is of the family mechanical, whose schema is its own."""
+    """Tell whether a configuration is of a machine, which has a schema of its own."""
     try:
         text = source.read_text(encoding='utf-8')
     except (OSError, ValueError):
         return False  # the other schema's reader tells what is wrong
     data, _ = parse_mapping(text, source, DataError)
     family = data.get('family')
-    return isinstance(family, dict) and family.get('kind') == 'mechanical'
+    return isinstance(family, dict) and family.get('kind') in ('mechanical', RIGID_BODY)
 
 
 class Outputs(NamedTuple):
@@ -79,7 +84,7 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     begun = time.perf_counter()
     network, losses = learn(config, train)
     seconds = time.perf_counter() - begun
-    own_scale = config.family.prior is not None and config.family.prior not in CHAINS
+    own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
     if own_scale:
         description += f'; the scale of energy is that of {config.family.prior}'
     elif not any(motion.tau.any() for motion in train):
@@ -91,6 +96,7 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
                         'mean square of its columns is 1')
     checkpoint = with_energy_error(
         describe(network, config, train, description, losses, out.stem, command), test)
+    checkpoint = with_force_errors(checkpoint, network, test)
     names = [coordinate.name for coordinate in config.coordinates]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
@@ -113,8 +119,8 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     draw_predictions(outputs.picture, out.stem, hamiltonian.coordinates,
                      shown(fans, max(horizons)))
     found = f'{table(scores, names)}\n\n{verdict(scores)}'
-    outputs.report.write_text(_page(outputs, config, checkpoint.card, found, seconds),
-                              encoding='utf-8')
+    page = _page(outputs, config, checkpoint.card, found, seconds)
+    outputs.report.write_text(page + identified_text(checkpoint.card), encoding='utf-8')
     print(f'model: {out}\nreport: {outputs.report}\n\n{found}\ntrained in {seconds:.1f} s')
 
 
@@ -172,6 +178,10 @@ def learn(config: MachineConfig, motions: list[Motion]
     """Return a network that was fitted, and its losses: after its prior, if it has one."""
     d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
     learns_map = config.family.input_map == 'learned'
+    rigid_body = config.family if isinstance(config.family, RigidBodyChoice) else None
+    if motors != d and rigid_body is not None:
+        raise DataError(f'the data have {motors} columns of forces for {d} joints; a rigid_body '
+                        'needs the force of each joint')
     if motors != d and not learns_map:
         raise DataError(f'the data have {motors} forces for {d} coordinates: of motors, not of '
                         'joints; take input_map: learned')
@@ -181,9 +191,10 @@ def learn(config: MachineConfig, motions: list[Motion]
         return network, fit(network, config, motions)
     rigid = MechanicalNetwork(replace(structure, residual=False, friction_features=None),
                               config.hidden, scales, config.seed)
-    losses = fit_rigid_body(rigid, config.windows, motions)
+    losses = fit_rigid_body(rigid, config.windows, motions) if rigid_body is None else identify(
+        rigid, config, motions, rigid_body.rotor_inertia == 'identified', rigid_body.offsets)
     if not np.isfinite([*losses.values()]).all():
-        looked = 'features, which must be the angles of its links from the vertical,' \
+        looked = 'URDF' if rigid_body is not None else 'features, which must be the angles of its links from the vertical,' \
             if structure.prior in CHAINS else 'coordinates, which must be those of the system,'
         raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
                         'and for outliers in the data')
@@ -231,9 +242,15 @@ def _bounds(values: np.ndarray) -> list[list[float]]:
 def _read(source: Path, config: MachineConfig, given: list[str]
           ) -> tuple[list[Motion], list[Motion], str]:
     """Return motions to learn from, motions to judge by, and what they are."""
-    data = config.data
-    motions, description = read_motions(
-        source, data, [coordinate.name for coordinate in config.coordinates], given)
+    data, joints = config.data, [coordinate.name for coordinate in config.coordinates]
+    if isinstance(data, MachineExcitation):
+        if given:
+            raise DataError(f'{source}: its data are computed, so --data {given[0]} has no use; '
+                            'leave it')
+        assert isinstance(config.family, RigidBodyChoice), 'checked with the configuration'
+        motions, description = excited_motions(data, config.family.robot(joints), config.seed)
+    else:
+        motions, description = read_motions(source, data, joints, given)
     names = list(dict.fromkeys(run_of(motion) for motion in motions))
     for run in data.test_runs:
         if run not in names:

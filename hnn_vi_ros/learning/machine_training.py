@@ -97,7 +97,7 @@ def fit(network: Network, config: MachineConfig, motions: Sequence[Motion],
     motions : sequence of Motion
         What to learn from.
     penalty : callable, optional
-        Added to the loss of windows, of a network that begins near its end, and so with them.
+        Added to the loss, of a network that begins near its end, and so of windows with them.
 
     Returns
     -------
@@ -125,7 +125,14 @@ def fit(network: Network, config: MachineConfig, motions: Sequence[Motion],
     rows = torch.nonzero(samples.left >= ahead)[:, 0]
     if not len(rows):
         raise DataError('no motion has three samples at distances of step_size; lower it')
-    return _regress(network, config, loss, partial(at, network, samples), rows, generator)
+    value = partial(at, network, samples)
+    if penalty is None:
+        return _regress(network, config, loss, value, rows, generator)
+
+    def penalised(rows: torch.Tensor) -> torch.Tensor:
+        # The same states again: L-BFGS needs a function.
+        return value(rows) + penalty(torch.Generator().manual_seed(config.seed))
+    return _regress(network, config, loss, penalised, rows, generator)
 
 
 def _regress(network: Network, config: MachineConfig, loss: Forward | Inverse | Discrete,

@@ -245,26 +245,30 @@ def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
+def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
+    """Return values, at times along axis 0, through a zero-phase filter of a cut-off [Hz]."""
+    share = 2.0 * spacing * cutoff
+    # What is faster than the samples can hold is not there to be taken away.
+    if share > _WHOLE:
+        return values
+    try:
+        return np.ascontiguousarray(
+            sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
+    except np.linalg.LinAlgError as problem:
+        raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for samples every '
+                        f'{spacing:.4g} s; give a higher one') from problem
+
+
 def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
              cutoff: float, a: np.ndarray | None = None) -> Motion:
     """Return a motion at even times, smoothed, with what it lacks of velocities and more."""
-    share = 2.0 * float(t[1] - t[0]) * cutoff
-
-    def low_pass(values: np.ndarray) -> np.ndarray:
-        # What is faster than the samples can hold is not there to be taken away.
-        if share > _WHOLE:
-            return values
-        try:
-            return np.ascontiguousarray(
-                sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
-        except np.linalg.LinAlgError as problem:
-            raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for samples every '
-                            f'{t[1] - t[0]:.4g} s; give a higher one') from problem
+    def smooth(values: np.ndarray) -> np.ndarray:
+        return low_pass(name, values, float(t[1] - t[0]), cutoff)
 
     def rate(values: np.ndarray) -> np.ndarray:
         return CubicSpline(t, values)(t, 1)
 
-    q_smooth = low_pass(q)
-    v_smooth = rate(q_smooth) if v is None else low_pass(v)
+    q_smooth = smooth(q)
+    v_smooth = rate(q_smooth) if v is None else smooth(v)
     return Motion(name, t, q, v_smooth if v is None else v, tau, q_smooth, v_smooth,
-                  rate(v_smooth) if a is None else low_pass(a), accelerations=a is not None)
+                  rate(v_smooth) if a is None else smooth(a), accelerations=a is not None)

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.window_steps import Solutions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch
 
 # Evenly spread samples and windows; more change the parameters by less than their errors.
@@ -29,7 +29,7 @@ _SAMPLES, _WINDOWS = 4000, 500
 # Of each fit, which ends earlier as a rule.
 _EVALUATIONS = 20
 # Least inertia and friction that a fit begins with, in units of the usual ones.
-_LEAST = 1e-4
+LEAST = 1e-4
 
 
 def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Motion]
@@ -56,13 +56,13 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     physical = _Physical(network)
     # The forces are linear in the parameters of rigid links.
     found = _regression(physical, samples) if physical.prior.linear else physical.now()
-    rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
+    rows = spread(torch.arange(len(samples.q)), _SAMPLES)
     losses = {}
     found, losses['rigid_body_forward'] = _least_squares(
         physical, found, lambda _: acceleration_errors(network, samples, rows))
     for stage in loss.windows:
         windows, starts = windows_of(loss, stage, samples)
-        chosen = _spread(starts, _WINDOWS)
+        chosen = spread(starts, _WINDOWS)
 
         def errors(solutions: Solutions, windows: Windows = windows,
                    chosen: torch.Tensor = chosen) -> torch.Tensor:
@@ -96,7 +96,8 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[Motion]) -> MechanicalNe
     return min(fitted)[2] if fitted else None
 
 
-def _spread(rows: torch.Tensor, most: int) -> torch.Tensor:
+def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
+    """Return at most about so many rows, evenly spread."""
     return rows[:: max(1, len(rows) // most)]
 
 
@@ -124,7 +125,7 @@ class _Physical:
             np.tile(network.friction.force_unit.numpy(), n), np.ones(motors)])
         # In units of scale. Inertia is positive; friction has no slope below its least.
         self.least = np.concatenate([
-            np.where(free, -np.inf, 0.0), np.full(sum(self.sizes[1:3]), _LEAST),
+            np.where(free, -np.inf, 0.0), np.full(sum(self.sizes[1:3]), LEAST),
             np.full(motors, -np.inf)])
 
     def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -134,9 +135,9 @@ class _Physical:
         forces = forces.reshape(-1, self.network.d)
         found = {'prior.raw': self.prior.raw_of(values)}
         if len(viscous):
-            found['friction.raw_viscous'] = _inverse_softplus(viscous / friction.viscous_unit)
+            found['friction.raw_viscous'] = inverse_softplus(viscous / friction.viscous_unit)
         if len(forces):
-            found['friction.raw_force'] = _inverse_softplus(forces / friction.force_unit)
+            found['friction.raw_force'] = inverse_softplus(forces / friction.force_unit)
         if len(input_map):
             found['raw_map'] = input_map.reshape(self.network.d, -1)
         return found
@@ -161,23 +162,17 @@ class _Physical:
         network, prior = self.network, self.prior
         columns = [(prior.mass(q, unit) @ a[:, :, None])[:, :, 0] + prior.forces(q, v, unit)
                    for unit in torch.eye(len(prior.names), dtype=torch.float64)]
-        _, _, widths, speeds = (part.detach() for part in network.friction.coefficients())
-        frictions = [v] * network.structure.viscous
-        for k, width in enumerate(widths):
-            slower = k - network.structure.coulomb
-            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
-            frictions.append(torch.tanh(v / width) * ends)
-        columns += [friction * unit for friction in frictions for unit in network.identity]
-        return torch.stack(columns, dim=-1)
+        return torch.cat([torch.stack(columns, dim=-1), network.friction.columns(v)], dim=2)
 
 
-def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
-    return torch.log(torch.expm1(torch.clamp(x, min=_LEAST)))
+def inverse_softplus(x: torch.Tensor) -> torch.Tensor:
+    """Return log(exp(x) - 1), of LEAST at the least."""
+    return torch.log(torch.expm1(torch.clamp(x, min=LEAST)))
 
 
 def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     """Return the parameters that explain the forces best, by the input map that there is."""
-    rows = _spread(torch.arange(len(samples.q)), _SAMPLES)
+    rows = spread(torch.arange(len(samples.q)), _SAMPLES)
     q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
     with torch.no_grad():
         tau = physical.network.joint_forces(tau)
@@ -197,17 +192,50 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
     end = n + sum(physical.sizes[1:3])
     # Accelerations may show no friction, where windows do: it begins above its least.
-    friction = np.maximum(found[n:], 10.0 * _LEAST * physical.scale[n:end])
+    friction = np.maximum(found[n:], 10.0 * LEAST * physical.scale[n:end])
     return np.concatenate([values, friction, physical.now()[end:]])
 
 
 def _least_squares(physical: _Physical, start: np.ndarray,
                    errors: Callable[[Solutions], torch.Tensor]) -> tuple[np.ndarray, float]:
     """Return the parameters of the least soft size of errors, and that size."""
-    module, scale = _Errors(physical.network, errors), torch.tensor(physical.scale)
+    scale = torch.tensor(physical.scale)
+    found = fit_errors(physical.network, lambda x: physical.raw(x * scale),
+                       start / physical.scale, physical.least, errors)
+    if found is None:
+        return start, np.inf
+    # The cost is half the sum of what the losses of networks are the mean of.
+    return found.x * physical.scale, 2.0 * float(found.cost) / len(found.fun)
+
+
+def fit_errors(network: MechanicalNetwork,
+               raw: Callable[[torch.Tensor], dict[str, torch.Tensor]], start: np.ndarray,
+               least: np.ndarray, errors: Callable[[Solutions], torch.Tensor]
+               ) -> OptimizeResult | None:
+    """
+    Fit numbers by the soft size of errors.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        Whose errors they are.
+    raw : callable
+        ``raw(x)`` returns parameters of the network by name.
+    start, least : np.ndarray, shape (k,)
+        Numbers to begin with, and their lower bounds.
+    errors : callable
+        Errors of the network, by what has solved, or knows, the equations of its steps.
+
+    Returns
+    -------
+    OptimizeResult or None
+        What scipy.optimize.least_squares returns; None where errors are infinite to begin with.
+
+    """
+    module = _Errors(network, errors)
 
     def residuals(x: torch.Tensor, solutions: Solutions) -> torch.Tensor:
-        parts = {f'network.{name}': part for name, part in physical.raw(x * scale).items()}
+        parts = {f'network.{name}': part for name, part in raw(x).items()}
         return torch.func.functional_call(module, parts, (solutions,)).reshape(-1)
 
     def values(x: np.ndarray) -> np.ndarray:
@@ -221,12 +249,10 @@ def _least_squares(physical: _Physical, start: np.ndarray,
             residuals(at, solutions)
             return torch.func.jacfwd(
                 lambda x: residuals(x, solutions.again()))(at).numpy()
-    if not np.isfinite(values(start / physical.scale)).all():
-        return start, np.inf
-    found = least_squares(values, start / physical.scale, jacobian, (physical.least, np.inf),
-                          loss='soft_l1', x_scale='jac', ftol=1e-5, max_nfev=_EVALUATIONS)
-    # The cost is half the sum of what the losses of networks are the mean of.
-    return found.x * physical.scale, 2.0 * float(found.cost) / len(found.fun)
+    if not np.isfinite(values(start)).all():
+        return None
+    return least_squares(values, start, jacobian, (least, np.inf), loss='soft_l1', x_scale='jac',
+                         ftol=1e-5, max_nfev=_EVALUATIONS)
 
 
 class _Errors(torch.nn.Module):

@@ -99,6 +99,8 @@ class Identification(StrictModel):
     """What the data tell of the parameters of a robot."""
 
     base_parameters: list[BaseParameter]
+    weak: list[BaseParameter] = Field([], description=(
+        'others, of which the data tell less than the URDF does: they are close to that'))
     held: list[dict[str, float]] = Field(description=(
         'directions, as factors of parameters, along which the data tell nothing: they are as '
         'in the URDF'))

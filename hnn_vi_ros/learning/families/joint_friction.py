@@ -107,6 +107,18 @@ class JointFriction(torch.nn.Module):
             total = total + (B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0]
         return total
 
+    def columns(self, v: torch.Tensor) -> torch.Tensor:
+        """Return the friction of each b and c where it alone is one, shape (N, d, k), at v."""
+        _, _, widths, speeds = (part.detach() for part in self.coefficients())
+        found = [v] * self.structure.viscous
+        for k, width in enumerate(widths):
+            slower = k - self.structure.coulomb
+            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
+            found.append(torch.tanh(v / width) * ends)
+        identity = torch.eye(v.shape[1], dtype=v.dtype)
+        return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
+            if found else v[:, :, None][:, :, :0]
+
     def raise_to_least(self) -> None:
         """Let no coefficient be zero: it would have no slope, and stay there."""
         with torch.no_grad():

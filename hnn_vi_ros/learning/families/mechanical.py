@@ -8,6 +8,7 @@ import math
 from hnn_vi_ros.learning.families.exact_prior import ExactPrior
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
 from hnn_vi_ros.learning.families.planar_chain import PlanarChain
+from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.learning.families.seen import Seen
 from hnn_vi_ros.learning.families.structure import MotionScales, Structure
 from hnn_vi_ros.learning.network import Perceptron
@@ -17,6 +18,7 @@ from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np
 import torch
 
+_NETWORKS = ('mass', 'potential')
 # Least eigenvalue of S^-1 M S^-1.
 _FLOOR = 1e-3
 # What is added to M of a prior begins at a small share of this one of its inertias, and networks
@@ -83,17 +85,18 @@ class MechanicalNetwork(torch.nn.Module):
         energy = float(np.mean(scales.inertia * scales.a))
         self.potential = Perceptron(hidden, *self.potential_seen.units(scales),
                                     np.array([energy]), seed + 1)
-        if not structure.residual:
-            self._leave_out_networks()
+        self._leave_out_networks(structure.left_out if structure.residual else _NETWORKS)
 
-    def _leave_out_networks(self) -> None:
+    def _leave_out_networks(self, names: Sequence[str]) -> None:
         with torch.no_grad():
-            for network in (self.mass, self.potential):
+            for name in names:
+                network = self.get_submodule(name)
                 network.linears[-1].weight.zero_()
                 network.linears[-1].bias.zero_()
                 network.requires_grad_(False)
-            # log(1 + exp(-80)) is below what rounding keeps of any other inertia.
-            self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
+            if 'mass' in names:
+                # log(1 + exp(-80)) is below what rounding keeps of any other inertia.
+                self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
         """Take prior and friction of one that has no networks; those of this one begin small."""
@@ -107,8 +110,13 @@ class MechanicalNetwork(torch.nn.Module):
             states = self.random_states(256, torch.Generator().manual_seed(0))
             inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
             self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
-            self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
+            if 'mass' not in self.structure.left_out:
+                self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.01)
+        if isinstance(self.prior, RigidTree):
+            # What was identified stays what it is, with its errors.
+            self.prior.requires_grad_(False)
+            self.prior.identification = rigid.prior.identification
 
     def random_states(self, count: int, generator: torch.Generator) -> torch.Tensor:
         """Return coordinates, shape (count, d), of all turns, or of the range of the data."""
@@ -189,6 +197,17 @@ class MechanicalNetwork(torch.nn.Module):
         gram, needed = self._equations(q, v)
         S = self.root_inertia
         return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
+
+    def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return what networks beside a prior add to those forces, of shape (N, d)."""
+        assert self.prior is not None
+        friction, values = self.friction, self.prior.values()
+        rigid = ((self.prior.mass(q, values) @ a[:, :, None])[:, :, 0]
+                 + self.prior.forces(q, v, values))
+        b, c, *_ = friction.coefficients()
+        rubbing = friction.columns(v) @ torch.cat([
+            b[:self.d * self.structure.viscous], c.flatten()])
+        return self.forces(q, v, a) - rigid - rubbing
 
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
@@ -288,12 +307,16 @@ class MechanicalNetwork(torch.nn.Module):
     def _prior_card(self, p_unit: str) -> PriorCard | None:
         if self.prior is None or self.structure.prior is None:
             return None
+        if isinstance(self.prior, RigidTree):
+            return self.prior.card(alone=not self.structure.residual)
         return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit))
 
 
-def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | None:
+def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:
     if structure.prior is None:
         return None
+    if structure.tree is not None and structure.values is not None:
+        return RigidTree(structure.tree, structure.values)
     return PlanarChain(structure.features, inertia) if structure.prior in CHAINS else \
         ExactPrior(structure.prior)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
 from hnn_vi_ros.models.rigid_body_card import (
-    EACH, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
+    EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
 import numpy as np
 import torch
 
@@ -50,7 +50,8 @@ class RigidTree(torch.nn.Module):
     its log-Cholesky parameters, so that x = 0 is the URDF and x does not depend on axes and units.
     With the velocities V_i = J_i v of the bodies and their inertias I_i,
 
-        M = sum_i J_i^T I_i J_i,    (M v)' - (v . M v)_q / 2 = sum_i J_i^T (I_i J_i' v + V_i x* I_i V_i)
+        M = sum_i J_i^T I_i J_i
+        (M v)' - (v . M v)_q / 2 = sum_i J_i^T (I_i J_i' v + V_i x* I_i V_i)
 
     Parameters
     ----------
@@ -88,6 +89,8 @@ class RigidTree(torch.nn.Module):
         self.raw = torch.nn.Parameter(torch.zeros((d, INERTIAL), dtype=torch.float64))
         self.rotor = torch.nn.Parameter(torch.tensor(values[:, INERTIAL]))
         self.offset = torch.nn.Parameter(torch.zeros(d, dtype=torch.float64))
+        # What data tell of it, once it was identified.
+        self.identification: Identification | None = None
 
     def values(self) -> torch.Tensor:
         """Return the parameters of all bodies, shape (12 d,), in the order of their names."""
@@ -117,7 +120,7 @@ class RigidTree(torch.nn.Module):
     def card(self, alone: bool) -> PriorCard:
         """Return what the model card holds of it."""
         return PriorCard(kind=RIGID_BODY, parameters=self.quantities(''), tree=self.tree,
-                         alone=alone)
+                         alone=alone, identification=self.identification)
 
     def sweep(self, q: torch.Tensor, v: torch.Tensor) -> Swept:
         """Return where states (N, d) take the bodies, from the base outward."""

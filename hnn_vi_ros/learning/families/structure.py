@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 
 from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.rigid_body_card import TreeCard
 import numpy as np
 
 
@@ -33,6 +34,12 @@ class Structure:
         Whether there are networks beside it.
     friction_features : list of list of float, optional
         What the network D of friction -D(q) v sees, in the same way; None for no such network.
+    tree : TreeCard, optional
+        The bodies of a prior that is a robot.
+    values : np.ndarray, shape (d, 12), optional
+        Their parameters to begin with.
+    left_out : tuple of str
+        Which of the networks, ``mass`` and ``potential``, add nothing.
 
     """
 
@@ -46,6 +53,9 @@ class Structure:
     prior: str | None = None
     residual: bool = True
     friction_features: list[list[float]] | None = None
+    tree: TreeCard | None = None
+    values: np.ndarray | None = None
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
