@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.rigid_body_tree import tree_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper

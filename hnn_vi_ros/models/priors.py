@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
-from hnn_vi_ros.hamiltonians.rigid_body_tree import extended_gradient, tree_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient, tree_kernel
 from hnn_vi_ros.kernels.compilation import identify
 from hnn_vi_ros.models import exact_terms, prior_terms
 from hnn_vi_ros.models.exact_prior import create, exact_gradient

@@ -75,7 +75,7 @@ class TreeCard(StrictModel):
     @property
     def units(self) -> dict[str, str]:
         """Return the parameters of all bodies, one after another, and their units."""
-        found = {}
+        found: dict[str, str] = {}
         for body in self.bodies:
             rotor, force = _SLIDING if body.prismatic else _TURNING
             units = 'kg', *3 * ('kg m',), *6 * ('kg m2',)

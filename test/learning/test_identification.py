@@ -8,7 +8,8 @@ from pathlib import Path
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
-from hnn_vi_ros.hamiltonians.rigid_body_tree import extended_gradient, RigidBodyTree
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
