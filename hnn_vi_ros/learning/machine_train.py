@@ -194,8 +194,9 @@ def learn(config: MachineConfig, motions: list[Motion]
     losses = fit_rigid_body(rigid, config.windows, motions) if rigid_body is None else identify(
         rigid, config, motions, rigid_body.rotor_inertia == 'identified', rigid_body.offsets)
     if not np.isfinite([*losses.values()]).all():
-        looked = 'URDF' if rigid_body is not None else 'features, which must be the angles of its links from the vertical,' \
+        looked = 'features, which must be the angles of its links from the vertical,' \
             if structure.prior in CHAINS else 'coordinates, which must be those of the system,'
+        looked = looked if rigid_body is None else 'URDF'
         raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
                         'and for outliers in the data')
     if not structure.residual:

@@ -67,7 +67,8 @@ class TreeCard(StrictModel):
     def _check(self) -> 'TreeCard':
         for row, body in enumerate(self.bodies):
             if body.parent > row:
-                raise ValueError(f'{body.link} hangs on body {body.parent}, which is not before it')
+                raise ValueError(f'{body.link} hangs on body {body.parent}, which is not before '
+                                 'it')
         if sorted(body.coordinate for body in self.bodies) != [*range(len(self.bodies))]:
             raise ValueError('each joint must have a coordinate of its own')
         return self
