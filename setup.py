@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 
 NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
-TRAIN = ['matplotlib>=3.8', 'torch>=2.3,<3', 'tqdm>=4.60']
+TRAIN = ['matplotlib>=3.8', 'plotly>=6,<7', 'torch>=2.3,<3', 'tqdm>=4.60']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [
@@ -67,7 +67,7 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(exclude=['test', 'test.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'studies/*.html']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),

@@ -60,6 +60,7 @@ HOMES = {
     'contourpy': r'viewer/phase_portrait\.py',
     'matplotlib': r'learning/\w+\.py|studies/\w+\.py|run/trajectory\w*\.py',
     'pandas': r'run/trajectory\w*\.py',
+    'PIL': r'studies/work_precision_figure\.py',
     'xarray': r'run/trajectory\w*\.py',
     'shtab': r'commands/completion\.py',
     'tqdm': r'learning/\w+\.py|studies/\w+\.py',

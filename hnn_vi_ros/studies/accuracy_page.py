@@ -7,15 +7,21 @@ from collections.abc import Callable, Iterator, Mapping
 import math
 from pathlib import Path
 import shutil
+from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.studies.arguments import SCENES
+from hnn_vi_ros.studies.explore_page import (
+    FLOORS, read_floors, rows_of, write_explorer, write_floors)
 from hnn_vi_ros.studies.measuring import StudyRow
+from hnn_vi_ros.studies.references import ModelDiscrepancy, Reference
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw
 from hnn_vi_ros.studies.work_precision_report import (
     best_table, cheapest, circumstances, drift_table, horizons_of, none_of, of_horizon, ours,
     peers, ratio, was_run)
+import numpy as np
 
 PAGE, FOLDER = 'accuracy-and-cost.md', 'accuracy'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
@@ -26,15 +32,17 @@ _TEXT = """\
 # What accuracy costs in time
 
 Written by `ros2 run hnn_vi_ros work_precision --all`, from measurements on {machine}, commit
-{commit}. Every number in its sentences is computed from the tables.
+{commit}. Every number in its sentences is computed from the tables. The same rows can be explored,
+with a table of what to take for an error of your own: open [explore.html](accuracy/explore.html)
+in a browser; it needs no network.
 
 A row is a method at one step size, run from the scene's initial state to a horizon T. Its *path
-error* is the largest distance from the true path, at the instants T/10, ..., T; its *energy band*
-the largest abs(H - H0). Its time is the wall time per simulated second, on one core, compiled and
-warm. The cheapest method at an error is the row that takes the least time among those with at
-most that error. Times compare methods on one machine; of another, read the ratios only. Peers
-that choose their own steps are run at tolerances 1e-3 to 1e-13, and only the end of their path is
-looked at, which is to their advantage.
+error* is the largest component of (q, p) - reference, in SI units, at the instants T/10, ..., T;
+its *energy band* the largest abs(H - H0). Its time is the wall time per simulated second, on one
+core, compiled and warm. The cheapest method at an error is the row that takes the least time among
+those with at most that error. Times compare methods on one machine; of another, read the ratios
+only. Peers that choose their own steps are run at tolerances 1e-3 to 1e-13, and only the end of
+their path is looked at, which is to their advantage.
 
 ## Which method to take
 
@@ -115,10 +123,56 @@ def write_page(folder: Path, docs: Path) -> list[Path]:
         pictures = [path for scene in SCENES for path in _copy(docs / FOLDER, scene,
                                                                results[scene])]
         (docs / PAGE).write_text(as_page(results), encoding='utf-8')
+        floors = write_floors(docs / FOLDER / FLOORS, results, {
+            scene: _shown(entry) for scene, entry in results.items()})
+        return [docs / PAGE, *pictures, floors, write_explorer(docs / FOLDER)]
     except OSError as problem:
-        raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); '
-                             'give a folder that can be written') from problem
-    return [docs / PAGE, *pictures]
+        raise _unwritable(docs, problem) from problem
+
+
+def draw_again(docs: Path) -> list[Path]:
+    """
+    Draw the pictures, and the page to explore, of the rows that are there.
+
+    Parameters
+    ----------
+    docs : Path
+        Holds what ``write_page`` wrote.
+
+    Raises
+    ------
+    ParameterError
+        The rows cannot be read, or a file cannot be written.
+
+    """
+    folder, written = docs / FOLDER, []
+    try:
+        for scene, floors in read_floors(folder)['scenes'].items():
+            rows = rows_of(folder, scene)
+            for horizon, floor in floors.items():
+                written.append(draw(
+                    folder / _picture(scene, float(horizon)), _title(scene, float(horizon)),
+                    [row for row in rows if row.horizon == float(horizon)], *_levels(floor)))
+        return [*written, write_explorer(folder)]
+    except OSError as problem:
+        raise _unwritable(docs, problem) from problem
+
+
+def _levels(floor: Mapping[str, Any]) -> tuple[Reference, ModelDiscrepancy | None]:
+    accuracy, nothing = floor['reference'], np.empty((0, 2))
+    # Of a path that was verified, nothing but its accuracy is drawn.
+    reference = Reference(nothing if accuracy is None else np.full((1, 2), math.inf),
+                          math.inf if accuracy is None else accuracy, '', nothing)
+    if floor['energy'] is None:
+        return reference, None
+    path, box = floor['path'], floor['box']
+    return reference, ModelDiscrepancy(math.nan if path is None else path, floor['energy'],
+                                       EnergyError(**box) if box else None)
+
+
+def _unwritable(docs: Path, problem: OSError) -> ParameterError:
+    return ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); '
+                          'give a folder that can be written')
 
 
 def as_page(results: Mapping[str, Results]) -> str:
@@ -140,9 +194,13 @@ def _copy(folder: Path, scene: str, results: Results) -> Iterator[Path]:
     yield Path(shutil.copyfile(results.folder / CSV, folder / f'{scene}.csv'))
     for horizon in _shown(results):
         yield draw(folder / _picture(scene, horizon),
-                   f'{scene}: what accuracy costs over {horizon:g} s',
+                   _title(scene, horizon),
                    of_horizon(results, horizon), results.references[horizon],
                    results.model_errors.get(horizon))
+
+
+def _title(scene: str, horizon: float) -> str:
+    return f'{scene}: what accuracy costs over {horizon:g} s'
 
 
 def _picture(scene: str, horizon: float) -> str:

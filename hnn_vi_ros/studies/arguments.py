@@ -75,6 +75,9 @@ def work_precision() -> Parser:
     what.add_argument('--scene', metavar='NAME', help='shipped name or file')
     what.add_argument('--all', action='store_true', help=(
         f'measure {", ".join(SCENES)}, and write the page on accuracy and cost'))
+    what.add_argument('--draw', action='store_true', help=(
+        'measure nothing: draw the pictures of that page, and the page to explore, of the rows '
+        'that are in the folder of --docs'))
     parser.add_argument('--methods', nargs='+', metavar='METHOD', help=(
         'integrators; METHOD@1e-4 or METHOD@3 does not solve its equations further than a '
         'residual or some iterations, METHOD@float32 takes gradients in single precision'))

@@ -24,6 +24,11 @@ _GRADIENT, _GRADIENTS_PER_STAGE = 1e-6, 6
 def main(argv: list[str]) -> int:
     """Measure what is not measured yet, then write tables and pictures."""
     arguments = command_lines.work_precision().parse_args(argv)
+    if arguments.draw:
+        # Here and below: matplotlib and rerun take a second, which a mistake should not wait for.
+        from hnn_vi_ros.studies.accuracy_page import draw_again
+        print(*draw_again(arguments.docs), sep='\n')
+        return 0
     base = arguments.out or Path('work_precision')
     if arguments.scene is not None:
         studies = [prepare(arguments, arguments.scene, arguments.out)]
@@ -37,7 +42,6 @@ def main(argv: list[str]) -> int:
         print(f'\nInterrupted: {len(study.results.rows)} rows are kept in '
               f'{study.results.folder}; the same command goes on from there.')
         return 130
-    # Imported late: matplotlib and rerun take a second, which a mistake should not wait for.
     from hnn_vi_ros.studies.accuracy_page import write_page
     from hnn_vi_ros.studies.work_precision_report import write_report
     written = [path for study in studies for path in write_report(study.results, study.scene.name)]

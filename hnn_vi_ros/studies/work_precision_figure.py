@@ -1,20 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a work-precision study: two panels, told apart in grey as well."""
+"""The picture of a work-precision study: small multiples, told apart in grey as well."""
 
 from collections.abc import Iterable, Sequence
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.models.energy_error import EnergyError
-from hnn_vi_ros.studies.label_placement import place_labels
+from hnn_vi_ros.studies.label_placement import Label, place_labels
 from hnn_vi_ros.studies.measuring import StudyRow
 from hnn_vi_ros.studies.references import ModelDiscrepancy, Reference
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 import numpy as np
+from PIL import Image
 
 # Colour and marker; families share a colour, from light to dark with the order.
 STYLES = {
@@ -42,7 +45,13 @@ _OTHER = ('#555555', '*')
 INK, FAINT = '#222222', '#8a8a8a'
 # Larger errors say only that the run is lost.
 _LOST = 100.0
-_DPI = 120
+_DPI = 100
+_GROUPS = {'ours': 'Ours, solved to round-off', 'peers': 'Peers',
+           'variants': 'Not solved to round-off, or float32'}
+# Marks of their own for what stops early and for what is rounded.
+_VARIANT_MARKS = {'float32': '*'}
+_FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
+_EARLY, _PALE = 'h', '#d9d9d9'
 _EPS = float(np.finfo(np.float64).eps)
 
 
@@ -58,9 +67,11 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel('seconds_per_simulated_second', 'path_error', 'How far from the true path',
-          'wall time per simulated second [s/s]', 'path error'),
+          'wall time per simulated second [s/s]',
+          'path error, largest component\n'
+          r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]'),
     Panel('gradients_per_simulated_second', 'energy_band', 'How far from the energy',
-          'gradients per simulated second [1/s]', 'energy band [J]'),
+          'gradients per simulated second [1/s]', 'energy band, largest $|H - H_0|$ [J]'),
 )
 
 
@@ -86,17 +97,35 @@ def is_peer(name: str) -> bool:
     return ' ' in name
 
 
+def group_of(name: str) -> str:
+    """Return in which column of panels a line stands."""
+    return 'variants' if '@' in name else 'peers' if is_peer(name) else 'ours'
+
+
+def line_style(name: str) -> dict[str, Any]:
+    """Return how a line is drawn: a colour and a mark of its own, a dash of its group."""
+    base, _, variant = name.partition('@')
+    color, marker = STYLES.get(base, _OTHER)
+    group = group_of(name)
+    if variant:
+        marker = _VARIANT_MARKS.get(variant, _EARLY)
+    return {'color': color, 'marker': marker, 'markersize': 8.0 if marker == '*' else 6.0,
+            'linestyle': {'ours': '-', 'peers': (0, (5, 2)), 'variants': ':'}[group],
+            'linewidth': 1.6 if group == 'ours' else 1.2, 'markeredgecolor': color,
+            'markerfacecolor': color if group == 'ours' else 'white', 'markeredgewidth': 1.0}
+
+
 def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
          model: ModelDiscrepancy | None) -> Path:
     """
-    Draw the rows of one horizon into a PNG file.
+    Draw the rows of one horizon into a PNG file: a column of panels for each group of lines.
 
     Parameters
     ----------
     path : Path
         Where to write.
     title : str
-        Above both panels.
+        Above all panels.
     rows : sequence of StudyRow
         All of one horizon.
     reference : Reference
@@ -105,56 +134,63 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
         What a learned H is off by, drawn as a floor.
 
     """
-    figure = Figure(figsize=(14.0, 7.5), dpi=_DPI, facecolor='white')
+    series = series_of(rows)
+    groups = [group for group in _GROUPS if any(group_of(name) == group for name in series)]
+    figure = Figure(figsize=(5.6 * max(len(groups), 1), 10.5), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK)
-    floors = {'path_error': model.path, 'energy_band': model.energy} if model else {}
-    panels = panels_of(rows)
-    axes = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.06, right=0.975, bottom=0.12, top=0.875, wspace=0.17)
-    lines = [_draw_panel(ax, panel, rows, floors.get(panel.y, math.nan))
-             for ax, panel in zip(axes, panels, strict=True)]
-    for ax, panel in zip(axes, panels, strict=True):
-        if panel.y == 'energy_band' and model is not None and model.box is not None:
-            _draw_box_error(ax, model.box)
-    if panels[0].y == 'path_error' and reference.verified:
-        bottom = axes[0].get_ylim()[0]
-        if reference.accuracy > bottom:
-            axes[0].axhspan(bottom, reference.accuracy, color='#e9e9e9', zorder=0.5)
-            axes[0].annotate('the reference knows no more', (0.0, reference.accuracy),
-                             (5, -3), ha='left', va='top', fontsize=8, color=FAINT,
-                             xycoords=axes[0].get_yaxis_transform(), textcoords='offset points')
-    figure.text(0.995, 0.004, 'solid: ours   dashed: peers   dotted: not solved to round-off, or '
-                'float32   \N{MULTIPLICATION SIGN} at the upper edge: failed or lost',
-                ha='right', va='bottom', fontsize=8, color=FAINT)
+    grid = figure.subplots(2, max(len(groups), 1), squeeze=False)
+    figure.subplots_adjust(left=0.075 if len(groups) > 1 else 0.16, right=0.985, bottom=0.21,
+                           top=0.92, wspace=0.13, hspace=0.34)
+    drawn = []
+    for i, (line, panel) in enumerate(zip(grid, panels_of(rows), strict=True)):
+        floor = getattr(model, _FLOORS[panel.y]) if model else math.nan
+        limits = _limits_of(panel, rows, floor)
+        for ax, group in zip(line, groups or ['ours'], strict=True):
+            _begin_panel(ax, panel, limits, '' if i else _GROUPS[group])
+            drawn.append((ax, _draw_lines(ax, panel, series, group)))
+            _draw_levels(ax, panel, floor, reference, model)
+        for ax in line[1:]:
+            ax.set_ylabel('')
+    for ax, group in zip(grid[1], groups, strict=False):
+        ax.legend(handles=_handles(series, group), loc='upper center', bbox_to_anchor=(0.5, -0.17),
+                  frameon=False, fontsize=7.5, ncols=2)
+    figure.legend(handles=_common_handles(reference, model), loc='lower center', frameon=False,
+                  fontsize=8, ncols=5 if len(groups) > 2 else 3)
     # Last: the layout is final only now.
-    for ax, drawn in zip(axes, lines, strict=True):
-        place_labels(ax, drawn)
+    figure.draw_without_rendering()
+    for ax, labels in drawn:
+        place_labels(ax, *labels)
     figure.savefig(path, dpi=_DPI)
+    # A third of the size: lines and flat areas have few colours.
+    with Image.open(path) as picture:
+        small = picture.convert('RGB').quantize(128)
+    small.save(path, optimize=True)
     return path
 
 
-def _draw_panel(ax: Axes, panel: Panel, rows: Sequence[StudyRow], floor: float
-                ) -> dict[str, tuple[str, np.ndarray]]:
-    """Draw a panel; return the colour and the points of each line that has some."""
+def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
+               ) -> tuple[float, float, float, float] | None:
+    """Return what the panels of a row all show; None if no run arrived."""
+    points = np.array([(getattr(row, panel.x), getattr(row, panel.y)) for row in rows
+                       if row.finished]).reshape(-1, 2)
+    points = points[(points[:, 0] > 0.0) & (points[:, 1] >= 0.0)]
+    if not points.size:
+        return None
+    x = points[:, 0]
+    return (x.min() / 1.7, x.max() * 1.7, *_limits(points[:, 1], floor))
+
+
+def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, float] | None,
+                 group: str) -> None:
     ax.set(xscale='log', yscale='log', xlabel=panel.x_label, ylabel=panel.y_label)
-    ax.set_title(panel.title, pad=14.0)
+    ax.set_title(f'{group}\n{panel.title}' if group else panel.title, fontsize=10, pad=10.0)
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
     ax.spines[['top', 'right']].set_visible(False)
-    points = [(getattr(row, panel.x), getattr(row, panel.y)) for row in rows if row.finished]
-    points = [(x, y) for x, y in points if x > 0.0 and y >= 0.0]
-    if not points:
+    if limits is None:
         ax.text(0.5, 0.5, 'no run arrived', ha='center', transform=ax.transAxes, color=FAINT)
-        ax.set(xlim=(1e-5, 1.0), ylim=(1e-12, 1.0))
-        return {}
-    low, high = _limits(np.array(points)[:, 1], floor)
-    ax.set_ylim(low, high)
-    lines = {}
-    for name, line in series_of(rows).items():
-        lines[name] = _draw_line(ax, panel, name, line, (low, high))
-    if not math.isnan(floor):
-        _draw_floor(ax, floor)
-    return {name: line for name, line in lines.items() if len(line[1])}
+        limits = 1e-5, 1.0, 1e-12, 1.0
+    ax.set(xlim=limits[:2], ylim=limits[2:])
 
 
 def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
@@ -166,12 +202,34 @@ def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
             10.0 ** math.ceil(math.log10(usual.max()) + 0.1))
 
 
-def _draw_line(ax: Axes, panel: Panel, name: str, rows: Sequence[StudyRow],
-               limits: tuple[float, float]) -> tuple[str, np.ndarray]:
-    """Draw a method's line and its crosses; return its colour and points, shape (n, 2)."""
-    low, high = limits
-    base, _, variant = name.partition('@')
-    color, marker = STYLES.get(base, _OTHER)
+def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group: str
+                ) -> tuple[list[Label], list[np.ndarray]]:
+    """Draw the lines of a group, and pale the others; return labels, and what they avoid."""
+    low, high = ax.get_ylim()
+    labels: list[Label] = []
+    obstacles = []
+    for name, rows in series.items():
+        good, lost = _points(panel, rows, low, high)
+        points = np.array([point[:2] for point in good]).reshape(-1, 2)
+        if group_of(name) != group:
+            ax.plot(*points.T, color=_PALE, linewidth=0.9, zorder=1)
+            continue
+        style = line_style(name)
+        ax.plot(*points.T, zorder=4, clip_on=False, **style)
+        # What was lost may have taken longer than all that arrived.
+        ax.plot(np.clip(lost, *ax.get_xlim()), [high] * len(lost), color=style['color'],
+                marker='x', markersize=8.0, markeredgewidth=2.0, linestyle='', clip_on=False,
+                zorder=5)
+        if good:
+            obstacles.append(points)
+            labels.extend(Label(_step_text(good[k][2]), style['color'], points[k])
+                          for k in sorted({0, len(good) // 2, len(good) - 1}))
+    return labels, obstacles
+
+
+def _points(panel: Panel, rows: Sequence[StudyRow], low: float, high: float
+            ) -> tuple[list[tuple[float, float, StudyRow]], list[float]]:
+    """Return the points of a line with their rows, and where runs are lost."""
     good, lost = [], []
     for row in rows:
         x, y = getattr(row, panel.x), getattr(row, panel.y)
@@ -179,38 +237,68 @@ def _draw_line(ax: Axes, panel: Panel, name: str, rows: Sequence[StudyRow],
             lost.append(x)
         elif row.finished and y >= 0.0:
             # No error at all has no place on a logarithmic axis.
-            good.append((x, max(y, low)))
-    points = np.array(good).reshape(-1, 2)
-    open_marker = bool(variant) or is_peer(name)
-    ax.plot(*points.T, color=color, marker=marker, markersize=4.0 if variant else 6.0,
-            linestyle=':' if variant else (0, (5, 2)) if is_peer(name) else '-',
-            linewidth=1.0 if variant else 1.3 if is_peer(name) else 1.7,
-            markerfacecolor='white' if open_marker else color, markeredgecolor=color,
-            markeredgewidth=1.0, alpha=0.85 if variant else 1.0,
-            zorder=2 if variant else 3 if is_peer(name) else 4, clip_on=False)
-    known = [x for x in lost if not math.isnan(x)]
-    ax.plot(known, [high] * len(known), color=color, marker='x', markersize=8.0,
-            markeredgewidth=2.0, linestyle='', clip_on=False, zorder=5)
-    return color, points
+            good.append((x, max(y, low), row))
+    return good, [x for x in lost if not math.isnan(x)]
+
+
+def _step_text(row: StudyRow) -> str:
+    if math.isnan(row.step_size):
+        return 'tol ' + row.method.partition('tolerance=')[2]
+    return f'{row.step_size:.2g} s'
+
+
+def _handles(series: dict[str, list[StudyRow]], group: str) -> list[Line2D]:
+    """Return an entry of a legend for each line of a group."""
+    return [Line2D([], [], label=_legend_text(name, rows), **line_style(name))
+            for name, rows in series.items() if group_of(name) == group]
+
+
+def _common_handles(reference: Reference, model: ModelDiscrepancy | None) -> list[Any]:
+    """Return an entry of a legend for each mark that is no line of a method."""
+    handles: list[Any] = [
+        Line2D([], [], color=_PALE, label='the lines of the other panels'),
+        Line2D([], [], color=INK, marker='x', linestyle='', markersize=8.0, markeredgewidth=2.0,
+               label='upper edge: failed or lost')]
+    if model is not None:
+        handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)),
+                              label='error of the learned H itself'))
+        if model.box is not None:
+            handles.append(Line2D([], [], color='#8a5a00', linewidth=1.6,
+                                  label='RMS and largest error of H in its box'))
+    if reference.verified:
+        handles.append(Patch(color='#e9e9e9', label='below the accuracy of the reference'))
+    return handles
+
+
+def _legend_text(name: str, rows: Sequence[StudyRow]) -> str:
+    steps = [row.step_size for row in rows if not math.isnan(row.step_size)]
+    if not steps:
+        return f'{name} (marks: tolerances)'
+    return f'{name}, h = {max(steps):.2g} to {min(steps):.2g} s'
+
+
+def _draw_levels(ax: Axes, panel: Panel, floor: float, reference: Reference,
+                 model: ModelDiscrepancy | None) -> None:
+    """Draw the errors below which nothing is known or gained."""
+    if not math.isnan(floor):
+        _draw_floor(ax, floor)
+    if panel.y == 'energy_band' and model is not None and model.box is not None:
+        _draw_box_error(ax, model.box)
+    bottom = ax.get_ylim()[0]
+    if panel.y == 'path_error' and reference.verified and reference.accuracy > bottom:
+        ax.axhspan(bottom, reference.accuracy, color='#e9e9e9', zorder=0.5)
 
 
 def _draw_floor(ax: Axes, floor: float) -> None:
     ax.axhspan(ax.get_ylim()[0], floor, color='#f7f3e8', zorder=0)
-    ax.axhline(floor, color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)), zorder=1)
-    ax.annotate(f'the learned H itself is off by {floor:.2g}', (0.0, floor), (5, -4),
-                xycoords=ax.get_yaxis_transform(), textcoords='offset points', fontsize=8.5,
-                color=INK, va='top', zorder=5,
-                bbox={'facecolor': '#f7f3e8', 'edgecolor': 'none', 'alpha': 0.85, 'pad': 1.0})
+    ax.axhline(floor, color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)), zorder=3)
 
 
 def _draw_box_error(ax: Axes, error: EnergyError) -> None:
     """Draw the RMS and the largest error of H in its box, with their intervals, at the right."""
     across = ax.get_yaxis_transform()
-    for value, interval, label in ((error.rms, error.rms_interval, 'RMS'),
-                                   (error.sup, error.sup_interval, 'largest')):
+    for value, interval in ((error.rms, error.rms_interval), (error.sup, error.sup_interval)):
         if interval is not None:
-            ax.axhspan(*interval, xmin=0.86, color=INK, alpha=0.15, linewidth=0.0, zorder=1)
-        ax.plot([0.86, 1.0], [value, value], color=INK, linewidth=1.0, transform=across, zorder=1)
-        ax.annotate(f'{label} error of H in the box', (1.0, value), (-3, 2), ha='right',
-                    va='bottom', fontsize=7, color=INK, xycoords=across,
-                    textcoords='offset points')
+            ax.axhspan(*interval, xmin=0.9, color='#8a5a00', alpha=0.2, linewidth=0.0, zorder=1)
+        ax.plot([0.9, 1.0], [value, value], color='#8a5a00', linewidth=1.6, transform=across,
+                zorder=3)

@@ -16,7 +16,7 @@ from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.studies import accuracy_page, work_precision
+from hnn_vi_ros.studies import accuracy_page, explore_page, work_precision
 from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.measuring import measure_row, PeerRun, StudyRow, whole_steps
 from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
@@ -428,10 +428,12 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path, monkeypatch):
 
     draw = accuracy_page.draw
     monkeypatch.setattr(accuracy_page, 'draw', draw_some)
+    # The page to explore is tested by itself, with what it needs.
+    monkeypatch.setattr(explore_page, '_plotly', str)
     for scene in SCENES:
         invent(tmp_path / 'results', scene)
     written = accuracy_page.write_page(tmp_path / 'results', tmp_path / 'docs')
-    assert len(written) == 1 + 3 * len(SCENES) and all(path.is_file() for path in written)
+    assert len(written) == 3 + 3 * len(SCENES) and all(path.is_file() for path in written)
     text = written[0].read_text()
     # gauss8 at h = 0.1 costs 200 us; variational_euler at its best, h = 0.05, 60, rk4 at 0.1, 40.
     assert ('- kepler, T = 10 s: its best path error is 0.05, with h = 0.05 s; rk4 is as good '
@@ -445,13 +447,17 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path, monkeypatch):
             'RMS (95 %: 0.0001 to 0.0003) and 0.0008 J at most (95 %: 0.0005 to 0.0008). The '
             'learned H itself is off by 0.001') in text
     assert '| gauss8@1e-4 | 0.1 | 0.01 | 1 |' in text
-    assert text.count('](accuracy/') == 3 * len(SCENES)
+    assert text.count('](accuracy/') == 1 + 3 * len(SCENES)
     for link in re.findall(r'\]\((accuracy/[^)]+)\)', text):
         assert (tmp_path / 'docs' / link).is_file()
+    # The same pictures, drawn of what the page was written with.
+    again = accuracy_page.draw_again(tmp_path / 'docs')
+    assert {*again} == {path for path in written if path.suffix in ('.png', '.html')}
 
 
 def test_page_shows_no_horizon_that_most_rows_were_not_run_to(tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy_page, 'draw', lambda path, *arguments: path)
+    monkeypatch.setattr(explore_page, '_plotly', str)
     for scene in SCENES:
         invent(tmp_path / 'results', scene)
         results = Results(tmp_path / 'results' / scene)
