@@ -90,7 +90,7 @@ class Solutions:
         if self._next is None:
             known = x.detach(), c.detach(), force.detach()
             scales = machine.scales
-            w, J = _newton(lambda w: residual(w, *known), guess.detach(),
+            w, J = newton(lambda w: residual(w, *known), guess.detach(),
                            self._matrices.get(numbers), torch.tensor(scales.v),
                            torch.tensor(scales.inertia * scales.v))
             self._found.append((w, J))
@@ -100,10 +100,29 @@ class Solutions:
         return w - _solve(J, residual(w, x, c, force))
 
 
-def _newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor,
+def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor,
             matrix: torch.Tensor | None, unit: torch.Tensor, residual_unit: torch.Tensor
             ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the root, shape (N, d), not a number where there is none, and the matrix at it."""
+    """
+    Return the roots of equations, shape (N, d), and their matrices, by Newton's method.
+
+    Parameters
+    ----------
+    residual : callable
+        Of shape (N, d), at unknowns of that shape, row by row.
+    guess : torch.Tensor, shape (N, d)
+        Where to begin.
+    matrix : torch.Tensor, shape (N, d, d), optional
+        About the derivative of the residual, for the first steps.
+    unit, residual_unit : torch.Tensor, shape (d,)
+        Usual sizes of the unknowns, and of the residual.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Roots, not a number where there is none, and the derivatives of the residual at them.
+
+    """
     best = w = guess
     least = torch.full(guess.shape[:1], torch.inf, dtype=guess.dtype)
     share, step = torch.ones_like(least), torch.zeros_like(guess)

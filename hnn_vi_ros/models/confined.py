@@ -67,7 +67,7 @@ class ConfinedHamiltonian(Hamiltonian):
     Raises
     ------
     ModelError
-        Its coordinates are not canonical.
+        Its coordinates are not canonical, or turn.
     ValueError
         It has no box.
 
@@ -84,6 +84,9 @@ class ConfinedHamiltonian(Hamiltonian):
         if not base.canonical:
             raise ModelError('confine: a wall holds states by forces on canonical momenta, which '
                              'this model has not; leave confine out')
+        if base.rotations:
+            raise ModelError('confine: a wall holds numbers, and an attitude is none; leave confine '
+                             'out')
         self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
         self._box = base.box
         self.energies = self._wall_energies()

@@ -115,4 +115,10 @@ FAMILIES = {
         {'mass': Network(1), 'potential': Network(1)}, 'models.mechanical:MechanicalHamiltonian',
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),
         conservative=False),
+    # Of one body, by the card's ``lie_group``, which tells what its networks see, and whether
+    # there are more: of dissipation, and of an input map.
+    'lie_group': Family(
+        {'mass': Network(1), 'potential': Network(1)}, 'models.lie_group:LieGroupHamiltonian',
+        'learning.families.lie_group:LieGroupNetwork', constants=('lie_group',),
+        conservative=False),
 }

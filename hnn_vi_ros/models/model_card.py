@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 import numpy as np
 from pydantic import Field, model_validator
@@ -94,6 +95,9 @@ class ModelCard(StrictModel):
         'gamma [1/s], for a family that learned dp/dt = -H_q - gamma p'))
     mechanical: MechanicalCard | None = Field(None, description=(
         'how the networks of the family mechanical see q, and its friction'))
+    lie_group: LieGroupCard | None = Field(None, description=(
+        'what the networks of the family lie_group see of a body; its box has a column of p more, '
+        'which stays zero'))
     scheme: Scheme | None = Field(None, description=(
         'the one-step map that the model was trained through, and is right for'))
     dataset: str
@@ -124,8 +128,9 @@ class ModelCard(StrictModel):
         d = len(self.coordinates)
         if len({coordinate.name for coordinate in self.coordinates}) != d:
             raise ValueError('two coordinates have the same name')
-        if len(self.box.q) != d:
-            raise ValueError(f'the box has {len(self.box.q)} coordinates, expected {d}')
+        columns = d if self.lie_group is None else self.lie_group.size + 1
+        if len(self.box.q) != columns:
+            raise ValueError(f'the box has {len(self.box.q)} coordinates, expected {columns}')
         self._check_constants(d)
         self._check_networks(d)
         if self.ensemble is not None:
@@ -145,7 +150,8 @@ class ModelCard(StrictModel):
 
     def _check_networks(self, d: int) -> None:
         expected = FAMILIES[self.family].networks
-        names = expected.keys() if self.mechanical is None else self.mechanical.networks.keys()
+        own = self.mechanical or self.lie_group
+        names = expected.keys() if own is None else own.networks.keys()
         if len(names) == 1:
             if self.widths is None or self.networks is not None:
                 raise ValueError(f'widths, and no networks, must describe a model of the family '
@@ -155,6 +161,9 @@ class ModelCard(StrictModel):
                              f'the family {self.family}')
         if self.mechanical is not None:
             self._check_mechanical(self.mechanical, d)
+            return
+        if self.lie_group is not None:
+            self._check_lie_group(self.lie_group, d)
             return
         for name, widths in self.layout.items():
             network = expected[name]
@@ -173,13 +182,23 @@ class ModelCard(StrictModel):
                 raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} and end '
                                  f'with {ends[1]}, by what the networks see')
 
+    def _check_lie_group(self, card: LieGroupCard, d: int) -> None:
+        if d != 1:
+            raise ValueError(f'lie_group: {d} coordinates, expected 1, a body')
+        for name, widths in self.layout.items():
+            inputs, outputs = card.networks[name]
+            fits = widths[-1] == outputs or (not outputs and widths[-1] % card.size == 0)
+            if widths[0] != inputs or not fits:
+                raise ValueError(f'widths {widths} of {name} must begin with {inputs} and end '
+                                 f'with {outputs or f"a multiple of {card.size}"}')
+
     def _check_constants(self, d: int) -> None:
-        for name in ('friction', 'mass', 'velocities', 'mechanical'):
+        for name in ('friction', 'mass', 'velocities', 'mechanical', 'lie_group'):
             value, needed = getattr(self, name), name in FAMILIES[self.family].constants
             if (value is not None) != needed:
                 raise ValueError(f'{name} must {"" if needed else "not "}be given for the family '
                                  f'{self.family}')
-            if needed and name != 'mechanical' and len(value) != d:
+            if needed and name not in ('mechanical', 'lie_group') and len(value) != d:
                 raise ValueError(f'{name} has {len(value)} entries, expected {d}')
         if self.mass is not None:
             mass = np.array([row for row in self.mass if len(row) == d])

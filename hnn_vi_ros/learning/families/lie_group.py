@@ -1,0 +1,294 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Lie group network: mass, potential, dissipation and input map of a body that turns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.window_steps import newton
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.lie_group_card import LieGroupCard
+import numpy as np
+import torch
+
+# Of the networks of M and of B, how much they depend on the pose at first; log(1 + exp(0.54)) is 1.
+_FIRST, _UNIT_ROOT = 0.1, 0.54
+
+
+@dataclass(frozen=True)
+class BodyScales:
+    """
+    How large the motions of a body are.
+
+    Parameters
+    ----------
+    centre, half : np.ndarray, shape (k - 3,)
+        Middle and half of the range of its places.
+    velocity, momentum, force : np.ndarray, shape (k,)
+        Usual sizes, in the frame of the body.
+    input_map : np.ndarray, shape (k, m), optional
+        What one unit of each input does, at first.
+    input_size : np.ndarray, shape (m,), optional
+        Usual sizes of the inputs.
+
+    """
+
+    centre: np.ndarray
+    half: np.ndarray
+    velocity: np.ndarray
+    momentum: np.ndarray
+    force: np.ndarray
+    input_map: np.ndarray | None = None
+    input_size: np.ndarray | None = None
+
+
+class LieGroupNetwork(torch.nn.Module):
+    """
+    H = pi . M(g)^-1 pi / 2 + V, dissipation -D v and input map B u, in float64.
+
+    See LieGroupHamiltonian, and the effects learned_friction and external_force.
+
+    Parameters
+    ----------
+    card : LieGroupCard
+        What its networks see.
+    hidden : sequence of int
+        Widths of the hidden layers of each that sees something.
+    scales : BodyScales
+        Of the data.
+    seed : int
+        Of the initial weights.
+
+    """
+
+    def __init__(self, card: LieGroupCard, hidden: Sequence[int], scales: BodyScales, seed: int):
+        super().__init__()
+        self.card, self.k = card, card.size
+        k, entries = card.size, card.entries
+        rows, columns = np.array(entries).T
+        place = np.zeros((len(entries), k * k))
+        place[np.arange(len(entries)), rows * k + columns] = 1.0
+        for name, values in (
+                ('velocity_unit', scales.velocity), ('momentum_unit', scales.momentum),
+                ('scale', card.mass_scale), ('place', place), ('on_diagonal', rows == columns)):
+            self.register_buffer(name, torch.tensor(np.array(values)), persistent=False)
+        self.rows, self.columns = rows.tolist(), columns.tolist()
+        centre = np.concatenate([scales.centre, np.zeros(9 + k)])
+        unit = np.concatenate([scales.half, np.ones(9), scales.momentum])
+        self.seen = {name: card.columns(getattr(card, f'{name}_depends_on'))
+                     for name in card.networks}
+        outputs = {
+            'mass': np.ones(len(entries)), 'potential': np.array([float(scales.force.mean())])}
+        damping = scales.force / scales.velocity
+        outputs['dissipation'] = np.sqrt(damping[rows])
+        if scales.input_map is not None and scales.input_size is not None:
+            outputs['input_map'] = np.outer(scales.force, 1.0 / scales.input_size).ravel()
+        for i, (name, at) in enumerate(self.seen.items()):
+            network = Perceptron(hidden if at else [1], centre[at] if at else np.zeros(1),
+                                 unit[at] if at else np.ones(1), outputs[name], seed + i)
+            self.add_module(name, network)
+            if name != 'potential':
+                self._begin(network, name, scales.input_map)
+            if not at:
+                # What sees nothing is its last bias.
+                network.linears[0].requires_grad_(False)
+                network.linears[-1].weight.requires_grad_(False).zero_()
+
+    def _begin(self, network: Perceptron, name: str, input_map: np.ndarray | None) -> None:
+        last = network.linears[-1]
+        with torch.no_grad():
+            last.weight.mul_(_FIRST)
+            if name == 'mass':
+                last.bias.copy_(_UNIT_ROOT * self.on_diagonal)
+            elif name == 'dissipation':
+                last.bias.copy_(_FIRST * self.on_diagonal)
+            else:
+                assert input_map is not None, 'given where an input map is learned'
+                last.bias.copy_(torch.tensor(input_map.ravel()) / network.output_scale)
+
+    @classmethod
+    def of(cls, model: Checkpoint) -> 'LieGroupNetwork':
+        """Return the network of a model file."""
+        card = model.card.lie_group
+        assert card is not None, 'checked with the card: the family has one'
+        ones = np.ones(card.size)
+        inputs = len(model.networks['input_map'].biases[-1]) // card.size \
+            if 'input_map' in model.networks else 0
+        scales = BodyScales(
+            np.zeros(card.size - 3), ones[3:], ones, ones, ones,
+            np.zeros((card.size, inputs)) if inputs else None,
+            np.ones(inputs) if inputs else None)
+        network = cls(card, [1], scales, 0)
+        for name, layers in model.networks.items():
+            own = Perceptron([len(bias) for bias in layers.biases[:-1]],
+                             np.zeros(layers.weights[0].shape[1]),
+                             np.ones(layers.weights[0].shape[1]), np.ones(len(layers.biases[-1])),
+                             0)
+            with torch.no_grad():
+                for linear, weight, bias in zip(own.linears, *layers, strict=True):
+                    linear.weight.copy_(torch.tensor(weight))
+                    linear.bias.copy_(torch.tensor(bias))
+            setattr(network, name, own)
+        return network
+
+    def outputs(self, name: str, z: torch.Tensor) -> torch.Tensor:
+        """Return the outputs of a network at (x, R, pi), or its first columns; (1, ...) if constant."""
+        at = self.seen[name]
+        return getattr(self, name)(z[:, at] if at else z.new_zeros((1, 1)))
+
+    def slope(self, name: str, z: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """Return the derivative of the sum of weights times outputs by z, of its shape."""
+        at = self.seen[name]
+        network, layers = getattr(self, name), []
+        a = (z[:, at] - network.centre) / network.scale
+        for linear in network.linears[:-1]:
+            a = torch.tanh(linear(a))
+            layers.append(a)
+        c = (weights * network.output_scale) @ network.linears[-1].weight
+        for linear, a in zip(network.linears[-2::-1], layers[::-1], strict=True):
+            c = (c * (1.0 - a.square())) @ linear.weight
+        return torch.zeros_like(z).index_copy(1, torch.tensor(at), c / network.scale)
+
+    def roots(self, name: str, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return outputs, (N, e), and the lower triangular matrix, (N, k, k), that they make."""
+        y = self.outputs(name, z)
+        entries = y
+        if name == 'mass':
+            entries = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
+        return y, (entries @ self.place).reshape(-1, self.k, self.k)
+
+    def held(self, x: torch.Tensor, R: torch.Tensor, u: torch.Tensor) -> 'HeldBody':
+        """Return the body at places (N, k - 3) and attitudes (N, 3, 3), inputs (N, m)."""
+        return HeldBody(self, x, R, u)
+
+    def momenta(self, x: torch.Tensor, R: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return p, shape (N, k), of velocities in the frame of the body: the solution of H_p."""
+        held = self.held(x, R, v.new_zeros((len(v), 0)))
+        pi = torch.linalg.solve_ex(held.inverse.expand(len(v), -1, -1), v[:, :, None])[0][:, :, 0]
+        if 'momentum' in self.card.potential_depends_on:
+            def residual(pi: torch.Tensor) -> torch.Tensor:
+                return held.body_rates(pi)[0] - v
+            found, J = newton(residual, pi.detach(), None, self.momentum_unit, self.velocity_unit)
+            pi = found - torch.linalg.solve_ex(J, residual(found)[:, :, None])[0][:, :, 0]
+        return held.in_space(pi)
+
+    def inputs(self, x: torch.Tensor, R: torch.Tensor, u: torch.Tensor) -> torch.Tensor | None:
+        """Return the force B u in the frame of the body, shape (N, k), or None without inputs."""
+        if not u.shape[1]:
+            return None
+        if 'input_map' not in self.seen:
+            return u
+        z = torch.cat([x, R.reshape(-1, 9)], dim=1)
+        B = self.outputs('input_map', z).reshape(-1, self.k, u.shape[1])
+        return (B @ u[:, :, None])[:, :, 0]
+
+    def layers(self) -> dict[str, Layers]:
+        """Return the networks for the model file."""
+        return {name: getattr(self, name).layers() for name in self.seen}
+
+    def multiply(self, factor: float) -> 'LieGroupCard':
+        """Multiply masses, V, D and B by a number, which changes no motion; return the new card."""
+        with torch.no_grad():
+            self.scale.mul_(factor**-0.5)
+            self.potential.output_scale.mul_(factor)
+            for name, share in (('dissipation', factor**0.5), ('input_map', factor)):
+                if name in self.seen:
+                    getattr(self, name).output_scale.mul_(share)
+        self.card = self.card.model_copy(update={'mass_scale': self.scale.tolist()})
+        return self.card
+
+
+class HeldBody:
+    """
+    A body at a held pose, under a held input; see lie_steps.Held.
+
+    Parameters
+    ----------
+    network : LieGroupNetwork
+        What it has learned.
+    x, R, u : torch.Tensor, shapes (N, k - 3), (N, 3, 3), (N, m)
+        Its place, attitude and input.
+
+    """
+
+    def __init__(self, network: LieGroupNetwork, x: torch.Tensor, R: torch.Tensor,
+                 u: torch.Tensor):
+        self._network, self._x, self._R = network, x, R
+        self._z = torch.cat([x, R.reshape(-1, 9)], dim=1)
+        self._y, self._L = network.roots('mass', self._z)
+        S, k = network.scale, network.k
+        gram = self._L @ self._L.transpose(1, 2)
+        floor = network.card.floor * torch.eye(k, dtype=gram.dtype)
+        self.inverse = S[:, None] * (gram + floor) * S
+        self._u = u
+        self._known: tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None] | None = None
+
+    def in_space(self, body: torch.Tensor) -> torch.Tensor:
+        """Return vectors of the body, shape (N, k), with the first three turned to space."""
+        if not self._x.shape[1]:
+            return body
+        return torch.cat([(self._R @ body[:, :3, None])[:, :, 0], body[:, 3:]], dim=1)
+
+    def _in_body(self, space: torch.Tensor) -> torch.Tensor:
+        if not self._x.shape[1]:
+            return space
+        first = (self._R.transpose(1, 2) @ space[:, :3, None])[:, :, 0]
+        return torch.cat([first, space[:, 3:]], dim=1)
+
+    def velocity(self, p: torch.Tensor) -> torch.Tensor:
+        """Return H_p, shape (N, k)."""
+        return self.in_space(self.body_rates(self._in_body(p))[0])
+
+    def body_rates(self, pi: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Return velocities of the body, and of an H that is one network its slope."""
+        v = (pi[:, None, :] @ self.inverse)[:, 0]
+        if 'momentum' not in self._network.card.potential_depends_on:
+            return v, None
+        z = torch.cat([self._z, pi], dim=1)
+        c = self._network.slope('potential', z, z.new_ones((len(z), 1)))
+        return v + c[:, self._z.shape[1]:], c[:, :self._z.shape[1]]
+
+    def rates(self, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return H_p, and g^* H_g less all forces, both of shape (N, k)."""
+        network, pi = self._network, self._in_body(p)
+        v, c = self.body_rates(pi)
+        own, B_u, D = self._at_pose()
+        c = own if c is None else c
+        if network.seen['mass']:
+            u = network.scale * pi
+            w = (u[:, None, :] @ self._L)[:, 0]
+            a = u[:, network.rows] * w[:, network.columns]
+            a = torch.where(network.on_diagonal, a * torch.sigmoid(self._y), a)
+            c = c + network.slope('mass', self._z, a)
+        slope = self._trivialised(c, pi, v)
+        force = B_u
+        if D is not None:
+            drag = -(v[:, None, :] @ D)[:, 0]
+            force = drag if force is None else force + drag
+        if force is not None:
+            slope = slope - self.in_space(force)
+        return self.in_space(v), slope
+
+    def _at_pose(self) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]:
+        """Return the slope of V, the force of the input and D, which no momentum changes."""
+        if self._known is None:
+            network, z = self._network, self._z
+            structured = 'momentum' not in network.card.potential_depends_on
+            own = network.slope('potential', z, z.new_ones((len(z), 1))) if structured else z
+            D = None
+            if 'dissipation' in network.seen:
+                root = network.roots('dissipation', z)[1]
+                D = root @ root.transpose(1, 2)
+            self._known = own, network.inputs(self._x, self._R, self._u), D
+        return self._known
+
+    def _trivialised(self, c: torch.Tensor, pi: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return g^* of a derivative by (x, R), and of what R does to (R^T p) . v."""
+        places = self._x.shape[1]
+        A = self._R.transpose(1, 2) @ c[:, places:].reshape(-1, 3, 3)
+        turn = torch.stack([A[:, 2, 1] - A[:, 1, 2], A[:, 0, 2] - A[:, 2, 0],
+                            A[:, 1, 0] - A[:, 0, 1]], dim=1)
+        if not places:
+            return turn
+        return torch.cat([c[:, :3], turn + torch.linalg.cross(v[:, :3], pi[:, :3])], dim=1)

@@ -1,0 +1,74 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a model of the family lie_group is, beside its networks."""
+
+from typing import Annotated, Literal
+
+from hnn_vi_ros.files.yaml_file import StrictModel
+from pydantic import Field, model_validator
+
+Seen = Literal['position', 'attitude']
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class LieGroupCard(StrictModel):
+    """What the networks of a body that turns see of its state (g, p), with pi = (R^T p, L)."""
+
+    kind: Literal['rotation', 'pose'] = Field(description='of the coordinate')
+    mass_scale: list[Positive] = Field(description=(
+        'S of M^-1 = S (L L^T + floor) S, of each column of pi'))
+    floor: Positive = Field(description='least eigenvalue of S^-1 M^-1 S^-1')
+    mass_depends_on: list[Seen] = Field(max_length=2, description=(
+        'what L sees; none for a constant M'))
+    potential_depends_on: list[Literal['position', 'attitude', 'momentum']] = Field(
+        min_length=1, max_length=3, description='what V sees; with the momentum it is all of H')
+    dissipation_depends_on: list[Seen] | None = Field(None, max_length=2, description=(
+        'what D of the force -D v sees; none for a constant D, null for no dissipation'))
+    input_map_depends_on: list[Seen] | None = Field(None, max_length=2, description=(
+        'what B of the force B u sees; none for a constant B, null for no input map'))
+
+    @model_validator(mode='after')
+    def _check(self) -> 'LieGroupCard':
+        if len(self.mass_scale) != self.size:
+            raise ValueError(f'mass_scale has {len(self.mass_scale)} entries, expected '
+                             f'{self.size}')
+        for name in ('mass', 'potential', 'dissipation', 'input_map'):
+            seen = getattr(self, f'{name}_depends_on') or []
+            if len(set(seen)) < len(seen):
+                raise ValueError(f'{name}_depends_on names one thing twice')
+            if self.kind == 'rotation' and 'position' in seen:
+                raise ValueError(f'{name}_depends_on: a rotation has no position')
+        return self
+
+    @property
+    def size(self) -> int:
+        """Return the number k of columns of p."""
+        return 3 if self.kind == 'rotation' else 6
+
+    @property
+    def networks(self) -> dict[str, tuple[int, int]]:
+        """Return the inputs and the outputs of each network; 0 outputs for any number times k."""
+        entries = len(self.entries)
+        found = {'mass': (self.mass_depends_on, entries),
+                 'potential': (self.potential_depends_on, 1)}
+        if self.dissipation_depends_on is not None:
+            found['dissipation'] = self.dissipation_depends_on, entries
+        if self.input_map_depends_on is not None:
+            found['input_map'] = self.input_map_depends_on, 0
+        # One that sees nothing has one input, 0.
+        return {name: (max(1, len(self.columns(seen))), outputs)
+                for name, (seen, outputs) in found.items()}
+
+    def columns(self, seen: list[str] | list[Seen]) -> list[int]:
+        """Return the places of what a network sees in (x, R row by row, pi)."""
+        places = self.size - 3
+        ends = {'position': (0, places), 'attitude': (places, places + 9),
+                'momentum': (places + 9, places + 9 + self.size)}
+        return [i for name, (first, last) in ends.items() if name in seen
+                for i in range(first, last)]
+
+    @property
+    def entries(self) -> list[tuple[int, int]]:
+        """Return the places in L, and in the root of D, of outputs: triangles on the diagonal."""
+        return [(first + i, first + j) for first in range(0, self.size, 3)
+                for i in range(3) for j in range(i + 1)]
