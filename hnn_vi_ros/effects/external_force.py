@@ -24,7 +24,7 @@ class ExternalForce(Force, Commanded):
 
     That is in simulated time, so that a controller that died does not push on (watchdog). With a
     model that has learned an input map the command u of its motors drives all coordinates by g(q)
-    u of a control-affine network, A u of a mechanical one. On a body of the name body, body_x to
+    u of a control-affine network, A u of a mechanical one, B u of a body in its frame. On a body of the name body, body_x to
     body_z are forces along axes of space, body_fx to body_fz along its own, such as thrust, and
     body_rx to body_rz torques about its own. Energy account: the power f . H_p.
 
@@ -35,8 +35,8 @@ class ExternalForce(Force, Commanded):
     timeout : float
         How long a command holds, > 0 [s].
     model : str, optional
-        A model with an input map (family control_affine, or mechanical with ``input_map:
-        learned``), in place of the coordinates.
+        A model with an input map (family control_affine, or mechanical or lie_group with
+        ``input_map: learned``), in place of the coordinates.
 
     Raises
     ------

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction -D(q) v of a network, D = B(q) B(q)^T, which takes energy whatever the network is."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
+from hnn_vi_ros.effects.body_forces import add_body_drag, body_network, BodyNetwork
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
+from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
 
@@ -35,7 +37,7 @@ class LearnedFrictionParameters(NamedTuple):
         c, 1/w and 1/s of each term.
     add : callable
         Adds the friction of the network; see add_by_network.
-    own : FrictionNetwork or tuple of int
+    own : FrictionNetwork, BodyNetwork or tuple of int
         What it takes first; where there is no network, a number that it has no use for.
 
     """
@@ -44,7 +46,28 @@ class LearnedFrictionParameters(NamedTuple):
     coulomb: np.ndarray
     stribeck: np.ndarray
     add: Callable[..., None]
-    own: FrictionNetwork | tuple[int]
+    own: FrictionNetwork | BodyNetwork | tuple[int]
+
+
+def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> LearnedFrictionParameters:
+    """Return the friction of a model; ValueError if that is not of such coordinates."""
+    d, card = len(columns(coordinates)[0]), model.card
+    if card.mechanical is None:
+        nothing = np.zeros(d), np.zeros((0, 2, d)), np.zeros((0, 3, d))
+        return LearnedFrictionParameters(
+            *nothing, add_body_drag, body_network(model, 'dissipation', coordinates))
+    friction = card.mechanical.friction
+    viscous = np.array(friction.viscous)
+    if viscous.size != d or rotations(coordinates):
+        raise ValueError(f'the model has {viscous.size} scalar coordinates, H has '
+                         f'{", ".join(coordinate.kind for coordinate in coordinates)}')
+    coulomb: list[Any] = [(term.force, np.reciprocal(term.width)) for term in friction.coulomb]
+    stribeck: list[Any] = [
+        (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
+        for term in friction.stribeck]
+    return LearnedFrictionParameters(
+        viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d)),
+        *network_of(model))
 
 
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.effects.attitudes import turned
 from hnn_vi_ros.effects.base import coordinate_index, EffectState
+from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
@@ -28,8 +29,8 @@ def load_map(model: str) -> Checkpoint:
     checkpoint = load_checkpoint(model)
     if not has_map(checkpoint):
         raise ModelError(f'{model}: this model of the family {checkpoint.card.family} has no '
-                         'input map, as the family control_affine has, and mechanical with '
-                         'input_map: learned; give coordinates')
+                         'input map, as the family control_affine has, and mechanical and '
+                         'lie_group with input_map: learned; give coordinates')
     return checkpoint
 
 
@@ -91,7 +92,7 @@ class InputParameters(NamedTuple):
         Those of the command's numbers in ``command``.
     add : callable
         Adds the forces of the numbers; see add_by_place.
-    own : Places, Axes, InputMap or InputMatrix
+    own : Places, Axes, InputMap, InputMatrix or BodyNetwork
         What it takes first.
 
     """
@@ -100,7 +101,7 @@ class InputParameters(NamedTuple):
     clock: np.ndarray
     places: np.ndarray
     add: Callable[..., None]
-    own: Places | Axes | InputMap | InputMatrix
+    own: Places | Axes | InputMap | InputMatrix | BodyNetwork
 
     def hold(self, places: np.ndarray, values: np.ndarray, timeout: float) -> None:
         """Put some numbers of a command into effect; the others stay, unless they have ended."""
@@ -144,6 +145,13 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
            ) -> InputParameters:
     """Return what adds g(q) u, or A u, to all coordinates, or raise ValueError."""
     d, mechanical = len(coordinates), model.card.mechanical
+    if model.card.lie_group is not None:
+        own_map = body_network(model, 'input_map', coordinates)
+        places = np.arange(own_map.entries.size // own_map.force.size)
+        if places.size >= state.command.size:
+            raise ValueError(f'the model maps {places.size} numbers; H takes at most '
+                             f'{state.command.size - 1}')
+        return InputParameters(state.command, state.clock, places, add_body_map, own_map)
     if rotations(coordinates):
         raise ValueError('the model maps numbers to scalar coordinates, which those of H are not '
                          'all; give coordinates')

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 import math
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.errors import ModelError
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 class LearnedFriction(Force):
     """
-    The friction of a model of the family mechanical, with v = H_p at each coordinate.
+    The friction of a model of the family mechanical or lie_group, with v = H_p.
 
         f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2) - D(q) v
 
     All b, c >= 0 and w > 0, and D = B B^T, so that it can only take energy: viscous, Coulomb made
-    smooth where the motion turns, Stribeck, and a network B(q), if the model has it. Energy
-    account: the power f . H_p <= 0.
+    smooth where the motion turns, Stribeck, and a network B(q), if the model has it. Of a body
+    that turns there is D alone, in its own frame. Energy account: the power f . H_p <= 0.
 
     Parameters
     ----------
@@ -45,33 +45,24 @@ class LearnedFriction(Force):
 
     """
 
-    depends_on_momentum = True
+    depends_on_momentum = turns = True
 
     def __init__(self, model: str):
         checkpoint = load_checkpoint(model)
-        if checkpoint.card.mechanical is None:
-            raise ModelError(f'{model}: a model of the family {checkpoint.card.family} has no '
-                             'friction of its own; take one of the family mechanical, or the '
-                             'effects damping and dry_friction')
-        self.friction, self._model = checkpoint.card.mechanical.friction, checkpoint
+        card = checkpoint.card
+        if card.mechanical is None and (
+                card.lie_group is None or 'dissipation' not in checkpoint.networks):
+            raise ModelError(f'{model}: this model of the family {card.family} has no friction of '
+                             'its own; take one of the family mechanical, or lie_group with '
+                             'dissipation, or the effects damping and dry_friction')
+        self._model = checkpoint
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> 'LearnedFrictionParameters':
         """Return the coefficients, and what adds the friction of the network."""
         # Imported here: it is compiled, which who only reads a scene has no use for.
-        from hnn_vi_ros.effects.friction_network import LearnedFrictionParameters, network_of
-        viscous = np.array(self.friction.viscous)
-        d = len(coordinates)
-        if viscous.size != d:
-            raise ValueError(f'the model has {viscous.size} coordinates, H has {d}')
-        coulomb: list[Any] = [
-            (term.force, np.reciprocal(term.width)) for term in self.friction.coulomb]
-        stribeck: list[Any] = [
-            (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
-            for term in self.friction.stribeck]
-        return LearnedFrictionParameters(
-            viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d)),
-            *network_of(self._model))
+        from hnn_vi_ros.effects.friction_network import friction_of
+        return friction_of(self._model, coordinates)
 
     @staticmethod
     @inlined

@@ -19,6 +19,10 @@ MethodName = Literal['lie_leapfrog', 'lie_variational_euler']
 RetractionName = Literal['cayley', 'exponential']
 # |x|^2 / 4 below which coefficients are those at it: what they are multiplied by is |x|^2.
 _LEAST = 1e-8
+# x cross, row by row, of x along each axis.
+_CROSS = torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+                       [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+                       [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
 
 
 class Held(Protocol):
@@ -83,9 +87,7 @@ RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Retraction]] = {
 
 def hat(x: torch.Tensor) -> torch.Tensor:
     """Return the matrices, shape (N, 3, 3), of x cross."""
-    a, b, c = x.unbind(dim=1)
-    zero = torch.zeros_like(a)
-    return torch.stack([zero, -c, b, c, zero, -a, -b, a, zero], dim=1).reshape(-1, 3, 3)
+    return (x @ _CROSS).reshape(-1, 3, 3)
 
 
 def turned(R: torch.Tensor, x: torch.Tensor, tau: Retraction) -> torch.Tensor:

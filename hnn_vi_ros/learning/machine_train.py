@@ -42,15 +42,16 @@ import torch
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 
 
-def is_machine(source: Path) -> bool:
-    """Tell whether a configuration is of a machine, which has a schema of its own."""
+def own_family(source: Path) -> str:
+    """Return the family of a configuration if its schema is its own, as that of machines; or ''."""
     try:
         text = source.read_text(encoding='utf-8')
     except (OSError, ValueError):
-        return False  # the other schema's reader tells what is wrong
+        return ''  # the other schema's reader tells what is wrong
     data, _ = parse_mapping(text, source, DataError)
     family = data.get('family')
-    return isinstance(family, dict) and family.get('kind') in ('mechanical', RIGID_BODY)
+    kind = family.get('kind') if isinstance(family, dict) else ''
+    return kind if kind in ('mechanical', RIGID_BODY, 'lie_group') else ''
 
 
 class Outputs(NamedTuple):

@@ -18,7 +18,7 @@ import time
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning import machine_train
+from hnn_vi_ros.learning import body_train, machine_train
 from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.energy_account import friction_work, integrated
@@ -236,7 +236,12 @@ def main(argv: Sequence[str]) -> None:
     model = arguments.out or Path('models') / f'{source.stem}.safetensors'
     given = [part for part in argv if part != '--resume']
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *given])
-    if machine_train.is_machine(source):
+    own = machine_train.own_family(source)
+    if own == 'lie_group':
+        _check_outputs((model,), resume=False)
+        body_train.run(source, arguments, model, command)
+        return
+    if own:
         files = machine_train.Outputs.beside(model)
         _check_outputs(files, resume=False)
         machine_train.run(source, arguments, files, command)
@@ -289,9 +294,10 @@ def _spread(card: ModelCard) -> str:
             f'covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
 
 
-def _check_outputs(outputs: Outputs | machine_train.Outputs, resume: bool) -> Path:
+def _check_outputs(outputs: Sequence[Path], resume: bool) -> Path:
     """Refuse outputs before the work begins; return where the state of the run is kept."""
-    out, state = outputs.model, outputs.model.with_suffix('.training')
+    out = outputs[0]
+    state = out.with_suffix('.training')
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
     for path in outputs:

@@ -238,7 +238,11 @@ class HeldBody:
 
     def velocity(self, p: torch.Tensor) -> torch.Tensor:
         """Return H_p, shape (N, k)."""
-        return self.in_space(self.body_rates(self._in_body(p))[0])
+        return self.in_space(self.of_body(p))
+
+    def of_body(self, p: torch.Tensor) -> torch.Tensor:
+        """Return the velocities in the frame of the body, shape (N, k), at momenta (N, k)."""
+        return self.body_rates(self._in_body(p))[0]
 
     def body_rates(self, pi: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Return velocities of the body, and of an H that is one network its slope."""
