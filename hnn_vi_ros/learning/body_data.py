@@ -17,6 +17,8 @@ import torch
 
 # What R^T R and the norm of a quaternion may be off by in data that were written with few digits.
 _NOT_TURNING = 1e-3
+# What it is off by in those that were written with all digits.
+_ROUNDING = 1e-14
 
 
 class BodyArrays(StrictModel):
@@ -208,7 +210,7 @@ def _motions(name: str, x: np.ndarray, attitude: np.ndarray, v: np.ndarray, u: n
     if attitude.shape[-1] == 4:
         R = turn_matrices(attitude.reshape(-1, 4))[0]
     else:
-        R = attitude.reshape(-1, 3, 3)
+        R = attitude.reshape(-1, 3, 3).copy()
     gram = R.transpose(0, 2, 1) @ R
     # Of a mirror image the determinant is -1.
     wrong = np.abs(gram - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
@@ -216,7 +218,9 @@ def _motions(name: str, x: np.ndarray, attitude: np.ndarray, v: np.ndarray, u: n
         raise DataError(f'{name}: attitude {int(wrong.argmax())} is no rotation; expected a unit '
                         'quaternion x, y, z, w, or the matrix that takes vectors of the body to '
                         'space, row by row')
-    # The next attitude on the group.
-    left, _, right = np.linalg.svd(R)
-    R = (left @ right).reshape(*attitude.shape[:-1], 3, 3)
+    # The next attitude on the group, of those that are off it by more than rounding.
+    off = wrong > _ROUNDING
+    left, _, right = np.linalg.svd(R[off])
+    R[off] = left @ right
+    R = R.reshape(*attitude.shape[:-1], 3, 3)
     return Motions(*map(torch.tensor, (x, R, v, u)), interval)

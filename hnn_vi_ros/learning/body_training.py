@@ -15,15 +15,17 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-# Pairs that L-BFGS remembers; and half of the range of a place that does not change.
+# Pairs that L-BFGS remembers; and half of the range of what only rounding changes.
 _PAIRS, _LEAST = 50, 1e-12
 
 
 def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwork:
     """Return the network of a configuration, with the scales of motions, or raise DataError."""
     k = 3 if config.coordinates[0].kind == 'rotation' else 6
-    x, v, u = (torch.cat([getattr(motion, name).flatten(0, 1) for motion in motions]).numpy()
-               for name in ('x', 'v', 'u'))
+    x, R, v, u = (torch.cat([part.flatten(0, 1) for part in parts]).numpy()
+                  for parts in zip(*(motion[:4] for motion in motions), strict=True))
+    seen = np.hstack([x, R.reshape(-1, 9)])
+    half = 0.5 * np.ptp(seen, axis=0)
     before, a = (np.concatenate(parts) for parts in zip(*map(_accelerations, motions),
                                                         strict=True))
     places = k - 3
@@ -55,8 +57,8 @@ def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwor
         rates = np.linalg.lstsq(np.hstack([_inputs(motions), others]), a, rcond=None)[0]
         first = inertia[:, None] * rates[:len(size)].T
     scales = BodyScales(
-        0.5 * (x.max(axis=0) + x.min(axis=0)), np.maximum(0.5 * np.ptp(x, axis=0), _LEAST),
-        velocity, inertia * velocity, inertia * acceleration, first, size)
+        0.5 * (seen.max(axis=0) + seen.min(axis=0)), np.where(half > _LEAST, half, 0.0), velocity,
+         inertia * velocity, inertia * acceleration, first, size)
     card = config.card((1.0 / np.sqrt(inertia)).tolist(), driven)
     return LieGroupNetwork(card, config.hidden, scales, config.seed)
 

@@ -24,7 +24,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
-from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning import arguments as command_lines, body_train
 from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.evaluation import (
     constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
@@ -61,6 +61,10 @@ def main(argv: Sequence[str]) -> None:
                              'name another')
     for option in ('out', 'json'):
         _check_free(option, getattr(arguments, option))
+    if arguments.model.endswith('.safetensors') and (
+            load_checkpoint(arguments.model).card.lie_group is not None):
+        body_train.evaluate(arguments)
+        return
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = _names(hamiltonian)
     motions, description = _motions(arguments, arguments.data, names)

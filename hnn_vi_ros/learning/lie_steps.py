@@ -144,8 +144,8 @@ class LieSteps:
             bend = _bend(x, mu[:, -3:], self._tau(x), 1.0)
             return mu + h * slope - right + _only_turn(bend, mu)
 
-        with torch.no_grad():
-            guess = right - h * held.rates(right)[1]
+        # Recorded: what the held body knows from here on is used by the recorded step as well.
+        guess = right - h * held.rates(right)[1]
         return self._solve(name, residual, guess, self._body.momentum_unit)
 
     def _leapfrog(self, node: Node, u: torch.Tensor) -> Node:

@@ -23,8 +23,9 @@ class BodyScales:
 
     Parameters
     ----------
-    centre, half : np.ndarray, shape (k - 3,)
-        Middle and half of the range of its places.
+    centre, half : np.ndarray, shape (k + 6,)
+        Middle and half of the range of its places and of the entries of R; half is 0 for what
+        never changes.
     velocity, momentum, force : np.ndarray, shape (k,)
         Usual sizes, in the frame of the body.
     input_map : np.ndarray, shape (k, m), optional
@@ -74,8 +75,10 @@ class LieGroupNetwork(torch.nn.Module):
                 ('scale', card.mass_scale), ('place', place), ('on_diagonal', rows == columns)):
             self.register_buffer(name, torch.tensor(np.array(values)), persistent=False)
         self.rows, self.columns = rows.tolist(), columns.tolist()
-        centre = np.concatenate([scales.centre, np.zeros(9 + k)])
-        unit = np.concatenate([scales.half, np.ones(9), scales.momentum])
+        still = np.concatenate([scales.half == 0.0, np.zeros(k, dtype=bool)])
+        centre = np.concatenate([scales.centre, np.zeros(k)])
+        unit = np.concatenate([scales.half, scales.momentum])
+        unit[still] = 1.0
         self.seen = {name: card.columns(getattr(card, f'{name}_depends_on'))
                      for name in card.networks}
         outputs = {
@@ -88,6 +91,9 @@ class LieGroupNetwork(torch.nn.Module):
             network = Perceptron(hidden if at else [1], centre[at] if at else np.zeros(1),
                                  unit[at] if at else np.ones(1), outputs[name], seed + i)
             self.add_module(name, network)
+            if at:
+                # Of what never changed nothing is known, and nothing will be learned.
+                network.linears[0].weight.data[:, still[at]] = 0.0
             if name != 'potential':
                 self._begin(network, name, scales.input_map)
             if not at:
@@ -116,7 +122,7 @@ class LieGroupNetwork(torch.nn.Module):
         inputs = len(model.networks['input_map'].biases[-1]) // card.size \
             if 'input_map' in model.networks else 0
         scales = BodyScales(
-            np.zeros(card.size - 3), ones[3:], ones, ones, ones,
+            np.zeros(card.size + 6), np.ones(card.size + 6), ones, ones, ones,
             np.zeros((card.size, inputs)) if inputs else None,
             np.ones(inputs) if inputs else None)
         network = cls(card, [1], scales, 0)
