@@ -24,9 +24,9 @@ class ExternalForce(Force, Commanded):
 
     That is in simulated time, so that a controller that died does not push on (watchdog). With a
     model that has learned an input map the command u of its motors drives all coordinates by g(q)
-    u of a control-affine network, A u of a mechanical one, B u of a body in its frame. On a body of the name body, body_x to
-    body_z are forces along axes of space, body_fx to body_fz along its own, such as thrust, and
-    body_rx to body_rz torques about its own. Energy account: the power f . H_p.
+    u of a control-affine network, A u of a mechanical one, B u in the frame of a body. On a body
+    of the name body, body_x to body_z are forces along axes of space, body_fx to body_fz along
+    its own, such as thrust, body_rx to body_rz torques about its own. Energy account: f . H_p.
 
     Parameters
     ----------

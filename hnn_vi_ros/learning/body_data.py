@@ -139,8 +139,8 @@ def _of_windows(path: Path, arrays: dict[str, np.ndarray], key: str, data: BodyW
                 ) -> Motions:
     table = _array(path, arrays, key)
     if table.ndim < 2 or data.time_axis >= table.ndim - 1:
-        raise DataError(f'{path}: {key} has shape {table.shape}, expected an axis {data.time_axis} '
-                        'of times and a last one of columns')
+        raise DataError(f'{path}: {key} has shape {table.shape}, expected an axis '
+                        f'{data.time_axis} of times and a last one of columns')
     table = np.moveaxis(table, data.time_axis, 0)
     table = table.reshape(len(table), -1, table.shape[-1])
     places = 0 if kind == 'rotation' else 3

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the network of a body that turns to windows of its motions, through a method on the group."""
+"""Fit the network of a body that turns to windows of its motions, by steps on the group."""
 
 from collections.abc import Sequence
 import math
@@ -58,7 +58,7 @@ def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwor
         first = inertia[:, None] * rates[:len(size)].T
     scales = BodyScales(
         0.5 * (seen.max(axis=0) + seen.min(axis=0)), np.where(half > _LEAST, half, 0.0), velocity,
-         inertia * velocity, inertia * acceleration, first, size)
+        inertia * velocity, inertia * acceleration, first, size)
     card = config.card((1.0 / np.sqrt(inertia)).tolist(), driven)
     return LieGroupNetwork(card, config.hidden, scales, config.seed)
 
@@ -227,4 +227,3 @@ def _lbfgs(network: LieGroupNetwork, config: BodyConfig, windows: Motions, steps
                 break
             before = after
     return after
-

@@ -43,7 +43,7 @@ _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 
 
 def own_family(source: Path) -> str:
-    """Return the family of a configuration if its schema is its own, as that of machines; or ''."""
+    """Return the family of a configuration whose schema is its own, such as mechanical; or ''."""
     try:
         text = source.read_text(encoding='utf-8')
     except (OSError, ValueError):

@@ -91,8 +91,8 @@ class Solutions:
             known = x.detach(), c.detach(), force.detach()
             scales = machine.scales
             w, J = newton(lambda w: residual(w, *known), guess.detach(),
-                           self._matrices.get(numbers), torch.tensor(scales.v),
-                           torch.tensor(scales.inertia * scales.v))
+                          self._matrices.get(numbers), torch.tensor(scales.v),
+                          torch.tensor(scales.inertia * scales.v))
             self._found.append((w, J))
             self._matrices[numbers] = J
         else:
@@ -101,8 +101,8 @@ class Solutions:
 
 
 def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor,
-            matrix: torch.Tensor | None, unit: torch.Tensor, residual_unit: torch.Tensor
-            ) -> tuple[torch.Tensor, torch.Tensor]:
+           matrix: torch.Tensor | None, unit: torch.Tensor, residual_unit: torch.Tensor
+           ) -> tuple[torch.Tensor, torch.Tensor]:
     """
     Return the roots of equations, shape (N, d), and their matrices, by Newton's method.
 

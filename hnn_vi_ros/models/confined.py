@@ -85,8 +85,8 @@ class ConfinedHamiltonian(Hamiltonian):
             raise ModelError('confine: a wall holds states by forces on canonical momenta, which '
                              'this model has not; leave confine out')
         if base.rotations:
-            raise ModelError('confine: a wall holds numbers, and an attitude is none; leave confine '
-                             'out')
+            raise ModelError('confine: a wall holds numbers, and an attitude is none; leave '
+                             'confine out')
         self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
         self._box = base.box
         self.energies = self._wall_energies()

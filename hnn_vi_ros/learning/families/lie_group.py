@@ -12,7 +12,7 @@ from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np
 import torch
 
-# Of the networks of M and of B, how much they depend on the pose at first; log(1 + exp(0.54)) is 1.
+# Of the networks of M and of B, how much they depend on the pose; log(1 + exp(0.54)) is 1.
 _FIRST, _UNIT_ROOT = 0.1, 0.54
 
 
@@ -139,7 +139,7 @@ class LieGroupNetwork(torch.nn.Module):
         return network
 
     def outputs(self, name: str, z: torch.Tensor) -> torch.Tensor:
-        """Return the outputs of a network at (x, R, pi), or its first columns; (1, ...) if constant."""
+        """Return the outputs of a network at (x, R, pi), (N, outputs); (1, outputs) of a constant."""
         at = self.seen[name]
         return getattr(self, name)(z[:, at] if at else z.new_zeros((1, 1)))
 
@@ -194,7 +194,7 @@ class LieGroupNetwork(torch.nn.Module):
         return {name: getattr(self, name).layers() for name in self.seen}
 
     def multiply(self, factor: float) -> 'LieGroupCard':
-        """Multiply masses, V, D and B by a number, which changes no motion; return the new card."""
+        """Multiply masses, V, D and B by a number, which changes no motion; return the card."""
         with torch.no_grad():
             self.scale.mul_(factor**-0.5)
             self.potential.output_scale.mul_(factor)

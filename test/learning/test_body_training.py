@@ -1,0 +1,158 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Training of bodies that turn: from arrays to a model that runs, and what is refused."""
+
+import json
+from pathlib import Path
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
+from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
+from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.learning.body_config import load_body
+from hnn_vi_ros.learning.body_data import read_bodies
+from hnn_vi_ros.learning.body_training import joined, network_of, published_loss
+from hnn_vi_ros.learning.evaluate import main as evaluate
+from hnn_vi_ros.learning.train import main as train
+from hnn_vi_ros.models.attitude_features import turn_matrices
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+
+STEP, EVERY, SAMPLES = 0.005, 4, 12
+CONFIG = """
+coordinates: [{name: attitude, p_unit: kg m2/s, kind: rotation}]
+data: {kind: arrays, tau: null, test_runs: [r3]}
+family: {kind: lie_group}
+hidden: [8]
+batch: 16
+windows: [{intervals: 1, adam_steps: 3, lbfgs_steps: 20, lbfgs_windows: 33}]
+"""
+SCENE = """
+hamiltonian: {{kind: learned, model: {model}}}
+integrator: {{kind: lie_leapfrog, retraction: exponential}}
+step_size: 0.02
+initial_state: {{q: [0.0, 0.0, 0.0, 1.0], p: [0.1, 0.2, 0.3]}}
+"""
+
+
+@pytest.fixture(scope='module')
+def data(tmp_path_factory) -> Path:
+    """Write motions of a top that hangs, four runs of quaternions and velocities."""
+    top, arrays = HeavyTop([1.0, 1.4, 0.8], 1.0, -0.5), {}
+    rng = np.random.default_rng(0)
+    for run in range(4):
+        q, p = rng.normal(size=4), rng.normal(size=3)
+        motion, rows = Simulation(top, LieLeapfrog(), STEP, q / np.linalg.norm(q), p), []
+        for _ in range(SAMPLES):
+            rows.append([*motion.q, *(motion.p / top.inertia)])
+            motion.advance(EVERY)
+        arrays |= {f'r{run}/t': EVERY * STEP * np.arange(SAMPLES),
+                   f'r{run}/q': np.array(rows)[:, :4], f'r{run}/dq': np.array(rows)[:, 4:]}
+    path = tmp_path_factory.mktemp('bodies') / 'top.npz'
+    np.savez(path, **arrays)
+    return path
+
+
+def config(folder: Path, text: str = CONFIG) -> str:
+    path = folder / 'top.yaml'
+    path.write_text(text)
+    return str(path)
+
+
+def test_body_is_trained_judged_and_run(tmp_path, data: Path, capsys):
+    source, model = config(tmp_path), tmp_path / 'top.safetensors'
+    train(['--config', source, '--data', str(data), '--out', str(model)])
+    card = load_checkpoint(model).card
+    assert card.scheme.integrator == 'lie_leapfrog' and card.scheme.step_size == 0.02
+    evaluate([str(model), '--data', str(data), '--config', source,
+              '--json', str(tmp_path / 'found.json')])
+    found = json.loads((tmp_path / 'found.json').read_text())
+    before = untrained_loss(source, data)
+    # Three steps of Adam and twenty of L-BFGS are no more than a beginning.
+    assert 0.0 < found['published_loss'] < 0.2 * before
+    assert f'loss as published: {found["published_loss"]:.3g}' in capsys.readouterr().out
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(SCENE.format(model=model))
+    run = build(load_scene(scene))
+    start = float(run.energy)
+    run.advance(200)
+    # The leapfrog errs by (h omega)^2 / 24 of energies of the order of ten.
+    assert float(run.energy) == pytest.approx(start, abs=0.05)
+    assert np.linalg.norm(run.q) == pytest.approx(1.0, abs=1e-12)
+
+
+def untrained_loss(source: str, data: Path) -> float:
+    settings = load_body(Path(source))
+    learned, judged, _ = read_bodies(data, settings.data, 'rotation')
+    return published_loss(network_of(settings, learned), settings,
+                          joined([motion.windows(4) for motion in judged]))
+
+
+def test_windows_of_one_array_are_the_motions_of_its_runs(tmp_path, data: Path):
+    with np.load(data) as archive:
+        rows = [np.hstack([turn_matrices(archive[f'r{run}/q'])[0].reshape(-1, 9),
+                           archive[f'r{run}/dq']]) for run in range(4)]
+    path = tmp_path / 'windows.npz'
+    np.savez(path, train=np.stack(rows[:3], axis=1)[None], test=np.stack(rows[3:], axis=1)[None])
+    text = CONFIG.replace('{kind: arrays, tau: null, test_runs: [r3]}',
+                          '{kind: windows, interval: 0.02}')
+    settings = load_body(Path(config(tmp_path, text)))
+    (learned,), (judged,), _ = read_bodies(path, settings.data, 'rotation')
+    assert learned.R.shape == (SAMPLES, 3, 3, 3) and judged.R.shape == (SAMPLES, 1, 3, 3)
+    assert learned.windows(4).R.shape == (5, 3 * (SAMPLES - 4), 3, 3)
+    runs, _, _ = read_bodies(data, load_body(Path(config(tmp_path))).data, 'rotation')
+    # R is a sum of four products of numbers below one.
+    assert np.abs(learned.R[:, 1] - runs[1].R[:, 0]).max() <= 1e-15
+    assert (learned.v[:, 1] == runs[1].v[:, 0]).all()
+
+
+def test_what_never_changes_in_the_data_is_not_learned(tmp_path):
+    angle = np.linspace(0.0, 3.0, 40)
+    q = np.stack([0 * angle, 0 * angle, np.sin(angle / 2), np.cos(angle / 2)], axis=1)
+    speed = np.stack([0 * angle, 0 * angle, 1.0 + 0.1 * np.sin(angle)], axis=1)
+    path = tmp_path / 'planar.npz'
+    np.savez(path, t=0.1 * np.arange(40), q=q, dq=speed)
+    text = CONFIG.replace(', test_runs: [r3]', '')
+    settings = load_body(Path(config(tmp_path, text)))
+    learned, _, _ = read_bodies(path, settings.data, 'rotation')
+    first = network_of(settings, learned).potential.linears[0].weight
+    # Of a turn about z the entries R13, R23, R31, R32 and R33.
+    assert (first[:, [2, 5, 6, 7, 8]] == 0.0).all() and (first[:, [0, 1, 3, 4]] != 0.0).all()
+
+
+@pytest.mark.parametrize('arrays, words', [
+    ({'t': np.arange(9.0), 'q': np.ones((9, 4)), 'dq': np.ones((9, 3))}, 'is no rotation'),
+    ({'t': np.arange(9.0), 'q': np.ones((9, 5)), 'dq': np.ones((9, 3))}, '4 or 9'),
+    ({'t': np.arange(9.0)**2, 'q': np.ones((9, 4)), 'dq': np.ones((9, 3))}, 'evenly spaced'),
+    ({'t': np.arange(9.0), 'q': np.ones((9, 4))}, 'no key dq'),
+    ({'t': np.arange(9.0), 'q': np.full((9, 4), np.nan), 'dq': np.ones((9, 3))}, 'finite'),
+])
+def test_arrays_that_are_no_motions_are_refused(tmp_path, arrays: dict, words: str):
+    path = tmp_path / 'bad.npz'
+    np.savez(path, **arrays)
+    settings = load_body(Path(config(tmp_path, CONFIG.replace(', test_runs: [r3]', ''))))
+    with pytest.raises(DataError, match=words) as caught:
+        read_bodies(path, settings.data, 'rotation')
+    assert str(path) in str(caught.value) and '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('change, words', [
+    (('kind: lie_group', 'kind: lie_group, potential_depends_on: [position]'), 'no position'),
+    (('kind: lie_group', 'kind: lie_group, structured: false, mass_depends_on: [attitude]'),
+     'leave it out'),
+])
+def test_configuration_that_contradicts_itself_is_refused(tmp_path, change: tuple, words: str):
+    with pytest.raises(HnnViRosError, match=words):
+        load_body(Path(config(tmp_path, CONFIG.replace(*change))))
+
+
+def test_options_that_bodies_have_not_are_refused(tmp_path, data: Path):
+    source = config(tmp_path)
+    with pytest.raises(ParameterError, match='leave out --resume and --device'):
+        train(['--config', source, '--data', str(data), '--resume',
+               '--out', str(tmp_path / 'm.safetensors')])
+    with pytest.raises(ParameterError, match='give it with --config'):
+        evaluate(['resource/models/turning_pendulum.safetensors', '--data', str(data)])
