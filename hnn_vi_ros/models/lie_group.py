@@ -146,7 +146,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
     def _samples(self) -> np.ndarray:
         """Return states of the box, shape (m, 2 d), with any attitude; the last column is zero."""
         rng = np.random.default_rng(0)
-        q, p = (rng.uniform(*part.T, (_SAMPLES, len(part))) for part in self.box)
+        q, p = (rng.uniform(part[:, 0], part[:, 1], (_SAMPLES, len(part))) for part in self.box)
         attitudes = rng.normal(size=(_SAMPLES, 4))
         q[:, -4:] = attitudes / np.linalg.norm(attitudes, axis=1, keepdims=True)
         return np.hstack([q, p, np.zeros((_SAMPLES, 1))])

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a model of the family lie_group is, beside its networks."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -49,8 +50,9 @@ class LieGroupCard(StrictModel):
     def networks(self) -> dict[str, tuple[int, int]]:
         """Return the inputs and the outputs of each network; 0 outputs for any number times k."""
         entries = len(self.entries)
-        found = {'mass': (self.mass_depends_on, entries),
-                 'potential': (self.potential_depends_on, 1)}
+        found: dict[str, tuple[Sequence[str], int]] = {
+            'mass': (self.mass_depends_on, entries),
+            'potential': (self.potential_depends_on, 1)}
         if self.dissipation_depends_on is not None:
             found['dissipation'] = self.dissipation_depends_on, entries
         if self.input_map_depends_on is not None:
@@ -59,7 +61,7 @@ class LieGroupCard(StrictModel):
         return {name: (max(1, len(self.columns(seen))), outputs)
                 for name, (seen, outputs) in found.items()}
 
-    def columns(self, seen: list[str] | list[Seen]) -> list[int]:
+    def columns(self, seen: Sequence[str]) -> list[int]:
         """Return the places of what a network sees in (x, R row by row, pi)."""
         places = self.size - 3
         ends = {'position': (0, places), 'attitude': (places, places + 9),

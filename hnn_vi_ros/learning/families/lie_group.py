@@ -139,7 +139,7 @@ class LieGroupNetwork(torch.nn.Module):
         return network
 
     def outputs(self, name: str, z: torch.Tensor) -> torch.Tensor:
-        """Return the outputs of a network at (x, R, pi), (N, outputs); (1, outputs) of a constant."""
+        """Return the outputs of a network at (x, R, pi), a row for each; one row if constant."""
         at = self.seen[name]
         return getattr(self, name)(z[:, at] if at else z.new_zeros((1, 1)))
 
