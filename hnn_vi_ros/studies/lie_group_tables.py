@@ -21,7 +21,6 @@ from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from scipy.integrate import solve_ivp
-import torch
 
 # Each model with its test data, and the loss that its kind was published with.
 CASES = {'turning_pendulum': ('so3_pendulum.npz', 2.0e-7),
@@ -57,10 +56,8 @@ def matrix_field(model: Checkpoint) -> tuple[Callable[[np.ndarray], np.ndarray],
 
     They take R for nine numbers, R' = R omega^ and p' = p x omega - g^* V_R, of a constant mass.
     """
-    network = LieGroupNetwork.of(model)
-    held = network.held(torch.zeros(1, 0), torch.eye(3, dtype=torch.float64)[None],
-                        torch.zeros(1, 0))
-    inverse = held.inverse[0].detach().numpy()
+    attitudes = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    inverse = LieGroupHamiltonian(model).gradient(attitudes, np.eye(3))[1]
     weights, biases = model.networks['potential']
 
     def layers(R: np.ndarray) -> list[np.ndarray]:
