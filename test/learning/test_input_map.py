@@ -218,7 +218,7 @@ def test_card_refuses_a_map_that_fits_no_coordinates(input_map):
 
 
 def test_external_force_names_models_that_have_a_map(tmp_path):
-    with pytest.raises(ModelError, match='mechanical with input_map: learned; give coordinates'):
+    with pytest.raises(ModelError, match='lie_group with input_map: learned; give coordinates'):
         EFFECTS['external_force'](model=saved(tmp_path, 'arm'))
     card = random_mechanical('arm').card
     model = replace(random_mechanical('arm'), card=card.model_copy(update={
