@@ -33,8 +33,6 @@ html_theme = 'furo'
 html_title = f'hnn_vi_ros {release}'
 html_static_path, html_css_files = ['_static'], ['site.css']
 html_theme_options = {'top_of_page_buttons': ['view']}
-# Pages that are HTML already, such as explorers of measured data.
-html_extra_path = sorted(path.name for path in HERE.glob('*.html'))
 html_copy_source = False
 
 
