@@ -26,9 +26,6 @@ _UNITS = {'place': 'm', 'attitude': 'rad', 'velocity': 'm/s', 'turning': 'rad/s'
 
 def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
     """Train as a configuration and the command line say, and print what came of it."""
-    if arguments.resume or arguments.device != 'cpu':
-        raise ParameterError(f'{source}: a model of the family lie_group is trained in minutes, '
-                             'on the CPU; leave out --resume and --device')
     config = load_body(source)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})

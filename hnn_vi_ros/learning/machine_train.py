@@ -10,7 +10,7 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.energy_account import balance
@@ -70,12 +70,6 @@ class Outputs(NamedTuple):
 def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> None:
     """Train as a configuration and the command line say, and print what came of it."""
     out = outputs.model
-    if arguments.resume or arguments.device != 'cpu':
-        raise ParameterError(f'{source}: a model of the family mechanical is trained in minutes, '
-                             'on the CPU; leave out --resume and --device')
-    if arguments.ensemble is not None:
-        raise ParameterError(f'{source}: --ensemble: models of the family mechanical have momenta '
-                             'of their own, whose mean means nothing; leave it out')
     config = load_machine(source)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})

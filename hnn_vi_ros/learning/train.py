@@ -9,6 +9,7 @@ then by L-BFGS, which descends it. All in float64, on all the data at once, and 
 same machine for the same seed.
 """
 
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 import os
@@ -237,6 +238,8 @@ def main(argv: Sequence[str]) -> None:
     given = [part for part in argv if part != '--resume']
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *given])
     own = machine_train.own_family(source)
+    if own:
+        _check_options(source, own, arguments)
     if own == 'lie_group':
         _check_outputs((model,), resume=False)
         body_train.run(source, arguments, model, command)
@@ -292,6 +295,16 @@ def _spread(card: ModelCard) -> str:
     return (f'\n{count} members, the curves are those of the first; bands of '
             f'{100.0 * ensemble.level:g} %: {ensemble.factor:.3g} times their spread, which '
             f'covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+
+
+def _check_options(source: Path, family: str, arguments: Namespace) -> None:
+    """Refuse what a family that is trained in its own way does not take."""
+    if arguments.resume or arguments.device != 'cpu':
+        raise ParameterError(f'{source}: a model of the family {family} is trained in minutes, '
+                             'on the CPU; leave out --resume and --device')
+    if arguments.ensemble is not None:
+        raise ParameterError(f'{source}: --ensemble: models of the family {family} have momenta '
+                             'of their own, whose mean means nothing; leave it out')
 
 
 def _check_outputs(outputs: Sequence[Path], resume: bool) -> Path:

@@ -229,7 +229,7 @@ def test_diverging_training_gives_data_error(tmp_path):
 @pytest.mark.parametrize('name', shipped_names('training'))
 def test_shipped_training_configuration_is_valid(name):
     path = find_config(name)
-    load = {'mechanical': load_machine, 'lie_group': load_body}.get(own_family(path), load_config)
+    load = {'': load_config, 'lie_group': load_body}.get(own_family(path), load_machine)
     assert load(path)
 
 
