@@ -59,8 +59,9 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
     friction = card.mechanical.friction
     viscous = np.array(friction.viscous)
     if viscous.size != d or rotations(coordinates):
+        kinds = ' and '.join(sorted({coordinate.kind for coordinate in coordinates}))
         raise ValueError(f'the model has {viscous.size} scalar coordinates, H has '
-                         f'{", ".join(coordinate.kind for coordinate in coordinates)}')
+                         f'{len(coordinates)} ({kinds})')
     coulomb: list[Any] = [(term.force, np.reciprocal(term.width)) for term in friction.coulomb]
     stribeck: list[Any] = [
         (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))

@@ -127,6 +127,11 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
         raise error(f'{where}:1: {one_line(problem)}') from problem
 
 
+def root_node(text: str) -> yaml.Node:
+    """Return the root of a YAML text that ``parse_yaml`` takes, whose parts know their places."""
+    return _Loader(text).get_single_node()
+
+
 def parse_mapping(text: bytes | str, where: object, error: type[HnnViRosError]
                   ) -> tuple[dict[str, Any], KeyPlaces]:
     """Return the keys and values that one YAML document holds; see ``parse_yaml``."""

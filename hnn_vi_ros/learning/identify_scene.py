@@ -11,6 +11,7 @@ import shutil
 from hnn_vi_ros.errors import HnnViRosError, SceneError
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.files.scene_file import write_new_scene
+from hnn_vi_ros.files.yaml_text import root_node
 from hnn_vi_ros.learning.identify_numbers import DELAY, FreeScene
 from hnn_vi_ros.learning.identify_robot import robot_file
 from hnn_vi_ros.scene import load_scene
@@ -75,7 +76,7 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
 
 def edited(text: str, changes: Mapping[tuple[str, ...], str]) -> str:
     """Return YAML with other values of some keys; those that do not stand in it are added."""
-    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    root = root_node(text)
     spans: list[tuple[int, int, str]] = []
     for key, value in changes.items():
         node = root

@@ -14,8 +14,9 @@ from hnn_vi_ros.sweeps import arguments as sweeps
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as
 far as the scene or a parameter calls for them robot_description, ~/markers, ~/odometry, ~/events,
-~/joint_trajectory_state, ~/accuracy and /clock. It hears ~/initial_state and, where the scene has
-motors, ~/commands, ~/joint_commands, ~/joint_trajectory and ~/wrench. Services: ~/set_pause,
+~/joint_trajectory_state, ~/uncertainty, ~/prediction_error, ~/accuracy and /clock. It hears
+~/initial_state and, where the scene has motors, ~/commands, ~/joint_commands, ~/joint_trajectory
+and ~/wrench, where it has an observer ~/observations. Services: ~/set_pause,
 ~/step, ~/reset, ~/start_recording, ~/stop_recording, and those of its lifecycle; ~ is
 /hnn_simulator."""
 _REPLAY = """\

@@ -136,7 +136,7 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
     """
     series = series_of(rows)
     groups = [group for group in _GROUPS if any(group_of(name) == group for name in series)]
-    figure = Figure(figsize=(5.6 * max(len(groups), 1), 10.5), dpi=_DPI, facecolor='white')
+    figure = Figure(figsize=(max(5.6 * len(groups), 9.0), 10.5), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK)
     grid = figure.subplots(2, max(len(groups), 1), squeeze=False)

@@ -384,14 +384,15 @@ REFUSED = [
 def test_other_effects_on_bodies_are_refused_by_name(kind: str, arguments: dict):
     with pytest.raises(EffectError, match=(
             rf'{kind} acts on scalar .*\(body\).* leave it out; effects that can: gravity, '
-            'spring, damping, quadratic_drag, external_force$')) as refused:
+            'spring, damping, quadratic_drag, external_force, learned_friction$')) as refused:
         System(Uncompiled(FLYING), made(DRAG, (kind, arguments)), INTEGRATORS['lie_leapfrog']())
     assert refused.value.index == 1
 
 
 def test_effects_that_bodies_take_are_these():
     assert {kind for kind, effect in EFFECTS.items() if effect.turns} == {
-        kind for kind, _ in ALL}
+        # A model's friction has tests of its own: test_lie_group.py.
+        *(kind for kind, _ in ALL), 'learned_friction'}
 
 
 @pytest.mark.parametrize('kind, arguments, expected', [

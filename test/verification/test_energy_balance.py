@@ -22,6 +22,8 @@ pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network
 STEPS = {1: 100, 2: 50, 4: 80, 10: 12, 12: 12, 14: 12, 16: 12}
 # The energies are of the order of 1 J; below that, what is left is mostly rounding.
 PLATEAU = 1e-11
+# Acts only when a machine is heard; test_observer.py has its order and its account.
+HEARD = {'observer'}
 SMOOTH = [row for row in EFFECT_ROWS if row.name != 'thermostat']
 
 
@@ -54,7 +56,7 @@ def observed_order(steps: np.ndarray, errors: np.ndarray) -> float:
 
 
 def test_effect_table_covers_every_effect():
-    assert {row.effects[0][0] for row in EFFECT_ROWS} == set(EFFECTS)
+    assert {row.effects[0][0] for row in EFFECT_ROWS} == set(EFFECTS) - HEARD
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
@@ -123,7 +125,8 @@ def test_energy_balance_of_the_thermostat_closes_with_order_2(name: str, measure
 
 
 def test_every_effect_is_run_compiled():
-    assert {kind for *_, effects in COMPILED.values() for kind, _ in effects} == set(EFFECTS)
+    assert {kind for *_, effects in COMPILED.values() for kind, _ in effects} == (
+        set(EFFECTS) - HEARD)
 
 
 @pytest.mark.parametrize('name', COMPILED)
