@@ -51,7 +51,8 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                          state_file(simulation) if begin else None)
         for heard in (commands or {}).get(step, ()):
             message = Float64MultiArray(data=heard) if isinstance(heard, list) else heard
-            one, = (one for one in INPUTS if isinstance(message, one.message_type))
+            # Joint states are commands before they are observations.
+            one = next(one for one in INPUTS if isinstance(message, one.message_type))
             simulation.set_command(one.read(message, sampler.stamp))
             if sink is not None:
                 sink.write_other(_topic(one.topic, one.message_type), sampler.stamp,

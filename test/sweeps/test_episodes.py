@@ -147,8 +147,8 @@ def test_selections_are_numbers_and_slices():
 
 @pytest.mark.parametrize('arguments, message', [
     (['--select', '0'], 'give --episodes mcap or lerobot'),
-    (['--episodes', 'lerobot', '--jobs', '2'], 'leave --jobs, --ray, --device and --shard out;'),
-    (['--episodes', 'lerobot', '--shard', '0/2'], 'leave --jobs, --ray, --device and --shard out;'),
+    (['--episodes', 'lerobot', '--jobs', '2'], 'leave --jobs, --ray, --device and'),
+    (['--episodes', 'lerobot', '--shard', '0/2'], 'leave --jobs, --ray, --device and'),
     (['--episodes', 'lerobot', '--select', '4'], 'names none of the 4 trajectories, 0 to 3'),
     (['--episodes', 'mcap', '--select', '0'], 'bags are messages of ROS')])
 def test_episodes_that_cannot_be_written_are_one_line(sweep_file, tmp_path, arguments, message):
