@@ -100,7 +100,8 @@ def test_effect_on_an_unknown_coordinate_names_its_place_and_the_valid_ones(kind
 
 @pytest.mark.parametrize('kind', TOO_LONG)
 def test_effect_of_another_dimension_names_its_place_and_the_number(kind, tmp_path):
-    with pytest.raises(EffectError, match=r'3 (values, expected .* x, z|(scalar )?coordinates, H has 2)'):
+    with pytest.raises(EffectError, match=(
+            '3 (values, expected .* x, z|(scalar )?coordinates, H has 2)')):
         system_of(free('x', 'z'), (kind, TOO_LONG[kind]), folder=tmp_path)
 
 
