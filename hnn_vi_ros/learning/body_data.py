@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motions of a body that turns, from arrays in an .npz file, as tensors."""
 
-from hashlib import sha256
 from pathlib import Path
 from typing import Literal, NamedTuple
-import zipfile
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.motion_arrays import MAX_BYTES
+from hnn_vi_ros.learning.motion_arrays import read_archive
 from hnn_vi_ros.models.attitude_features import turn_matrices
 import numpy as np
 from pydantic import Field
@@ -116,17 +114,7 @@ def read_bodies(path: Path, data: BodyData, kind: str) -> tuple[list[Motions], l
         The file cannot be read, lacks a key, or an array cannot be used.
 
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
-        digest = sha256(path.read_bytes()).hexdigest()[:16]
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except OSError as problem:
-        raise DataError(f'{path}: cannot be read: {problem.strerror or problem}') from problem
-    except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
-        raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
-                        'numpy.savez') from problem
+    arrays, digest = read_archive(path)
     if isinstance(data, BodyWindows):
         train, test = (_of_windows(path, arrays, key, data, kind)
                        for key in (data.train, data.test))

@@ -42,6 +42,30 @@ def split_runs(data: str) -> tuple[Path, list[str]]:
     return Path(file), runs.split(',')
 
 
+def read_archive(path: Path) -> tuple[dict[str, np.ndarray], str]:
+    """
+    Return the arrays of an .npz file by their keys, and the beginning of its checksum.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, is too large, or holds what is no plain array.
+
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
+        digest = sha256(path.read_bytes()).hexdigest()[:16]
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    except OSError as problem:
+        raise DataError(f'{path}: cannot be read: {problem.strerror or problem}') from problem
+    except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
+        raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
+                        'numpy.savez') from problem
+    return arrays, digest
+
+
 def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
                 ) -> tuple[list[Motion], str]:
     """
@@ -69,17 +93,7 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
         The file cannot be read, lacks a run or a key, or an array cannot be used.
 
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
-        digest = sha256(path.read_bytes()).hexdigest()
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except OSError as problem:
-        raise DataError(f'{path}: cannot be read: {problem.strerror or problem}') from problem
-    except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
-        raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
-                        'numpy.savez') from problem
+    arrays, digest = read_archive(path)
     first = data.time if data.interval is None else data.q
     found = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == first]
     wanted = [*(runs or data.runs)] or found
@@ -93,7 +107,7 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
     found_runs = [_run(path, run, arrays, data, d) for run in wanted]
     named = ', '.join(run for run in wanted if run)
     return as_motions(found_runs, data, f'{path.name}: {named}' if named else path.name,
-                      digest[:16])
+                      digest)
 
 
 def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, d: int
