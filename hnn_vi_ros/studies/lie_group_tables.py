@@ -136,7 +136,8 @@ def draw(runs: dict[str, LongRun], path: Path) -> None:
     for ax, title in zip(axes, ('|H(t) - H(0)| [J]', 'norm of R^T R - 1'), strict=True):
         ax.set(yscale='log', xlabel='t [s]', title=title)
         ax.grid(alpha=0.3)
-    axes[0].legend()
+    # Between the curves of the group there is room.
+    axes[1].legend(loc='center right')
     figure.savefig(path, dpi=110)
 
 
