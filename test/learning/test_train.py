@@ -92,11 +92,12 @@ def test_shipped_model_card_says_how_it_was_made():
 
 
 @pytest.mark.timeout(300)
-def test_harmonic_oscillator_trains_anew_in_under_two_minutes(tmp_path, monkeypatch, capsys):
+def test_harmonic_oscillator_trains_anew_in_two_minutes_of_cpu_time(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    start = time.perf_counter()
+    # Of this process alone; others may keep the machine busy.
+    start = time.process_time()
     main(['--config', 'harmonic_oscillator'])
-    assert time.perf_counter() - start < 120.0
+    assert time.process_time() - start < 120.0
     printed = capsys.readouterr().out
     assert 'models/harmonic_oscillator.safetensors' in printed
     assert 'trained in' in printed
