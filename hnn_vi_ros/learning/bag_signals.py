@@ -208,6 +208,60 @@ class SignalReader:
             There is no such topic, it has another type, or a message cannot be read.
 
         """
+        name, stamps, rows, seen = self._joint_rows(topic)
+        if not set(self._joints) <= seen:
+            raise DataError(f'{self.path}: {name} has no joint '
+                            f'{next(joint for joint in self._joints if joint not in seen)!r}; '
+                            f'its joints: {", ".join(sorted(seen)) or "none"}')
+        return self._times(name, stamps), np.array(rows)
+
+    def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the commands of a topic, whatever they lack.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so; of joint states with efforts,
+            or of arrays.
+
+        Returns
+        -------
+        t : np.ndarray, shape (N,)
+            As those of ``states``.
+        values : np.ndarray, shape (N, m)
+            Efforts of the joints, or the numbers of an array, those of ``columns`` if there are
+            any; not a number where a message has no effort of a joint, or an array is of another
+            length than most are.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be read.
+
+        """
+        channels = self._channels(topic)
+        if self._schema(channels[0]) == JOINT_STATE:
+            name, stamps, rows, _ = self._joint_rows(topic)
+            efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
+            return self._times(name, stamps), efforts
+        name = channels[0].topic
+        convert = self._converter(name, self._schema(channels[0]), '*', '')
+        found = [convert(message)
+                 for message in self._reader.messages([channel.id for channel in channels])]
+        lengths = [len(values) for _, values in found]
+        usual = max(set(lengths), key=lengths.count, default=0)
+        values = np.array([values if len(values) == usual else np.full(usual, np.nan)
+                           for _, values in found]).reshape(-1, usual)
+        if self._columns:
+            if max(self._columns) >= usual:
+                raise DataError(f'{self.path}: {name}: a message has {usual} numbers, and '
+                                f'data.columns names number {max(self._columns)}, counted from 0')
+            values = values[:, self._columns]
+        return self._times(name, [stamp for stamp, _ in found]), values
+
+    def _joint_rows(self, topic: str) -> tuple[str, list[int], list[list[list[float]]], set[str]]:
+        """Return a topic's name, and of its messages stamps, numbers, and names of joints."""
         channels = self._channels(topic)
         name, kind = channels[0].topic, self._schema(channels[0])
         if kind != JOINT_STATE:
@@ -222,13 +276,16 @@ class SignalReader:
             stamps.append(state.stamp if self._stamps == 'header' else message.time)
             rows.append([_by_name(state, values, self._joints) for values in (
                 state.position, state.velocity, state.effort)])
-        if not set(self._joints) <= seen:
-            raise DataError(f'{self.path}: {name} has no joint '
-                            f'{next(joint for joint in self._joints if joint not in seen)!r}; '
-                            f'its joints: {", ".join(sorted(seen)) or "none"}')
-        if self._origin is None:
+        return name, stamps, rows, seen
+
+    def _times(self, name: str, stamps: list[int]) -> np.ndarray:
+        """Return times since the first of the signal that was read first [s]."""
+        if len(stamps) > 1 and len(set(stamps)) == 1:
+            raise DataError(f'{self.path}: {name}: all its stamps are {stamps[0]} ns; take '
+                            'data.stamps: log, the times at which its messages were recorded')
+        if self._origin is None and stamps:
             self._origin = stamps[0]
-        return (np.array(stamps) - self._origin) * 1e-9, np.array(rows)
+        return (np.array(stamps, dtype=np.int64) - (self._origin or 0)) * 1e-9
 
     def _checked(self, name: str, stamps: np.ndarray, values: np.ndarray) -> Signal:
         backward = np.flatnonzero(np.diff(stamps) <= 0)
@@ -254,8 +311,9 @@ class SignalReader:
             found = [name for name in topics if name.endswith(topic)]
             if len(found) != 1:
                 what = 'no topic' if not found else f'{len(found)} topics'
+                choose = '; name one of them whole' if found else ''
                 raise DataError(f'{self.path}: holds {what} {topic}; it holds: '
-                                f'{self._contents()}')
+                                f'{self._contents()}{choose}')
             topic = found[0]
         return [channel for channel in self._reader.channels.values() if channel.topic == topic]
 

@@ -74,6 +74,7 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
     train, test, description = _read(source, config, arguments.data)
+    print(f'data: {description}', flush=True)
     # Where data come from, and by which licence, goes with the model.
     description = f'{config.description} {description}'.lstrip()
     begun = time.perf_counter()

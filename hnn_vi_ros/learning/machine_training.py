@@ -45,9 +45,12 @@ def scales_of(motions: Sequence[Motion], learns_map: bool = False) -> MotionScal
     q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
                     for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
     size = [np.sqrt(np.mean(part**2, axis=0)) for part in (v, a, tau)]
-    if not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
-        raise DataError('a coordinate never moves in the data; learn from data in which every '
-                        'coordinate moves')
+    # As measured: what is made of them differs from rest by rounding.
+    moves = np.any([np.ptp(motion.q, axis=0) > 0.0 for motion in motions], axis=0)
+    if not moves.all() or not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
+        rests = ', '.join(str(k + 1) for k in np.flatnonzero(~moves)) or 'of one or more'
+        raise DataError(f'coordinate {rests} never moves in the data; record while it does, or '
+                        'leave it out of coordinates and data')
     centre, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
     if learns_map:
         input_map, inertia = _first_map(q, v, a, tau)

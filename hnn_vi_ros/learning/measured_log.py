@@ -5,6 +5,7 @@
 from hashlib import sha256
 import os
 from pathlib import Path
+import re
 from typing import Literal, Protocol
 
 from hnn_vi_ros.errors import DataError
@@ -20,6 +21,7 @@ MAX_VALUE = 1e100  # whose square is still a number
 # Blocks of neighbouring rows in a trial whose derivatives come from one spline through all rows.
 BLOCKS = 20
 
+_COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 _SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
 
 
@@ -162,9 +164,10 @@ def _number(path: Path, line: int, index: int, field: str, name: str) -> float:
     except ValueError:
         value = np.nan
     if not abs(value) <= MAX_VALUE:
+        remedy = 'write decimals with a point' if _COMMA.fullmatch(field) else \
+            'name the columns in data.columns, and in data.comment how lines to skip begin'
         raise DataError(f'{path}:{line}: column {index + 1} ({name}): expected a finite number, '
-                        f'found {field[:40]!r}; name the columns in data.columns, and in '
-                        'data.comment how lines to skip begin')
+                        f'found {field[:40]!r}; {remedy}')
     return value
 
 

@@ -4,10 +4,10 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.bag_signals import ARRAY, JOINT_STATE, SignalReader
+from hnn_vi_ros.learning.bag_signals import ARRAY, SignalReader
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
@@ -29,6 +29,9 @@ class BagMotions(MotionData):
         'efforts or arrays, each of which holds until the next; default: effort where it is '
         'published; in bags of the simulator ~/commands, or else, where joints were commanded, '
         'effort'))
+    columns: list[Annotated[int, Field(ge=0)]] = Field([], description=(
+        'which numbers of an array of commands are forces of the joints, counted from 0; none: '
+        'all'))
     stamps: Literal['header', 'log'] | None = Field(None, description=(
         "a message's time; default: header, log where forces are arrays, which have none"))
 
@@ -65,14 +68,14 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
     runs, digests = [], []
     for path in paths:
         reader, forces = _reader(path, joints, data)
-        runs.append(_run(path.name if path.is_dir() else path.stem, reader, forces, data))
+        runs.append(_run(path.name if path.is_dir() else path.stem, reader, forces, data, joints))
         digests.append(reader.digest[:16])
     return as_motions(runs, data, ', '.join(run.name for run in runs), ' '.join(digests))
 
 
 def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[SignalReader, str]:
     """Return what reads a bag, and where its forces are; empty for none."""
-    reader = SignalReader(path, joints, [], 'header')
+    reader = SignalReader(path, joints, data.columns, 'header')
     forces = data.forces
     if forces is None:
         state = reader.state_topic()
@@ -84,29 +87,69 @@ def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[Signal
             forces = EFFORT if any(reader.has_topic(f'{node}/{name}') for name in (
                 'joint_commands', 'joint_trajectory')) else ''
         else:
-            forces = EFFORT if reader.has(data.topic, EFFORT) else ''
+            forces = EFFORT
     unstamped = forces not in ('', EFFORT) and reader.type_of(forces) == ARRAY
     if unstamped and data.stamps == 'header':
         raise DataError(f'{path}: {forces} has no stamps, and data.stamps is header; leave it out')
     if unstamped or data.stamps == 'log':
-        reader = SignalReader(path, joints, [], 'log')
+        reader = SignalReader(path, joints, data.columns, 'log')
     return reader, forces
 
 
-def _run(name: str, reader: SignalReader, forces: str, data: BagMotions) -> MeasuredRun:
+def _run(name: str, reader: SignalReader, forces: str, data: BagMotions, joints: Sequence[str]
+         ) -> MeasuredRun:
     t, values = reader.states(data.topic)
-    q, v, effort = values.swapaxes(0, 1)
-    tau = None
-    if forces == EFFORT:
-        tau = effort
-    elif forces:
-        # The field of joint states; the whole of an array.
-        signal = reader.read(forces, EFFORT if reader.type_of(forces) == JOINT_STATE else '*')
-        if not 1 <= signal.values.shape[1] <= q.shape[1]:
-            raise DataError(f'{reader.path}: {forces} has {signal.values.shape[1]} numbers for '
-                            f'{q.shape[1]} coordinates')
-        # Each holds until the next; before the first there is none.
-        at = np.searchsorted(signal.t, t, side='right')
-        tau = np.vstack([np.zeros((1, signal.values.shape[1])), signal.values])[at]
+    q, v, tau = values.swapaxes(0, 1)
+    notes: list[str] = []
+    if forces not in ('', EFFORT):
+        tau, notes = _commanded(reader, forces, t, data)
+        if not 1 <= tau.shape[1] <= q.shape[1]:
+            raise DataError(f'{reader.path}: {forces} has {tau.shape[1]} numbers for '
+                            f'{q.shape[1]} coordinates; say in data.columns which are theirs, '
+                            'counted from 0')
+    given = np.isfinite(tau).any(axis=0)
+    if not given.any() and data.forces == EFFORT:
+        raise DataError(f'{reader.path}: {data.topic} has no efforts, and data.forces is effort; '
+                        'name a topic of commands there, or leave it out if there are no motors')
+    if forces == EFFORT and not given.any():
+        notes.append('no efforts published')
+    elif not given.all():
+        # A message that names some of the joints, or numbers for them, has all the motors.
+        lacking = [joint for joint, there in zip(joints, given, strict=True) if not there]
+        notes.append(f'no effort of {", ".join(lacking)}, which counts as no motor')
+        tau = np.where(given, tau, 0.0)
     return MeasuredRun(name, f'{reader.path}: {data.topic}', t, q,
-                       None if data.estimate_velocity else v, tau, forces not in ('', EFFORT))
+                       None if data.estimate_velocity else v,
+                       tau if forces and given.any() else None, forces not in ('', EFFORT),
+                       notes=tuple(notes))
+
+
+def _commanded(reader: SignalReader, forces: str, t: np.ndarray, data: BagMotions
+               ) -> tuple[np.ndarray, list[str]]:
+    """Return the command at each time, shape (N, m), and what is to be told of them."""
+    stamps, values = reader.forces(forces)
+    motors = np.isfinite(values).any(axis=0)
+    if not motors.any():
+        raise DataError(f'{reader.path}: {forces} has no efforts of the joints, nor other forces: '
+                        'targets of positions are none; name what has them in data.forces, effort '
+                        'for those of the joint states')
+    lacking = ~np.isfinite(values[:, motors]).all(axis=1)
+    notes = []
+    if lacking.any():
+        if data.on_bad == 'fail':
+            raise DataError(f'{reader.path}: {forces}: message {np.flatnonzero(lacking)[0] + 1} '
+                            'lacks a number; leave it out, or take data.on_bad: drop or split')
+        notes.append(f'{lacking.sum()} commands that lack a number')
+        if data.on_bad == 'drop':
+            stamps, values = stamps[~lacking], values[~lacking]
+    # By their stamps, for one that comes late holds from then on all the same.
+    order = np.argsort(stamps, kind='stable')
+    # Each holds until the next; before the first there is none.
+    at = np.searchsorted(stamps[order], t, side='right')
+    before = int((at == 0).sum())
+    if before == len(t):
+        raise DataError(f'{reader.path}: no command of {forces} comes before the last state; look '
+                        'at their stamps, and at data.stamps')
+    if before:
+        notes.append(f'no force for {before} samples before the first command')
+    return np.vstack([np.where(motors, 0.0, np.nan)[None], values[order]])[at], notes

@@ -6,6 +6,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.dataset import Names
 from hnn_vi_ros.learning.measured_log import parse_log, read_log
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
@@ -68,17 +69,21 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Motion], str]:
 
     """
     raw = read_log(path)
-    table, _ = parse_log(path, raw, data, lacking=True)
+    table, lines = parse_log(path, raw, data, lacking=True)
     column = dict(zip(data.columns, table.T, strict=True))
 
     def stacked(names: Names | None, rows: np.ndarray) -> np.ndarray | None:
         return None if names is None else np.stack([column[name][rows] for name in names], -1)
 
     trials = column[data.trial] if data.trial else np.zeros(len(table))
+    unnumbered = np.flatnonzero(~np.isfinite(trials))
+    if unnumbered.size:
+        raise DataError(f'{path}:{lines[unnumbered[0]]}: column {data.trial}: no number, which '
+                        'tells the run; give one, or leave the row out')
     runs = []
-    for trial in dict.fromkeys(trials[np.isfinite(trials)].tolist()):
+    for trial in dict.fromkeys(trials.tolist()):
         rows = np.flatnonzero(trials == trial)
-        name = f'{trial:g}' if data.trial else path.stem
+        name = f'{trial:.15g}' if data.trial else path.stem
         runs.append(MeasuredRun(name, f'{path}: {name}', column[data.time][rows],
                                 stacked(data.q, rows), stacked(data.v, rows),
                                 stacked(data.tau, rows), a=stacked(data.a, rows)))

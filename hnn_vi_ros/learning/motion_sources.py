@@ -42,7 +42,7 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
     Raises
     ------
     DataError
-        They cannot be read, or are sampled at different rates.
+        They cannot be read.
 
     """
     if isinstance(data, BagMotions):
@@ -58,11 +58,6 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
             Path(given[0]) if given else _beside(source, data.path), [])
         motions, description = read_arrays(path, data, len(names), runs) if isinstance(
             data, ArraysData) else read_log_motions(path, data)
-    first = motions[0]
-    for motion in motions:
-        if abs(motion.spacing - first.spacing) > 0.01 * first.spacing:
-            raise DataError(f'{motion.name} is sampled every {motion.spacing:.4g} s, {first.name} '
-                            f'every {first.spacing:.4g} s; take them one by one')
     return motions, description
 
 

@@ -12,6 +12,8 @@ from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.learning.motion_samples import (
+    clock_resets, increasing, MOST, unexplained, unwound)
 import numpy as np
 from pydantic import Field
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -26,6 +28,10 @@ _WHOLE = 0.9
 _GAP = 10.0
 # With more bad samples than this share the data are not what they are taken for.
 _MOST_BAD = 0.5
+# Nor are rates that leave more than this share of the motion unexplained.
+_UNEXPLAINED = 0.25
+# Of the intervals of runs that are taken as one.
+_ALIKE = 0.01
 
 
 class MotionData(StrictModel):
@@ -65,6 +71,8 @@ class MeasuredRun(NamedTuple):
         Whether each force acts until the next, unless the data say otherwise.
     a : np.ndarray, shape (N, d), or None
         Accelerations, None where they are to be estimated.
+    notes : tuple of str
+        What else the model card tells of it.
 
     """
 
@@ -76,6 +84,7 @@ class MeasuredRun(NamedTuple):
     tau: np.ndarray | None
     held: bool = False
     a: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -86,7 +95,7 @@ class Bad:
     late: int = 0
     short: int = 0
     cuts: int = 0
-    estimated: set[str] = field(default_factory=set)
+    notes: dict[str, None] = field(default_factory=dict)
 
     def __str__(self) -> str:
         parts = [f'{count} {what}' for count, what in (
@@ -94,8 +103,11 @@ class Bad:
             (self.short, f'in pieces of less than {MIN_SAMPLES}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
         found += [f'cut at {self.cuts} places'] if self.cuts else []
-        found += [f'{what} estimated' for what in sorted(self.estimated)]
-        return '; '.join(found)
+        return '; '.join([*found, *self.notes])
+
+    def note(self, *texts: str) -> None:
+        """Keep what is to be told once, in order."""
+        self.notes.update(dict.fromkeys(texts))
 
 
 @dataclass(frozen=True)
@@ -148,44 +160,70 @@ def as_motions(runs: Sequence[MeasuredRun], data: MotionData, name: str, digest:
                ) -> tuple[list[Motion], str]:
     """Return runs as motions at even times, and what they are and lack, for the model card."""
     bad = Bad()
-    motions = [motion for run in runs for motion in motions_of(run, data, bad)]
+    parts = [_pieces(run, data, bad) for run in runs]
+    # That of most samples, for runs at different rates.
+    usual = float(np.quantile(np.repeat([part.spacing for part in parts], [
+        sum(map(len, part.rows)) for part in parts]), 0.5, method='lower'))
+    motions = [motion for part in parts for motion in _motions(part, usual, data, bad)]
+    if not motions:
+        raise DataError(f'{runs[0].where}: no {MIN_SAMPLES} samples in a row every {usual:.4g} s, '
+                        'the interval of most runs; give runs that last longer')
     counts = f'; {bad}' if str(bad) else ''
     samples = sum(len(motion.t) for motion in motions)
     return motions, f'{name} ({samples} samples, sha256 {digest}{counts})'
 
 
-def motions_of(run: MeasuredRun, data: MotionData, bad: Bad) -> Iterator[Motion]:
-    """
-    Yield a run as motions at even times, without what is bad in it.
+class _Pieces(NamedTuple):
+    """A run, which of its samples are those of one motion each, and their interval [s]."""
 
-    Parameters
-    ----------
-    run : MeasuredRun
-        As measured.
-    data : MotionData
-        What to do with what is bad.
-    bad : Bad
-        Counts it.
+    run: MeasuredRun
+    rows: list[np.ndarray]
+    spacing: float
 
-    Raises
-    ------
-    DataError
-        Something is bad and ``on_bad`` is fail, or too much is.
 
-    """
-    if run.v is not None and not np.isfinite(run.v).any():
+def _pieces(run: MeasuredRun, data: MotionData, bad: Bad) -> _Pieces:
+    """Return a run without what is bad in it, or DataError: on_bad is fail, or it is too much."""
+    if run.v is not None and not np.isfinite(run.v).any(axis=0).all():
         run = run._replace(v=None)
-    if run.v is None:
-        bad.estimated.add('velocities')
-    lacks = {name: ~np.isfinite(part).reshape(len(run.t), -1).all(axis=1)
+    bad.note(*run.notes, *['velocities estimated'] * (run.v is None))
+    kept = _kept(run, data, bad)
+    intervals = np.diff(run.t[kept])
+    spacing = float(np.median(intervals[intervals > 0.0]))
+    gap = intervals > _GAP * spacing
+    if gap.any() and data.on_bad == 'fail':
+        raise DataError(f'{run.where}: {intervals.max():.3g} s without a sample, {spacing:.3g} s '
+                        'as a rule; cut the run in two there, or take data.on_bad: split')
+    gap |= intervals <= 0.0  # the clock was set back
+    if data.on_bad == 'split':
+        gap |= np.diff(kept) > 1
+    pieces = np.split(kept, np.flatnonzero(gap) + 1)
+    bad.cuts += len(pieces) - 1
+    long = [piece for piece in pieces if len(piece) >= MIN_SAMPLES]
+    bad.short += len(kept) - sum(map(len, long))
+    if not long:
+        bridge = '' if data.on_bad == 'drop' else ', or take data.on_bad: drop'
+        raise DataError(f'{run.where}: no {MIN_SAMPLES} samples in a row without a gap; record '
+                        f'for longer{bridge}')
+    return _Pieces(run, long, spacing)
+
+
+def _kept(run: MeasuredRun, data: MotionData, bad: Bad) -> np.ndarray:
+    """Return the samples of a run that can be used; between two, time goes back at a reset."""
+    lacks = {name: ~(np.abs(part) <= MOST).reshape(len(run.t), -1).all(axis=1)
              for name, part in run._asdict().items() if isinstance(part, np.ndarray)}
     lacking = np.any([*lacks.values()], axis=0)
-    latest = np.maximum.accumulate(np.where(lacking, -np.inf, run.t))
-    late = ~lacking & np.concatenate([[False], run.t[1:] <= latest[:-1]])
+    there = np.flatnonzero(~lacking)
+    resets = clock_resets(run.t[there])
+    parts = [part[increasing(run.t[part])] for part in np.split(there, resets) if len(part)]
+    kept = np.concatenate(parts) if parts else there
+    late = ~lacking
+    late[kept] = False
     wrong = np.flatnonzero(lacking | late)
-    if wrong.size and data.on_bad == 'fail':
-        what = 'lacks a number' if lacking[wrong[0]] else 'is not after the one before'
-        raise DataError(f'{run.where}: sample {wrong[0] + 1} {what}; leave it out, or take '
+    if data.on_bad == 'fail' and (wrong.size or resets.size):
+        at = min([*wrong[:1], *there[resets[:1]]])
+        what = 'lacks a number' if lacking[at] else \
+            'is not after the one before, or that one is wrong'
+        raise DataError(f'{run.where}: sample {at + 1} {what}; leave it out, or take '
                         'data.on_bad: drop or split')
     if wrong.size > _MOST_BAD * len(run.t):
         counts = ', '.join(f'{part.sum()} lack a number of {name}'
@@ -194,27 +232,24 @@ def motions_of(run: MeasuredRun, data: MotionData, bad: Bad) -> Iterator[Motion]
                         f'and {late.sum()} are not after the one before: these are no states of '
                         'one motion; look at what is taken for them')
     bad.lacking, bad.late = bad.lacking + int(lacking.sum()), bad.late + int(late.sum())
-    kept = np.flatnonzero(~(lacking | late))
     if len(kept) < MIN_SAMPLES:
-        raise DataError(f'{run.where}: {len(kept)} samples, expected at least {MIN_SAMPLES}')
-    intervals = np.diff(run.t[kept])
-    spacing = float(np.median(intervals))
-    gap = intervals > _GAP * spacing
-    if gap.any() and data.on_bad == 'fail':
-        raise DataError(f'{run.where}: {intervals.max():.3g} s without a sample, {spacing:.3g} s '
-                        'as a rule; cut the run in two there, or take data.on_bad: split')
-    if data.on_bad == 'split':
-        gap |= np.diff(kept) > 1
-    pieces = np.split(kept, np.flatnonzero(gap) + 1)
-    bad.cuts += len(pieces) - 1
-    long = [piece for piece in pieces if len(piece) >= MIN_SAMPLES]
-    bad.short += len(kept) - sum(map(len, long))
-    if not long:
-        raise DataError(f'{run.where}: no {MIN_SAMPLES} samples in a row without a gap; record '
-                        'for longer, or take data.on_bad: drop')
+        raise DataError(f'{run.where}: {len(kept)} samples, expected at least {MIN_SAMPLES}; '
+                        'record for longer')
+    return kept
+
+
+def _motions(part: _Pieces, usual: float, data: MotionData, bad: Bad) -> Iterator[Motion]:
+    """Yield the pieces of a run at even times: its own interval, or the usual one [s]."""
+    run, rows, spacing = part
+    if abs(spacing - usual) > _ALIKE * usual:
+        bad.note(f'{run.name} put from every {spacing:.4g} s on every {usual:.4g} s')
+        spacing = usual
+    long = [piece for piece in rows
+            if run.t[piece[-1]] - run.t[piece[0]] > (MIN_SAMPLES - 1.5) * spacing]
+    bad.short += sum(map(len, rows)) - sum(map(len, long))
     for number, piece in enumerate(long):
         name = run.name if len(long) == 1 else f'{run.name}#{number}'
-        yield _motion(name, run, piece, spacing, data)
+        yield _motion(name, run, piece, spacing, data, bad)
 
 
 def run_of(motion: 'Motion') -> str:
@@ -222,9 +257,32 @@ def run_of(motion: 'Motion') -> str:
     return motion.name.rpartition('#')[0] or motion.name
 
 
-def _motion(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, data: MotionData
-            ) -> Motion:
+def _check_rates(run: MeasuredRun, t: np.ndarray, q: np.ndarray, v: np.ndarray | None,
+                 a: np.ndarray | None) -> None:
+    """Refuse velocities and accelerations that are not the rates of what they belong to."""
+    for name, of, x, rate, remedy in (
+            ('velocities', 'positions', q, v, 'have them estimated, by data.estimate_velocity: '
+             'true of bags or without v in arrays and logs'),
+            ('accelerations', 'velocities', v, a, 'leave out a')):
+        if x is None or rate is None:
+            continue
+        shares = unexplained(t, x, rate)
+        if (shares > _UNEXPLAINED).any():
+            worst = int(np.nanargmax(shares))
+            raise DataError(
+                f'{run.where}: the {name} of coordinate {worst + 1} are not the rates of its {of}:'
+                f' {100.0 * min(shares[worst], 1.0):.0f} % of how it moves is not in them; look '
+                f'for other units, another sign, zeros or outliers in either, or {remedy}')
+
+
+def _motion(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, data: MotionData,
+            bad: Bad) -> Motion:
     t, q = run.t[rows], run.q[rows]
+    v, a = (None if part is None else part[rows] for part in (run.v, run.a))
+    q, turning = unwound(t, q, v)
+    for k in turning:
+        bad.note(f'turns of coordinate {k + 1} counted')
+    _check_rates(run, t, q, v, a)
     tau = np.zeros_like(q) if run.tau is None else run.tau[rows]
     times = t[0] + spacing * np.arange(int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1)
     times = np.minimum(times, t[-1])
@@ -233,7 +291,6 @@ def _motion(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, data:
     tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] if held else \
         _linear(times, t, tau)
     # q by its slope v as well: clocks of drivers jitter by a large part of the interval.
-    v, a = (None if part is None else part[rows] for part in (run.v, run.a))
     q = CubicSpline(t, q)(times) if v is None else CubicHermiteSpline(t, q, v)(times)
     if v is not None:
         v = _linear(times, t, v) if a is None else CubicHermiteSpline(t, v, a)(times)

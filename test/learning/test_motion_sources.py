@@ -10,7 +10,7 @@ from hnn_vi_ros.learning.machine_config import MachineConfig
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.motion_sources import guessed, read_motions
+from hnn_vi_ros.learning.motion_sources import guessed
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -168,14 +168,6 @@ def test_log_of_positions_and_torques_is_read_run_by_run(tmp_path):
 def test_contradictory_log_description_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         LogMotions(**(LOG | changes))
-
-
-def test_motions_of_two_rates_are_refused(tmp_path):
-    np.savez(tmp_path / 'a.npz', **{f'{name}/{key}': values for name, step in (('x', 1), ('y', 2))
-                                    for key, values in (('t', T[::step]), ('q', Q[::step]),
-                                                        ('dq', V[::step]), ('tau', TAU[::step]))})
-    with pytest.raises(DataError, match='y is sampled every 0.02 s, x every 0.01 s'):
-        read_motions(tmp_path, ArraysData(), ['a', 'b'], [str(tmp_path / 'a.npz')])
 
 
 def test_files_say_by_themselves_how_they_are_read(tmp_path):
