@@ -300,7 +300,7 @@ def write(path: Path, **changes) -> Path:
 
 @pytest.mark.parametrize('changes, message', [
     ({'t': np.zeros(40)}, 'are not after the one before'),
-    ({'t': 0.01 * np.arange(40) + (np.arange(40) % 15 == 0)}, 'no 20 samples in a row|lack'),
+    ({'t': 0.01 * np.arange(40) + np.arange(40) // 15}, 'no 20 samples in a row'),
     ({'tau': None}, 'no key one/tau; it has one/t'),
     ({'q': np.zeros((40, 2))}, r'shape \(40, 2\)'),
     ({'tau': np.full((40, 1), np.nan)}, '40 lack a number of tau'),
@@ -327,7 +327,8 @@ def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
 
 def test_accelerations_that_were_measured_are_taken_and_choose_the_loss(tmp_path):
     config = MachineConfig.model_validate(CONFIG)
-    path = write(tmp_path / 'arm.npz', ddq=np.full((40, 1), 2.0))
+    t = 0.01 * np.arange(40)[:, None]
+    path = write(tmp_path / 'arm.npz', q=t**2, dq=2.0 * t, ddq=np.full((40, 1), 2.0))
     (estimated,), _ = read_arrays(path, ArraysData(), 1)
     (measured,), _ = read_arrays(path, ArraysData(a='ddq', smoothing=10.0), 1)
     assert np.abs(measured.a_smooth - 2.0).max() < 1e-12
