@@ -24,6 +24,8 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
+# What replay publishes these topics with: a machine may stall for more than ten messages.
+QUEUE = QoSProfile(depth=10_000)
 # Wall time at which another recorder began [ns].
 EPOCH = 1_700_000_000 * 10**9
 
@@ -75,7 +77,7 @@ def _open(bag: Path, report: str, sampler: Sampler, topics: Sequence[tuple[str, 
 
 def _topic(name: str, kind: type) -> Topic:
     full = name.replace('~', '/hnn_simulator') if name[0] == '~' else f'/{name}'
-    return describe_topic(full, kind, LATCHED if kind is String else QoSProfile(depth=10))
+    return describe_topic(full, kind, LATCHED if kind is String else QUEUE)
 
 
 def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: float = 0.004,

@@ -20,12 +20,13 @@ def test_two_simulators_in_two_namespaces_do_not_interfere(tmp_path):
     executor.add_node(node)
     heard = {namespace: [] for namespace in SCENES}
     processes = [start(tmp_path, scene=scene, duration=2, record_path=namespace,
-                       rerun_sink='none', discovery_time=20, __ns=f'/{namespace}')
+                       rerun_sink='none', discovery_time=20, __ns=f'/{namespace}', **{
+                           f'qos_overrides./{namespace}/hnn_simulator/q.publisher.depth': 1000})
                  for namespace, scene in SCENES.items()]
     try:
         for namespace, messages in heard.items():
             node.create_subscription(Float64MultiArray, f'/{namespace}/hnn_simulator/q',
-                                     lambda m, to=messages: to.append(m.data.tolist()), 100)
+                                     lambda m, to=messages: to.append(m.data.tolist()), 1000)
         while any(process.poll() is None for process in processes):
             executor.spin_once(timeout_sec=0.05)
         for _ in range(50):

@@ -13,6 +13,8 @@ from processes import wait_until
 import pytest
 
 MS = 1_000_000
+# A busy machine may be late all the time, but not each time; a drift is.
+ATTEMPTS = 5
 
 
 class Message(NamedTuple):
@@ -36,15 +38,18 @@ def play(times: list[int], last: int | None = None, clock: bool = False, **optio
 @pytest.mark.parametrize('rate', [0.5, 1.0, 4.0])
 def test_player_keeps_to_the_times_at_any_rate(rate):
     times = [i * 10 * MS for i in range(41)]
-    begin = time.monotonic_ns()
-    player, heard, _ = play(times, rate=rate)
-    player.join(60.0)
-    stamps, walls = np.array(heard).T
-    assert stamps.tolist() == times
-    # Never early; how late depends on the machine, but it does not add up.
-    assert (walls - begin >= stamps / rate).all()
-    late = walls - walls[0] - stamps / rate
-    assert late[-20:].min() < 5 * MS
+    for _ in range(ATTEMPTS):
+        begin = time.monotonic_ns()
+        player, heard, _ = play(times, rate=rate)
+        player.join(60.0)
+        stamps, walls = np.array(heard).T
+        assert stamps.tolist() == times
+        # Never early; how late depends on the machine, but it does not add up.
+        assert (walls - begin >= stamps / rate).all()
+        late = walls - walls[0] - stamps / rate
+        if in_time := late[-20:].min() < 5 * MS:
+            break
+    assert in_time
     assert player.published == 41 and player.problem is None
     told = player.timing_errors()
     assert 0.0 <= told['median'] <= told['p99'] <= told['largest']
@@ -55,12 +60,12 @@ def test_player_goes_on_after_a_pause_where_it_was_without_a_burst():
     player, heard, _ = play(times)
     wait_until(lambda: len(heard) > 3)
     player.set_paused(True)
-    # One may be on its way.
-    time.sleep(0.1)
     before = len(heard)
     assert before < 101
-    time.sleep(0.3)
-    assert len(heard) == before
+    time.sleep(0.4)
+    # One may have been on its way, of 20 that would have come.
+    assert len(heard) <= before + 1
+    before = len(heard)
     resumed = time.monotonic_ns()
     player.set_paused(False)
     player.join(60.0)
@@ -86,15 +91,18 @@ def test_step_hands_out_all_messages_of_one_time_and_only_while_paused():
 
 def test_player_loops_without_drift_until_it_is_stopped():
     times = [i * 10 * MS for i in range(11)]
-    player, heard, _ = play(times, loop=True)
-    wait_until(lambda: len(heard) > 55)
-    player.stop()
-    assert not player.is_alive()
-    assert [stamp for stamp, _ in heard[:55]] == times * 5
-    firsts = np.array([wall for stamp, wall in heard if stamp == 0])[:6]
-    # How late a round begins depends on the machine; a drift would add up.
-    late = firsts - firsts[0] - 100 * MS * np.arange(firsts.size)
-    assert late[-3:].min() < 20 * MS
+    for _ in range(ATTEMPTS):
+        player, heard, _ = play(times, loop=True)
+        wait_until(lambda heard=heard: len(heard) > 55)
+        player.stop()
+        assert not player.is_alive()
+        assert [stamp for stamp, _ in heard[:55]] == times * 5
+        firsts = np.array([wall for stamp, wall in heard if stamp == 0])[:6]
+        # How late a round begins depends on the machine; a drift would add up.
+        late = firsts - firsts[0] - 100 * MS * np.arange(firsts.size)
+        if in_time := late[-3:].min() < 20 * MS:
+            break
+    assert in_time
 
 
 def test_clock_is_told_each_10_ms_never_zero_never_twice():

@@ -169,7 +169,9 @@ def test_hundred_thousand_messages_are_recorded_and_received_none_lost_none_out_
 
 def test_subscriber_in_a_second_process_receives_every_sample_of_the_bag(folder, subscriber):
     received, executor = subscriber
-    process = start(folder, duration=6, record_path='bag', rerun_sink='none', discovery_time=10)
+    queues = {f'qos_overrides.{topic}.publisher.depth': 1000 for topic in received}
+    process = start(folder, duration=6, record_path='bag', rerun_sink='none', discovery_time=10,
+                    **queues)
     while process.poll() is None:
         executor.spin_once(timeout_sec=0.05)
     for _ in range(4000):
@@ -228,8 +230,7 @@ def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber
     'number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda s: s.name)
 def test_simulator_signal_closes_the_files_and_exits_0(folder, number):
     process = start(folder, record_path='bag', rerun_path='picture.rrd')
-    wait_until(lambda: recorded_until(folder / 'bag' / 'bag_0.mcap'))
-    time.sleep(1.5)
+    wait_until(lambda: recorded_until(folder / 'bag' / 'bag_0.mcap') > 0.6e9)
     process.send_signal(number)
     status, _, error = finish(process)
     assert status == 0
