@@ -45,6 +45,7 @@ import numpy as np
 # Commands hold to the end of the simulation [s].
 _FOREVER = 1e9
 _KEYS = 't', 'q', 'v', 'tau'
+_NO_FORCES = 'with --keys t,q,dq of arrays, or forces: none of bags in the data of --config'
 
 
 def main(argv: Sequence[str]) -> None:
@@ -72,7 +73,7 @@ def main(argv: Sequence[str]) -> None:
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{arguments.data[0]}: the motions were driven, but {arguments.model} has '
                         'no effect external_force; add it with all coordinates, or leave the '
-                        'forces out with --keys t,q,dq')
+                        f'forces out, {_NO_FORCES}')
     if not driven:
         # An input map would want its own number of them.
         effects = [effect for effect in effects
@@ -177,7 +178,7 @@ def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
         except ValueError as problem:
             raise DataError(f'{model}: does not take the {motions[0].tau.shape[1]} forces of the '
                             'motions, by its input map or one for each coordinate; leave them '
-                            'out with --keys t,q,dq') from problem
+                            f'out, {_NO_FORCES}') from problem
     return simulation
 
 

@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionD
 import numpy as np
 from pydantic import Field
 
-EFFORT = 'effort'
+EFFORT, NONE = 'effort', 'none'
 
 
 class BagMotions(MotionData):
@@ -26,9 +26,9 @@ class BagMotions(MotionData):
         'estimate velocities from positions although they are published'))
     forces: str | None = Field(None, description=(
         'generalised forces of the motors: effort, or a topic of commands, of joint states with '
-        'efforts or arrays, each of which holds until the next; default: effort where it is '
-        'published; in bags of the simulator ~/commands, or else, where joints were commanded, '
-        'effort'))
+        'efforts or arrays, each of which holds until the next; none: no forces act; default: '
+        'effort where it is published; in bags of the simulator ~/commands, or else, where '
+        'joints were commanded, effort'))
     columns: list[Annotated[int, Field(ge=0)]] = Field([], description=(
         'which numbers of an array of commands are forces of the joints, counted from 0; none: '
         'all'))
@@ -76,7 +76,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
 def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[SignalReader, str]:
     """Return what reads a bag, and where its forces are; empty for none."""
     reader = SignalReader(path, joints, data.columns, 'header')
-    forces = data.forces
+    forces = '' if data.forces == NONE else data.forces
     if forces is None:
         state = reader.state_topic()
         node = state.rpartition('/')[0] if state else ''
@@ -113,9 +113,9 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions, joints:
                         'name a topic of commands there, or leave it out if there are no motors')
     if forces == EFFORT and not given.any():
         notes.append('no efforts published')
-    elif not given.all():
-        # A message that names some of the joints, or numbers for them, has all the motors.
-        lacking = [joint for joint, there in zip(joints, given, strict=True) if not there]
+    elif forces and not given.all():
+        of = joints if len(given) == len(joints) else [f'motor {k + 1}' for k in range(len(given))]
+        lacking = [name for name, there in zip(of, given, strict=True) if not there]
         notes.append(f'no effort of {", ".join(lacking)}, which counts as no motor')
         tau = np.where(given, tau, 0.0)
     return MeasuredRun(name, f'{reader.path}: {data.topic}', t, q,

@@ -5,7 +5,7 @@
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.machine_training import scales_of
 from hnn_vi_ros.learning.motion_arrays import ArraysData
-from hnn_vi_ros.learning.motion_bags import BagMotions
+from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
 from hnn_vi_ros.learning.motion_samples import increasing, unexplained, unwound
 from hnn_vi_ros.learning.motion_sources import read_motions
@@ -129,6 +129,11 @@ def test_efforts_of_joints_without_a_motor_are_zero_and_told(tmp_path):
         read(path, forces='effort')
 
 
+def test_forces_are_left_out_where_there_are_to_be_none(tmp_path):
+    (motion,), described = read(write(tmp_path / 'a.mcap', driver()), forces='none')
+    assert not motion.tau.any() and 'effort' not in described
+
+
 def test_velocities_that_one_joint_never_has_are_estimated(tmp_path):
     messages = [state(T[i], ['a', 'b'], Q[i], [V[i, 0], np.nan], TAU[i]) for i in range(len(T))]
     assert 'velocities estimated' in read(write(tmp_path / 'a.mcap', messages))[1]
@@ -165,6 +170,17 @@ def test_motor_that_commands_never_name_is_none(tmp_path):
     (motion,), described = read(path, forces='motors')
     assert 'no effort of a' in described
     assert not motion.tau[:, 0].any() and motion.tau[2:, 1].all()
+
+
+def test_motor_of_an_array_that_is_never_commanded_is_told(tmp_path):
+    given = array(T, np.stack([TAU[:, 1], np.full(len(T), np.nan)], axis=-1), '/motors')
+    messages = [(*message[:3], state(T[i], ['a', 'b', 'c'], [*Q[i], Q[i, 0]],
+                                     [*V[i], V[i, 0]])[3]) for i, message in enumerate(driver())]
+    path = write(tmp_path / 'a.mcap', sorted([*messages, *given], key=lambda item: item[2]))
+    (motion,), described = read_bag_motions(
+        [path], BagMotions(forces='motors'), ['a', 'b', 'c'])
+    assert 'no effort of motor 2' in described
+    assert motion.tau.shape[1] == 2 and not motion.tau[:, 1].any()
 
 
 @pytest.mark.parametrize('given, message', [
