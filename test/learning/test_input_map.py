@@ -237,9 +237,10 @@ def test_logs_and_arrays_may_hold_fewer_motors_than_joints(tmp_path):
         with pytest.raises(ValueError, match=f'{key} has {len(names)} columns, q has 2'):
             LogMotions(columns=[*columns, 'v', 'w'], time='t', q=['a', 'b'], **{key: names})
     t = 0.01 * np.arange(40)
-    q = np.stack([np.sin(t), np.cos(t)], axis=1)
+    q, v = (np.stack(part, axis=1) for part in (
+        (np.sin(t), np.cos(t)), (np.cos(t), -np.sin(t))))
     for shape, fits in (((40, 1), True), ((40, 2), True), ((40, 3), False), ((40, 0), False)):
-        np.savez(tmp_path / 'belt.npz', t=t, q=q, dq=q, tau=np.ones(shape))
+        np.savez(tmp_path / 'belt.npz', t=t, q=q, dq=v, tau=np.ones(shape))
         if fits:
             (motion,), _ = read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)
             assert motion.tau.shape == shape
