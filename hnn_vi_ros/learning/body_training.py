@@ -17,6 +17,8 @@ from tqdm import tqdm
 
 # Pairs that L-BFGS remembers; and half of the range of what only rounding changes.
 _PAIRS, _LEAST = 50, 1e-12
+# What stands for a loss that is not finite.
+_TOO_FAR = 1e30
 
 
 def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwork:
@@ -213,11 +215,20 @@ def _lbfgs(network: LieGroupNetwork, config: BodyConfig, windows: Motions, steps
     def closure() -> torch.Tensor:
         lbfgs.zero_grad()
         value = LBFGS_SCALE * _loss(network, config, windows)
+        if not value.isfinite():
+            # A step that no solution follows is one too far, which the line search shortens: by a
+            # value alone, for what is not a number would be all that is left of the parameters.
+            for parameter in parameters:
+                parameter.grad = torch.zeros_like(parameter)
+            return torch.full_like(value, _TOO_FAR)
         value.backward()
-        # A step that no solution follows is one too far, which the line search shortens.
-        return value if value.isfinite() else torch.full_like(value, 1e30)
+        return value
 
-    before = math.inf
+    before = after = float(closure().detach()) / LBFGS_SCALE
+    if before == _TOO_FAR / LBFGS_SCALE:
+        raise DataError('L-BFGS begins where the loss is not finite: no step has a solution '
+                        'there; take more substeps, or adam_steps before, and look for outliers '
+                        'in the data')
     with tqdm(total=steps, desc='L-BFGS', unit='step', disable=None) as progress:
         while progress.n < steps:
             lbfgs.step(closure)

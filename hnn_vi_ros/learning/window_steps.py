@@ -150,13 +150,13 @@ def _value(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor) ->
 
 def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor
                  ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return r, shape (N, d), and r_w, shape (N, d, d), by a backward pass for each row."""
+    """Return r, shape (N, d), and r_w, shape (N, d, d), by one backward pass for all rows."""
     with torch.enable_grad():
         w = w.detach().requires_grad_()
         value = residual(w)
-        rows = [torch.autograd.grad(value[:, i].sum(), w, retain_graph=True)[0]
-                for i in range(w.shape[1])]
-    return value.detach(), torch.stack(rows, dim=1)
+        units = torch.eye(w.shape[1], dtype=w.dtype)[:, None, :].expand(-1, len(w), -1)
+        (rows,) = torch.autograd.grad(value, w, units, is_grads_batched=True)
+    return value.detach(), rows.transpose(0, 1)
 
 
 def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:

@@ -3,15 +3,17 @@
 """Training of bodies that turn: from arrays to a model that runs, and what is refused."""
 
 import json
+import math
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning.body_config import load_body
+from hnn_vi_ros.learning import body_training
+from hnn_vi_ros.learning.body_config import BodyStage, load_body
 from hnn_vi_ros.learning.body_data import read_bodies
-from hnn_vi_ros.learning.body_training import joined, network_of, published_loss
+from hnn_vi_ros.learning.body_training import fit, joined, network_of, published_loss
 from hnn_vi_ros.learning.evaluate import main as evaluate
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
 from hnn_vi_ros.learning.train import main as train
@@ -21,6 +23,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest
+import torch
 
 STEP, EVERY, SAMPLES = 0.005, 4, 12
 CONFIG = """
@@ -167,3 +170,31 @@ def test_options_that_bodies_have_not_are_refused(tmp_path, data: Path):
                '--out', str(tmp_path / 'm.safetensors')])
     with pytest.raises(ParameterError, match='give it with --config'):
         evaluate(['resource/models/turning_pendulum.safetensors', '--data', str(data)])
+
+
+def test_lbfgs_of_a_body_shortens_a_step_after_which_the_loss_is_no_number(
+        tmp_path, data: Path, monkeypatch):
+    settings = load_body(Path(config(tmp_path)))
+    learned, _, _ = read_bodies(data, settings.data, 'rotation')
+    network = network_of(settings, learned)
+    weight = network.potential.linears[0].weight
+    with torch.no_grad():
+        weight[0, 0] = 0.5
+    # The first step would be of length 1, to where there is no logarithm; the minimum is at 0.01.
+    monkeypatch.setattr(body_training, '_loss', lambda network, *_: (
+        weight[0, 0] - 0.01 * weight[0, 0].log()))
+    stages = settings.model_copy(update={'windows': [BodyStage(intervals=1, lbfgs_steps=40)]})
+    losses = fit(network, stages, learned)
+    assert losses['lbfgs_1'] == pytest.approx(0.01 * (1.0 - math.log(0.01)), rel=1e-9)
+    assert all(parameter.isfinite().all() for parameter in network.parameters())
+
+
+def test_lbfgs_of_a_body_refuses_to_begin_where_no_step_has_a_solution(tmp_path, data: Path):
+    settings = load_body(Path(config(tmp_path)))
+    learned, _, _ = read_bodies(data, settings.data, 'rotation')
+    network = network_of(settings, learned)
+    with torch.no_grad():
+        network.potential.linears[-1].weight.mul_(1e9)
+    stages = settings.model_copy(update={'windows': [BodyStage(intervals=1, lbfgs_steps=40)]})
+    with pytest.raises(DataError, match='begins where the loss is not finite.*more substeps'):
+        fit(network, stages, learned)
