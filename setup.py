@@ -18,6 +18,7 @@ FOR_ROS = [
     'bag_to_model = hnn_vi_ros.cli:bag_to_model',
     'evaluate = hnn_vi_ros.cli:evaluate',
     'hard_cases = hnn_vi_ros.cli:hard_cases',
+    'hover = hnn_vi_ros.cli:hover',
     'identify = hnn_vi_ros.cli:identify',
     'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
     'listener = hnn_vi_ros.cli:listener',

@@ -1,11 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of the README: `python docs/pictures.py` in the environment writes them anew."""
+"""Pictures of README and tutorials: `python docs/pictures.py` in the environment writes them."""
 
 from pathlib import Path
 
 from gallery import picture_of
 from hnn_vi_ros import load_scene, simulate
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 from PIL import Image, ImageDraw
 from sketch import sketch
@@ -45,6 +47,42 @@ def write_moving(path: Path) -> None:
                    duration=round(1000.0 / _RATE))
 
 
+def write_hover(path: Path) -> None:
+    """Draw the quadrotor on its way to where the example controller holds it."""
+    # Imported here: the other pictures need no ROS.
+    from hnn_vi_ros.ros.hover_node import commands_of
+    from hnn_vi_ros.ros.hover_parameters import HoverSettings
+    from hnn_vi_ros.ros.odometry import OdometryEncoder
+    from matplotlib.figure import Figure
+    from nav_msgs.msg import Odometry
+    from rclpy.serialization import deserialize_message
+    run, settings = build(load_scene('quadrotor')), HoverSettings()
+    place = np.array([settings.x, settings.y, settings.z])
+    sampler, encoder = Sampler(run, 50.0), OdometryEncoder(run.hamiltonian.coordinates, 'map')
+    rows = []
+    for _ in range(300):
+        run.advance(sampler.every)
+        (payload,) = encoder.encode(sampler.sample())
+        commands = commands_of(deserialize_message(payload, Odometry), place)
+        rows.append([run.time, *(run.q[:3] - place), commands[0]])
+        run.set_command(commands)
+    t, *away, thrust = np.array(rows).T
+    figure = Figure(figsize=(8.0, 3.0), layout='constrained')
+    left, right = figure.subplots(1, 2)
+    for name, values, line in zip('xyz', away, ('-', '--', '-.'), strict=True):
+        left.plot(t, values, line, label=name)
+    left.set(xlabel='t [s]', title='distance from the place [m]')
+    left.legend()
+    right.plot(t, thrust)
+    right.axhline(0.8 * 9.81, color='grey', linewidth=0.8, linestyle=':', label='weight')
+    right.set(xlabel='t [s]', title='thrust [N]')
+    right.legend()
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
 if __name__ == '__main__':
     write_strip(HERE / 'scenes.png')
     write_moving(HERE / 'double_pendulum.gif')
+    write_hover(HERE / 'hover.png')

@@ -95,6 +95,11 @@ def evaluate() -> NoReturn:
     _run('evaluate')
 
 
+def hover() -> NoReturn:
+    """Run the example controller."""
+    _run('hover')
+
+
 def identify() -> NoReturn:
     """Fit numbers of a scene to measured motions."""
     _run('identify')

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text())
 # The parsers are told apart by the package that their executable belongs to.
 HOMES = {'learning': ['train', 'evaluate', 'identify', 'import_checkpoint'],
-         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener'],
+         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener', 'hover'],
          'bags': ['recover_bag'], 'sweeps': ['sweep']}
 # What help can do without: these take seconds to import.
 HEAVY = {'torch', 'numba', 'rclpy', 'numpy', 'scipy', 'matplotlib', 'rerun', 'pydantic', 'yaml'}

@@ -14,6 +14,7 @@ EXECUTABLES = {
     'bag_to_model': 'hnn_vi_ros.studies.bag_to_model',
     'evaluate': 'hnn_vi_ros.learning.evaluate',
     'hard_cases': 'hnn_vi_ros.studies.hard_cases',
+    'hover': 'hnn_vi_ros.ros.hover_node',
     'identify': 'hnn_vi_ros.learning.identify',
     'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
     'listener': 'hnn_vi_ros.ros.listener_node',

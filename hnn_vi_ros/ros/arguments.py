@@ -7,7 +7,8 @@ from pathlib import Path
 from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros import (
+    bridge_parameters, hover_parameters, parameters, replay_parameters)
 from hnn_vi_ros.ros.parameters import help_of, Specification
 from hnn_vi_ros.sweeps import arguments as sweeps
 
@@ -24,6 +25,8 @@ It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/
 ~ is /hnn_replay. Each parameter is an option as well."""
 _BRIDGE = """\
 It subscribes to the topics of the simulator, and offers nothing."""
+_HOVER = """\
+It subscribes to /hnn_simulator/odometry and answers each message on /hnn_simulator/commands."""
 _LISTENER = """\
 It subscribes to /hnn_simulator/energy, and has no parameters."""
 
@@ -81,6 +84,14 @@ def rerun_bridge() -> Parser:
 def sweep() -> Parser:
     """Return the parser of ``sweep``, of which those that write bags are run from here."""
     return sweeps.sweep()
+
+
+def hover() -> Parser:
+    """Return the parser of ``hover``."""
+    return Parser('hover', 'Fly the scene quadrotor to a place, and hold it there.', [
+        'ros2 run hnn_vi_ros hover',
+        'ros2 run hnn_vi_ros hover --ros-args -p x:=0.0 -p y:=0.0 -p z:=5.0'],
+        _details(_HOVER, hover_parameters.PARAMETERS))
 
 
 def listener() -> Parser:
