@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.body_config import load_body
 from hnn_vi_ros.learning.body_data import read_bodies
@@ -141,6 +142,20 @@ def draw(runs: dict[str, LongRun], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def seed_losses(folder: Path, data: Path) -> dict[str, dict[str, float]]:
+    """Return the losses of other seeds, whose models are files NAME-SEED.safetensors, by both."""
+    found: dict[str, dict[str, float]] = {}
+    for path in sorted(folder.glob('*-*.safetensors')):
+        name, _, seed = path.stem.rpartition('-')
+        if name in CASES:
+            found.setdefault(name, {})[seed] = test_loss(
+                load_checkpoint(path), name, data / CASES[name][0])
+    if not found:
+        raise DataError(f'{folder}: no model NAME-SEED.safetensors; valid names: '
+                        f'{", ".join(CASES)}')
+    return found
+
+
 def measure(data: Path, models: dict[str, Path], end: float) -> tuple[
         dict[str, Any], dict[str, LongRun]]:
     """Return the table of losses and of long runs, and these runs."""
@@ -169,10 +184,14 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument('--models', type=Path, nargs='+', required=True,
                         help=f'model files, of the names {", ".join(CASES)}')
     parser.add_argument('--end', type=float, default=1000.0, help='of the long runs [s]')
+    parser.add_argument('--seeds', type=Path, help=(
+        'folder of models of other seeds, NAME-SEED.safetensors'))
     parser.add_argument('--json', type=Path, required=True)
     parser.add_argument('--picture', type=Path, required=True)
     arguments = parser.parse_args(argv)
     table, runs = measure(arguments.data, {path.stem: path for path in arguments.models},
                           arguments.end)
+    if arguments.seeds is not None:
+        table['seeds'] = seed_losses(arguments.seeds, arguments.data)
     arguments.json.write_text(json.dumps(table, indent=1) + '\n', encoding='utf-8')
     draw(runs, arguments.picture)
