@@ -225,7 +225,8 @@ def test_parameter_in_the_manner_of_launch_is_refused_with_that_of_ros(words):
         own_arguments(words)
 
 
-@pytest.mark.parametrize('executable', ['simulator', 'replay', 'rerun_bridge', 'listener', 'hover'])
+@pytest.mark.parametrize('executable', [
+    'simulator', 'replay', 'rerun_bridge', 'listener', 'hover'])
 @pytest.mark.parametrize('words, what', [
     (['--ros-args', '-p', 'integratr:=rk4'], 'integratr'), (['scene:=kepler'], 'scene:=kepler'),
     (['--ros-args', 'scene:=kepler'], 'scene:=kepler'), (['--ros-args', '-p', 'x'], '-p x')])

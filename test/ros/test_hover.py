@@ -1,9 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A quadrotor that a controller in a process of its own holds at a place, recorded and verified."""
+"""A quadrotor that a controller in a process of its own holds at a place, and its bag."""
 
 import signal
 
+from geometry_msgs.msg import Quaternion
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.hover_node import commands_of, matrix
 from hnn_vi_ros.ros.odometry import OdometryEncoder
@@ -11,7 +12,6 @@ from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
-from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 import numpy as np
 from peer import peer, SIMULATOR
