@@ -15,6 +15,7 @@ from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.gauss import Gauss, Tableau
 from hnn_vi_ros.integrators.lie.equations import LieOptions
+from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -159,7 +160,7 @@ def exact_options(integrator: Integrator) -> tuple:
         return options._replace(connected=False)
     if isinstance(options, LieOptions):
         return options._replace(solver=options.solver._replace(connected=False))
-    if not isinstance(integrator, Gauss):
+    if not isinstance(integrator, (Gauss, LieGauss)):
         return options
     return Tableau(*exact_tableau(integrator.stages), options.solver)
 

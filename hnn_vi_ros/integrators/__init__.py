@@ -15,6 +15,7 @@ from hnn_vi_ros.integrators.explicit_euler import ExplicitEuler
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
@@ -45,6 +46,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     'lie_symplectic_euler': LieSymplecticEuler,
     'lie_symplectic_euler_adjoint': LieSymplecticEulerAdjoint,
     'lie_leapfrog': LieLeapfrog,
+    **LIE_GAUSS_METHODS,
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,
     'dop853': DOP853,

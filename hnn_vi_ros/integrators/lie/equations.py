@@ -172,7 +172,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
     iterates, x = work.solver.iterates, work.x
     for i in range(x.size):
         x[i] = h * z.dH_dp[i]
-    _set_turn_scale(kernel, h, z, x, iterates.scale, iterates.own_scale)
+    set_turn_scale(kernel, h, z, x, iterates.scale, iterates.own_scale)
     if is_too_far(kernel, x):
         return TURNED, np.inf, 0
     if options.solver.extrapolate:
@@ -300,8 +300,8 @@ def fill_forces(kernel: Kernel, q: np.ndarray, dH_dq: np.ndarray, forces: np.nda
 
 
 @called
-def _set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.ndarray,
-                    own_scale: np.ndarray) -> None:
+def set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.ndarray,
+                   own_scale: np.ndarray) -> None:
     """Set the scale of each change: that of the coordinates, 1 for a quaternion, and its own."""
     d = kernel.dimension
     for i in range(x.size):
