@@ -239,17 +239,17 @@ def _kept(run: MeasuredRun, data: MotionData, bad: Bad) -> np.ndarray:
 
 
 def _motions(part: _Pieces, usual: float, data: MotionData, bad: Bad) -> Iterator[Motion]:
-    """Yield the pieces of a run at even times: its own interval, or the usual one [s]."""
+    """Yield the pieces of a run at even times, by the interval of most samples [s]."""
     run, rows, spacing = part
+    # Clocks that jitter make one rate look like several.
     if abs(spacing - usual) > _ALIKE * usual:
         bad.note(f'{run.name} put from every {spacing:.4g} s on every {usual:.4g} s')
-        spacing = usual
     long = [piece for piece in rows
-            if run.t[piece[-1]] - run.t[piece[0]] > (MIN_SAMPLES - 1.5) * spacing]
+            if run.t[piece[-1]] - run.t[piece[0]] > (MIN_SAMPLES - 1.5) * usual]
     bad.short += sum(map(len, rows)) - sum(map(len, long))
     for number, piece in enumerate(long):
         name = run.name if len(long) == 1 else f'{run.name}#{number}'
-        yield _motion(name, run, piece, spacing, data, bad)
+        yield _motion(name, run, piece, usual, data, bad)
 
 
 def run_of(motion: 'Motion') -> str:

@@ -170,6 +170,21 @@ def test_contradictory_log_description_is_refused(changes, message):
         LogMotions(**(LOG | changes))
 
 
+def test_runs_whose_clocks_jitter_share_one_interval(tmp_path):
+    # Each by itself, runs of 60 samples with such jitter differ by some percent of an interval.
+    rng, runs = np.random.default_rng(0), {}
+    for name in 'uvwxyz':
+        t = T[:60] + 0.002 * rng.uniform(-1.0, 1.0, 60)
+        runs |= {f'{name}/t': t, f'{name}/q': np.sin(t)[:, None], f'{name}/dq': np.cos(t)[:, None],
+                 f'{name}/tau': np.zeros((60, 1))}
+    medians = [np.median(np.diff(values)) for key, values in runs.items() if key[-1] == 't']
+    assert np.ptp(medians) > 0.01 * np.median(medians)
+    np.savez(tmp_path / 'a.npz', **runs)
+    motions, _ = read_motions(tmp_path, ArraysData(), ['a'], [str(tmp_path / 'a.npz')])
+    assert np.ptp([motion.spacing for motion in motions]) <= 1e-12
+    assert max(np.abs(motion.q[:, 0] - np.sin(motion.t)).max() for motion in motions) <= 1e-8
+
+
 def test_files_say_by_themselves_how_they_are_read(tmp_path):
     assert isinstance(guessed('a.npz:run1'), ArraysData)
     assert isinstance(guessed(str(tmp_path)), BagMotions)
