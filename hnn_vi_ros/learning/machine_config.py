@@ -167,6 +167,8 @@ class Stage(StrictModel):
 
     duration: float = Field(gt=0.0, description='of each window [s]')
     steps: int = Field(ge=1, le=1_000_000)
+    learning_rate: float | None = Field(None, gt=0.0, le=1.0, description=(
+        'of Adam; default: a fifth of that on accelerations'))
 
 
 class _Regression(StrictModel):
@@ -236,7 +238,7 @@ class MachineConfig(StrictModel):
             'widths of the hidden layers, of each network'))
     seed: int = Field(0, ge=0, lt=2**63, description='of the initial weights and the batches')
     learning_rate: float = Field(0.01, gt=0.0, le=1.0, description=(
-        'of Adam on accelerations; a fifth of it on windows'))
+        'of Adam on accelerations; a fifth of it on windows that name none'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MachineConfig':

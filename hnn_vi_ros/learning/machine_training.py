@@ -215,7 +215,8 @@ def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samp
             errors = window_loss(network, samples, chosen, windows)
             return errors if penalty is None else errors + penalty(generator)
         losses[f'windows_{stage.duration:g}'] = _descend(
-            network, errors_of_windows, stage.steps, 0.2 * config.learning_rate,
+            network, errors_of_windows, stage.steps,
+            stage.learning_rate or 0.2 * config.learning_rate,
             f'windows of {stage.duration:g} s')
     return losses
 

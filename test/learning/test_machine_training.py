@@ -402,3 +402,19 @@ def test_plain_network_learns_what_it_is_compared_by():
     found, still = (score(what, test, [0.5], 0.25, 1.0).horizons[0.5]
                     for what in (predicted_by(network), constant_velocity))
     assert found < 0.2 * still
+
+
+def test_stage_may_have_a_rate_of_its_own():
+    motions, moved = random_motions(2), []
+    for rate in (None, 1e-9):
+        config = MachineConfig.model_validate(CONFIG | {'loss': {
+            'kind': 'trajectory', 'forward_steps': 1, 'batch': 4, 'method': 'rk4', 'windows': [
+                {'duration': 0.02, 'steps': 2, 'learning_rate': rate}]}})
+        network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
+        first = torch.nn.utils.parameters_to_vector(network.parameters()).detach().clone()
+        fit(network, config, motions)
+        after = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
+        moved.append(float((after - first).abs().max()))
+    # Adam moves no number by more than about its rate in a step: first one of 0.01, then two of
+    # a fifth of that, or of the stage's own.
+    assert moved[1] <= 0.0101 < moved[0] <= 0.0101 + 2 * 0.00205
