@@ -61,7 +61,8 @@ def published_tables() -> Parser:
     what.add_argument('--machines', action='store_true',
                       help='measure the models of machines alone, whose data sets are in folders '
                            'of --data: lutter_peters_2021, dfki_double_pendulum, '
-                           'multiarm_pendulum; the other values are those in DIR')
+                           'multiarm_pendulum, and of an arm that is simulated; the other values '
+                           'are those in DIR')
     return parser
 
 

@@ -25,6 +25,7 @@ from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.studies.simulated_arm import followed_times, LEAST, MEAN, write_arm
 import numpy as np
 from tqdm import tqdm
 
@@ -57,14 +58,14 @@ class CaseMotions(NamedTuple):
 @dataclass(frozen=True)
 class Case:
     """
-    A published data set, with what is measured on it.
+    A data set, with what is measured on it.
 
     Parameters
     ----------
     config : str
         The shipped training configuration.
-    file : str
-        Below the folder of the data.
+    file : str or callable
+        Below the folder of the data; or what writes it to a path, where it is simulated.
     measure : callable
         Of a prediction, the motions to test with, and the folder of the data.
     references : dict
@@ -81,7 +82,7 @@ class Case:
     """
 
     config: str
-    file: str
+    file: str | Callable[[Path], None]
     measure: Measure
     references: dict[str, list[float]]
     goals: dict[str, Measures]
@@ -170,12 +171,18 @@ CASES = {
         {NETWORKS: {'RMS error [rad] over 2 s, validation': [.0050, .0072]},
          WITH_PRIOR: {'RMS error [rad] over 2 s, validation': [.0036, .0055]}},
         prior='double_pendulum'),
+    'simulated arm with friction': Case(
+        'two_link_arm_chirps', write_arm, followed_times,
+        {MEAN: [20.0], LEAST: [20.0]}, {NETWORKS: {}, WITH_PRIOR: {}},
+        prior='double_pendulum', longer=True),
 }
 
 
 def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -> Path:
     """
     Train and measure every case whose data are there, and write docs/learning/machines.json.
+
+    Data that are simulated are made here. Those that are not there are named.
 
     Each model that was measured is written at once to machine_runs.json beside that, and is not
     trained again: a run that was stopped goes on from there. Cases of which no run stands there
@@ -195,13 +202,15 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     Raises
     ------
     ParameterError
-        No data set is there, or the runs cannot be read.
+        The runs cannot be read.
 
     """
-    there = {name: case for name, case in CASES.items() if (data / case.file).is_file()}
-    if not there:
-        raise ParameterError(f'--data {data}: none of {", ".join(c.file for c in CASES.values())} '
-                             'is there; give the folder that holds them')
+    files = {name: case.file for name, case in CASES.items() if isinstance(case.file, str)}
+    missing = {name: file for name, file in files.items() if not (data / file).is_file()}
+    if missing:
+        print(f'--data {data}: {", ".join(missing.values())} not there, so not measured',
+              flush=True)
+    there = {name: case for name, case in CASES.items() if name not in missing}
     file = out.with_name(RUNS)
     runs = [] if quick or not file.is_file() else read_runs(file)
     known = {(run['case'], run['model'], run['seed']) for run in runs}
@@ -262,7 +271,11 @@ def read_case(case: Case, data: Path) -> CaseMotions:
     config = load_machine(find_config(case.config))
     names = [coordinate.name for coordinate in config.coordinates]
     with tempfile.TemporaryDirectory() as folder:
-        file = data / case.file
+        if isinstance(case.file, str):
+            file = data / case.file
+        else:
+            file = Path(folder) / f'{case.config}.npz'
+            case.file(file)
         if case.measure is valid_times:
             file = letters_by_name(file, Path(folder) / 'letters.npz')
         motions, description = read_motions(file, config.data, names, [str(file)])

@@ -7,7 +7,7 @@ import json
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning import rigid_body
 from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.studies import machine_tables, published_tables
+from hnn_vi_ros.studies import machine_tables, published_tables, simulated_arm
 from hnn_vi_ros.studies.machine_tables import (
     CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
     RUNS, valid_times, WITH_PRIOR)
@@ -97,6 +97,7 @@ def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         done.append((model, seed))
         return dict.fromkeys(CASES[case].references, [0.001 * seed] * 2)
+    monkeypatch.setattr(machine_tables, 'CASES', {case: CASES[case]})
     monkeypatch.setattr(machine_tables, 'read_case', lambda case, data: None)
     monkeypatch.setattr(machine_tables, 'run_case', run_case)
     with pytest.raises(KeyboardInterrupt):
@@ -118,15 +119,24 @@ def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
         measure_machines(tmp_path, out, range(2), False)
 
 
-def test_data_that_are_not_there_are_named(tmp_path):
-    with pytest.raises(ParameterError, match='none of lutter_peters_2021/.*is there'):
-        published_tables.main(['--machines', '--data', str(tmp_path), '--out', str(tmp_path)])
+def test_data_that_are_not_there_are_named_and_those_that_are_simulated_are_made(
+        tmp_path, monkeypatch, capsys):
+    made = []
+    monkeypatch.setattr(machine_tables, 'read_case', lambda case, data: None)
+    monkeypatch.setattr(machine_tables, 'run_case', lambda case, *_: made.append(
+        case.config) or dict.fromkeys(case.references, [1.0]))
+    measure_machines(tmp_path, tmp_path / 'machines.json', range(1), False)
+    assert set(made) == {'two_link_arm_chirps'}
+    printed = capsys.readouterr().out
+    assert all(case.file in printed for case in CASES.values() if isinstance(case.file, str))
+    assert 'not there, so not measured' in printed
 
 
 def test_every_machine_is_measured_and_stands_on_the_page(tmp_path, monkeypatch):
     # Forces at random fit no rigid body, and its fits would take all that they may.
     for name, value in (('_EVALUATIONS', 1), ('_SAMPLES', 50), ('_WINDOWS', 50)):
         monkeypatch.setattr(rigid_body, name, value)
+    monkeypatch.setattr(simulated_arm, '_DURATION', 1.0)
     rng = np.random.default_rng(0)
 
     def run(name: str, n: int, spacing: float) -> dict[str, np.ndarray]:
