@@ -74,6 +74,8 @@ class Case:
         Of each model and measure, what ours is to reach, where it is another value.
     prior : str, optional
         The rigid body that is fitted as well, alone and with networks.
+    prior_config : str, optional
+        The shipped training configuration of those, where it is another.
     steps : int
         In which a model is simulated from each sample to the next.
     longer : bool
@@ -87,6 +89,7 @@ class Case:
     references: dict[str, list[float]]
     goals: dict[str, Measures]
     prior: str | None = None
+    prior_config: str | None = None
     steps: int = 1
     longer: bool = False
 
@@ -170,7 +173,7 @@ CASES = {
          'RMS error [rad] over 2 s, validation': [.0044, .0064]},
         {NETWORKS: {'RMS error [rad] over 2 s, validation': [.0050, .0072]},
          WITH_PRIOR: {'RMS error [rad] over 2 s, validation': [.0036, .0055]}},
-        prior='double_pendulum'),
+        prior='double_pendulum', prior_config='multiarm_rigid_body'),
     'simulated arm with friction': Case(
         'two_link_arm_chirps', write_arm, followed_times,
         {MEAN: [20.0], LEAST: [20.0]}, {NETWORKS: {}, WITH_PRIOR: {}},
@@ -290,7 +293,9 @@ def models_of(case: Case) -> list[str]:
 def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int, quick: bool
              ) -> Measures:
     """Train a model of a case and measure it."""
-    config = load_machine(find_config(case.config))
+    rigid = model in (WITH_PRIOR, RIGID_BODY)
+    config = load_machine(find_config(
+        case.prior_config if rigid and case.prior_config else case.config))
     if quick:
         config = _quick(config)
     config = config.model_copy(update={'seed': seed})
@@ -299,7 +304,7 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
                              config.hidden, scales_of(motions.train), seed)
         fit(plain, config, motions.train)
         return case.measure(predicted_by(plain), motions.test, data)
-    if model != NETWORKS:
+    if rigid:
         family = config.family.model_copy(update={
             'prior': case.prior, 'residual': model == WITH_PRIOR})
         config = config.model_copy(update={'family': family})

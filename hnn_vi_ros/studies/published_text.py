@@ -121,7 +121,8 @@ time, fitted to the energy of the test itself.
 
 The family `mechanical`, each trained by `train --config NAME` as shipped
 (`two_link_arm_characters`, `dfki_double_pendulum`, `multiarm_double_pendulum`,
-`two_link_arm_chirps`); of several coordinates, one number each. *Networks* know nothing of the
+`two_link_arm_chirps`; those of the free double pendulum with a rigid body in them by
+`multiarm_rigid_body`); of several coordinates, one number each. *Networks* know nothing of the
 machine but what turns; *rigid body and networks* adds `prior: double_pendulum`. *Others* is the
 best that was published with the data, or a rigid body fitted to it. Of the baselines, the rigid
 body is the prior alone with friction, and the plain network is of (q, v, tau), with the same
