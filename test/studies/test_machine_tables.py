@@ -124,7 +124,7 @@ def test_data_that_are_not_there_are_named_and_those_that_are_simulated_are_made
     made = []
     monkeypatch.setattr(machine_tables, 'read_case', lambda case, data: None)
     monkeypatch.setattr(machine_tables, 'run_case', lambda case, *_: made.append(
-        case.config) or dict.fromkeys(case.references, [1.0]))
+        case.config) or {measure: [1.0] for measure in case.references})
     measure_machines(tmp_path, tmp_path / 'machines.json', range(1), False)
     assert set(made) == {'two_link_arm_chirps'}
     printed = capsys.readouterr().out
