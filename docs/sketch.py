@@ -6,10 +6,10 @@ import io
 
 from hnn_vi_ros import Trajectory
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import bounds_of, Box, Line, Part, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Part, Trail
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
 import numpy as np
 from PIL import Image
 
@@ -72,11 +72,13 @@ def _draw(axes: Axes, part: Part, across: int, up: int, k: int) -> None:
     path = path[max(k - _PATH, 0):k + 1] if part.moves else path
     if part.moves:
         axes.plot(path[:, across], path[:, up], color=colour, linewidth=0.7, alpha=0.55, zorder=1)
-    if isinstance(part, Box):
+    if isinstance(part, Ball):
+        axes.add_patch(Circle(tuple(path[-1][[across, up]]), part.radius, color=colour, zorder=3))
+        if part.moves:
+            # No smaller than can be seen where the path is long.
+            axes.plot(*path[-1][[across, up]], 'o', color=colour, markersize=7.0, zorder=3)
+    elif isinstance(part, Box):
         half, center = np.array(part.half_size), path[-1]
         corner = (center - half)[[across, up]]
         axes.add_patch(Rectangle(tuple(corner), *(2.0 * half[[across, up]]), color=colour,
                                  zorder=3))
-        if part.moves:
-            # No smaller than can be seen where the path is long.
-            axes.plot(center[across], center[up], 'o', color=colour, markersize=7.0, zorder=3)

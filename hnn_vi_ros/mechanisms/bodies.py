@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Single bodies that move freely: in the plane z = 0, or up and down."""
 
-from hnn_vi_ros.mechanisms.parts import AMBER, Box, CIRCLE_CORNERS, Line, Part, place, STEEL
+from hnn_vi_ros.mechanisms.parts import (
+    AMBER, Ball, Box, CIRCLE_CORNERS, Line, Part, place, STEEL, Trail)
 import numpy as np
 
 SUN, FIELD, LIMIT = (255, 221, 120), (88, 166, 255), (255, 123, 114)
@@ -23,18 +24,19 @@ def kepler(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
-        The parts ``circle`` of radius ``reach``, ``centre``, ``ray`` from there to the body, and
-        ``body``.
+    dict of str to Part
+        The parts ``circle`` of radius ``reach``, ``centre``, ``ray`` from there to the body,
+        ``body`` and its ``path``.
 
     """
     body = _in_plane(q)
     turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_CORNERS + 1)
     return {
         'circle': Line(reach * place(np.cos(turn), np.sin(turn), 0.0), 0.004 * reach, STEEL),
-        'centre': Box(np.zeros(3), (0.07 * reach,) * 3, SUN),
+        'centre': Ball(np.zeros(3), 0.07 * reach, SUN),
         'ray': Line(np.stack([np.zeros_like(body), body], axis=-2), 0.006 * reach, STEEL),
-        'body': Box(body, (0.045 * reach,) * 3, AMBER),
+        'body': Ball(body, 0.05 * reach, AMBER),
+        'path': Trail(body, 0.008 * reach, AMBER),
     }
 
 
@@ -51,14 +53,16 @@ def henon_heiles(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
-        The parts ``triangle`` and ``star``.
+    dict of str to Part
+        The parts ``triangle``, ``star`` and its ``path``.
 
     """
     corner = 2.0 * np.pi * (0.25 + np.arange(4) / 3.0)
+    star = _in_plane(q)
     return {
         'triangle': Line(place(np.cos(corner), np.sin(corner), 0.0), 0.008, LIMIT),
-        'star': Box(_in_plane(q), (0.04, 0.04, 0.04), AMBER),
+        'star': Ball(star, 0.045, AMBER),
+        'path': Trail(star, 0.006, AMBER),
     }
 
 
@@ -75,9 +79,9 @@ def charged_particle(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
-        The parts ``frame``, around what the drawing leaves room for, ``field<i>`` and
-        ``particle``.
+    dict of str to Part
+        The parts ``frame``, around what the drawing leaves room for, ``field<i>``,
+        ``particle`` and its ``path``.
 
     """
     corner = np.array([-1.0, 1.0, 1.0, -1.0, -1.0])
@@ -87,7 +91,9 @@ def charged_particle(q: np.ndarray, reach: float) -> dict[str, Part]:
     tall = 0.1 * reach
     for i, (x, y) in enumerate((x, y) for x in grid for y in grid):
         parts[f'field{i}'] = Line(place(x, y, np.array([-tall, tall])), 0.006 * reach, FIELD)
-    parts['particle'] = Box(_in_plane(q), (0.05 * reach,) * 3, AMBER)
+    particle = _in_plane(q)
+    parts['particle'] = Ball(particle, 0.06 * reach, AMBER)
+    parts['path'] = Trail(particle, 0.01 * reach, AMBER)
     return parts
 
 
@@ -104,7 +110,7 @@ def bouncing_mass(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
+    dict of str to Part
         The parts ``floor``, ``rail``, on which the height can be read, ``tick<i>`` and ``mass``.
 
     """

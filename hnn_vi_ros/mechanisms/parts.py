@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What mechanisms are made of: lines and boxes in metres, which know no viewer."""
+"""Parts of mechanisms: lines, boxes, balls and trails in metres, which know no viewer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -65,6 +65,32 @@ class Box:
 
 
 @dataclass(frozen=True)
+class Ball:
+    """
+    A solid ball.
+
+    Parameters
+    ----------
+    center : np.ndarray, shape (..., 3)
+        Centre [m].
+    radius : float
+        Its radius [m].
+    color : tuple of int
+        Red, green, blue, 0 to 255.
+
+    """
+
+    center: np.ndarray
+    radius: float
+    color: Color
+
+    @property
+    def moves(self) -> bool:
+        """Whether the part has a place for each q, rather than one for all."""
+        return self.center.ndim > 1
+
+
+@dataclass(frozen=True)
 class Trail:
     """
     A point that leaves a line behind it, as long as a viewer remembers where it was.
@@ -90,7 +116,7 @@ class Trail:
         return self.point.ndim > 1
 
 
-Part = Line | Box | Trail
+Part = Line | Box | Ball | Trail
 Mechanism = Callable[[np.ndarray, float], dict[str, Part]]
 
 
@@ -108,7 +134,7 @@ def bounds_of(parts: dict[str, Part]) -> np.ndarray:
         elif isinstance(part, Trail):
             corners.append(part.point.reshape(-1, 3))
         else:
-            half_size = np.array(part.half_size)
+            half_size = np.array(part.half_size if isinstance(part, Box) else 3 * (part.radius,))
             corners += [part.center.reshape(-1, 3) - half_size,
                         part.center.reshape(-1, 3) + half_size]
     points = np.vstack(corners)

@@ -3,7 +3,7 @@
 """Bobs on rods, which swing in the plane y = 0 or in space."""
 
 from hnn_vi_ros.mechanisms.parts import (
-    AMBER, Box, CIRCLE_CORNERS, Line, Part, place, SILVER, STEEL)
+    AMBER, Ball, Box, CIRCLE_CORNERS, Line, Part, place, SILVER, STEEL, Trail)
 import numpy as np
 
 
@@ -20,8 +20,8 @@ def pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
-        The parts ``circle``, on which the bob moves, ``pivot``, ``rod`` and ``bob``.
+    dict of str to Part
+        The parts ``circle``, on which the bob moves, ``pivot``, ``rod``, ``bob`` and its ``path``.
 
     """
     return _swinging(np.asarray(q, dtype=np.float64)[..., :1], ('rod',), ('bob',))
@@ -40,9 +40,9 @@ def double_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
+    dict of str to Part
         The parts ``circle``, which the lower bob cannot leave, ``pivot``, ``rod1``, ``bob1``,
-        ``rod2`` and ``bob2``.
+        ``rod2``, ``bob2`` and its ``path``.
 
     """
     return _swinging(np.asarray(q, dtype=np.float64)[..., :2], ('rod1', 'rod2'), ('bob1', 'bob2'))
@@ -61,8 +61,9 @@ def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
-        The parts ``pivot``, ``rod``, as long as the bob is away from the origin, and ``bob``.
+    dict of str to Part
+        The parts ``pivot``, ``rod``, as long as the bob is away from the origin, ``bob`` and its
+        ``path``.
 
     """
     q = np.asarray(q, dtype=np.float64)
@@ -70,7 +71,8 @@ def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     return {
         'pivot': Box(np.zeros(3), (0.06 * reach,) * 3, STEEL),
         'rod': Line(np.stack([np.zeros_like(bob), bob], axis=-2), 0.02 * reach, SILVER),
-        'bob': Box(bob, (0.1 * reach,) * 3, AMBER),
+        'bob': Ball(bob, 0.1 * reach, AMBER),
+        'path': Trail(bob, 0.008 * reach, AMBER),
     }
 
 
@@ -86,5 +88,6 @@ def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
         'pivot': Box(np.zeros(3), (0.06, 0.06, 0.06), STEEL)}
     for i, (rod, bob) in enumerate(zip(rods, bobs, strict=True)):
         parts[rod] = Line(joints[..., i:i + 2, :], 0.02, SILVER)
-        parts[bob] = Box(joints[..., i + 1, :], (0.1, 0.1, 0.1), AMBER)
+        parts[bob] = Ball(joints[..., i + 1, :], 0.12, AMBER)
+    parts['path'] = Trail(joints[..., -1, :], 0.008, AMBER)
     return parts

@@ -24,7 +24,7 @@ def mass_spring(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
+    dict of str to Part
         The parts ``wall``, ``floor``, ``spring`` and ``mass``.
 
     """
@@ -57,7 +57,7 @@ def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Box
+    dict of str to Part
         The parts ``wall1``, ``wall2`` and ``floor``, the soft springs ``soft0`` to ``soft<m>``,
         the stiff ones ``stiff1`` to ``stiff<m>``, and ``mass1`` to ``mass<2 m>``.
 

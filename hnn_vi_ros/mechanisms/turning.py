@@ -26,7 +26,7 @@ def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     Returns
     -------
-    dict of str to Line or Trail
+    dict of str to Part
         The parts ``body``, ``x_axis``, ``y_axis`` and ``z_axis``, red, green and blue, and
         ``path``; of one without a place ``vertical`` and ``circle`` as well.
 

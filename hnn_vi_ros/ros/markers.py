@@ -5,7 +5,7 @@
 import time
 
 from geometry_msgs.msg import Point
-from hnn_vi_ros.mechanisms.parts import Box, Line, Mechanism, Part, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from rclpy.publisher import Publisher
@@ -22,8 +22,8 @@ class MarkerPublisher:
     """
     Publish the parts of a mechanism while somebody subscribes; otherwise build nothing.
 
-    Each part is one marker whose namespace is its name: a line strip or a cube. A trail is
-    the line of the places at which it was published.
+    Each part is one marker whose namespace is its name: a line strip, a cube or a sphere. A trail
+    is the line of the places at which it was published.
 
     Parameters
     ----------
@@ -85,15 +85,16 @@ def _marker(name: str, frame_id: str, part: Part) -> Marker:
         marker.type = Marker.LINE_STRIP
         marker.scale.x = 2.0 * part.radius
     else:
-        marker.type = Marker.CUBE
+        marker.type = Marker.SPHERE if isinstance(part, Ball) else Marker.CUBE
+        half_sizes = 3 * (part.radius,) if isinstance(part, Ball) else part.half_size
         scale = marker.scale
-        scale.x, scale.y, scale.z = (2.0 * float(half) for half in part.half_size)
+        scale.x, scale.y, scale.z = (2.0 * float(half) for half in half_sizes)
     _place(marker, part)
     return marker
 
 
 def _place(marker: Marker, part: Part) -> None:
-    if isinstance(part, Box):
+    if isinstance(part, (Ball, Box)):
         _set(marker.pose.position, part.center.reshape(3))
         return
     if isinstance(part, Trail):

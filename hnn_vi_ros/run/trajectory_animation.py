@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism, Part, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.run.trajectory_data import TrajectoryData
 from hnn_vi_ros.run.trajectory_portrait import draw_portrait, portrayed
 from hnn_vi_ros.run.trajectory_style import COLOURS, new_figure
@@ -116,7 +116,14 @@ def _draw(axes: 'Axes', part: Part, across: int, up: int) -> _Show:
         def move_trail(k: int) -> None:
             trail.set_data(path[:k + 1, across], path[:k + 1, up])
         return move_trail
-    from matplotlib.patches import Rectangle
+    from matplotlib.patches import Circle, Rectangle
+    if isinstance(part, Ball):
+        ball = Circle((0.0, 0.0), part.radius, color=colour, zorder=3)
+        axes.add_patch(ball)
+
+        def move_ball(k: int) -> None:
+            ball.center = (part.center[k] if part.moves else part.center)[[across, up]]
+        return move_ball
     half = np.array(part.half_size)[[across, up]]
     box = Rectangle((0.0, 0.0), *2.0 * half, color=colour, zorder=3)
     axes.add_patch(box)

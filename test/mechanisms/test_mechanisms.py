@@ -7,7 +7,7 @@ from itertools import pairwise
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
-from hnn_vi_ros.mechanisms.parts import bounds_of, Box, Line, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Trail
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -33,7 +33,7 @@ def test_mechanism_draws_many_states_as_it_draws_each(name: str):
         alone = MECHANISMS[name](q, REACH)
         assert alone.keys() == together.keys()
         for key, part in together.items():
-            field = {Box: 'center', Line: 'points', Trail: 'point'}[type(part)]
+            field = {Ball: 'center', Box: 'center', Line: 'points', Trail: 'point'}[type(part)]
             many, one = getattr(part, field), getattr(alone[key], field)
             np.testing.assert_array_equal(many[i] if part.moves else many, one)
 
@@ -114,7 +114,8 @@ def test_pendulum_leaves_room_for_every_angle(name: str):
     low, high = bounds_of(MECHANISMS[name](STATES[name][:2], REACH))
     moving = MECHANISMS[name](STATES[name], REACH)
     for part in (part for part in moving.values() if part.moves):
-        places = part.center if isinstance(part, Box) else part.points
+        places = part.points if isinstance(part, Line) else (
+            part.point if isinstance(part, Trail) else part.center)
         assert (places >= low - 1e-15).all() and (places <= high + 1e-15).all()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import time
 
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import Box, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, Box, Trail
 from hnn_vi_ros.ros.markers import MarkerPublisher, MARKERS_TOPIC
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
@@ -89,6 +89,11 @@ def check_geometry(marker: Marker, part) -> None:
         place, scale = marker.pose.position, marker.scale
         assert [place.x, place.y, place.z] == part.center.tolist()
         assert [scale.x, scale.y, scale.z] == [2.0 * half for half in part.half_size]
+    elif isinstance(part, Ball):
+        assert marker.type == Marker.SPHERE
+        place, scale = marker.pose.position, marker.scale
+        assert [place.x, place.y, place.z] == part.center.tolist()
+        assert [scale.x, scale.y, scale.z] == 3 * [2.0 * part.radius]
     else:
         assert marker.type == Marker.LINE_STRIP
         assert marker.scale.x == 2.0 * part.radius
