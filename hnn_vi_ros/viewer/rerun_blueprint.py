@@ -1,15 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a rerun recording lays its views out."""
+"""Layout of the views of a rerun recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_layout import (
     BACKGROUND, BANDS, part_path, phase_path, TIMING)
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 TRAIL_SAMPLES = 300
@@ -21,6 +23,29 @@ VIEW_ANGLE = np.radians(55.0)
 # What is plotted together.
 ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
 INVARIANTS = '/invariants'
+# Of the time axis, what is left free at its end for a legend, and for the last label alone.
+_LEGEND_ROOM, _END_ROOM = 0.25, 0.04
+# Of a run whose end is known, the least that a trail shows.
+_TRAIL_SHARE = 0.2
+# Gaps between ticks of the height of a plot.
+_MOST_GAPS = 5.0
+
+
+class Extent(NamedTuple):
+    """
+    Times and values that series cover.
+
+    Parameters
+    ----------
+    times : tuple of int
+        First and last [ns].
+    values : mapping of str to (float, float)
+        Least and greatest of the finite ones, by entity.
+
+    """
+
+    times: tuple[int, int]
+    values: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -74,7 +99,8 @@ class Arrangement:
 
 def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Sequence[str]],
                    arrangement: Arrangement, interval: int, pace: float | None = None,
-                   trails: Sequence[str] = ()) -> rrb.Blueprint:
+                   trails: Sequence[str] = (), extent: Extent | None = None
+                   ) -> rrb.Blueprint:
     """
     Lay the views out for a window of about 1400 x 900 points.
 
@@ -87,35 +113,39 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     arrangement : Arrangement
         Of as many portraits.
     interval : int
-        Simulated time between two samples [ns]; the trail is TRAIL_SAMPLES of them long.
+        Simulated time between two samples [ns]; the trail is TRAIL_SAMPLES of them long, and of a
+        run whose extent is known at least a fifth of it.
     pace : float, optional
         The real-time factor that is asked for.
     trails : sequence of str, optional
         Parts of the mechanism that leave a trail of that length as well.
+    extent : Extent, optional
+        What the series hold, where that is known: else the viewer fits its axes to the data, and
+        a legend lies on them.
 
     """
-    views = [_phase_view(coordinate, interval, arrangement.side) for coordinate in coordinates]
+    trail = 1e-9 * TRAIL_SAMPLES * interval
+    if extent is not None:
+        trail = max(trail, 1e-9 * _TRAIL_SHARE * (extent.times[1] - extent.times[0]))
+    views = [_phase_view(coordinate, trail, arrangement.side) for coordinate in coordinates]
     left: rrb.Container = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
         *views, grid_columns=arrangement.columns)
     share = arrangement.world_share
     if arrangement.bounds is not None:
         world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR),
-                            {part_path(name): _recent(interval) for name in trails},
+                            {part_path(name): _recent(trail) for name in trails},
                             arrangement.hidden)
         left = rrb.Vertical(world, left, row_shares=[share, 1.0 - share])
     energies = [path for path in labels if path in ENERGIES]
-    errors = [_series_view('Energy error', ['/energy/error'], labels)]
-    if INVARIANTS in labels:
-        errors.append(_series_view('Invariants', [INVARIANTS], labels))
+    invariants = [('Invariants', [INVARIANTS])] if INVARIANTS in labels else []
     q_paths, p_paths = ([path, band] if band in labels else [path]
                         for path, band in zip(('/state/q', '/state/p'), BANDS, strict=True))
-    right = rrb.Vertical(
-        rrb.Horizontal(_series_view('Coordinate', q_paths, labels),
-                       _series_view('Momentum', p_paths, labels)),
-        _series_view('Energy', energies, labels),
-        rrb.Horizontal(*errors, _timing_views(pace),
-                       column_shares=[0.68 / len(errors)] * len(errors) + [0.32]),
-        _events_view(), row_shares=[0.24, 0.24, 0.345, 0.175])
+    plots = [('Coordinates', q_paths), ('Momenta', p_paths), ('Energy', energies),
+             ('Energy error', ['/energy/error']), *invariants]
+    motion = rrb.Vertical(
+        *(_series_view(title, paths, labels, extent) for title, paths in plots), _events_view(),
+        row_shares=[1.0] * len(plots) + [0.6], name='Motion')
+    right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
         if views or arrangement.bounds is not None else right,
@@ -124,25 +154,67 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         auto_views=False)
 
 
-def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]]
+def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]],
+                 extent: Extent | None, least: tuple[float, float] | None = None
                  ) -> rrb.TimeSeriesView:
     """Plot some series; a single one is named in the title, where no legend hides data."""
+    axis_y = None if least is None else rrb.ScalarAxis(range=least)
     names = [name for path in paths for name in labels[path]]
     if len(names) == 1:
         title = f'{title} {names[0]}'
-    legend = rrb.PlotLegend(corner='LeftTop', visible=len(names) > 1)
-    return rrb.TimeSeriesView(name=title, origin='/', contents=paths, plot_legend=legend)
+    many = len(names) > 1
+    axis_x = None
+    if extent is not None:
+        # A legend has the place after the last sample.
+        begin, end = extent.times
+        room = _LEGEND_ROOM if many else _END_ROOM
+        last = end + round(room * max(end - begin, 1))
+        axis_x = rrb.TimeAxis(view_range=rr.TimeRange(
+            start=rrb.TimeRangeBoundary.absolute(seconds=begin * 1e-9),
+            end=rrb.TimeRangeBoundary.absolute(seconds=last * 1e-9)))
+        ranges = [extent.values[path] for path in paths if path in extent.values]
+        if ranges and least is None:
+            axis_y = rrb.ScalarAxis(range=with_ticks(
+                min(low for low, _ in ranges), max(high for _, high in ranges)))
+    return rrb.TimeSeriesView(
+        name=title, origin='/', contents=paths, axis_x=axis_x, axis_y=axis_y,
+        plot_legend=rrb.PlotLegend(corner='RightTop', visible=many))
 
 
-def _timing_views(pace: float | None) -> rrb.Vertical:
+def with_ticks(low: float, high: float) -> tuple[float, float]:
+    """
+    Return a range that holds the values, a margin, and two ticks with their labels.
+
+    The viewer labels the multiples of a power of ten that are at least some 25 points apart: in a
+    plot of 130 points, those of the least power of ten of which the range holds at most
+    _MOST_GAPS.
+    """
+    if high - low <= 1e-9 * max(abs(low), abs(high)):
+        # A constant: beside zero, or beside one of its digits.
+        low, high = min(low, 0.0), max(high, 0.0)
+    if high == low:
+        return -1.0, 1.0
+    width = 1.12 * (high - low)
+    middle = 0.5 * (low + high)
+    low, high = middle - 0.5 * width, middle + 0.5 * width
+    gap = 10.0 ** np.ceil(np.log10(width / _MOST_GAPS) - 1e-9)
+    first, last = np.ceil(low / gap), np.floor(high / gap)
+    # The range is grown to the nearest ticks until there are two, each with room for its label.
+    while last - first < 1.0:
+        if low - (first - 1.0) * gap < (last + 1.0) * gap - high:
+            first -= 1.0
+        else:
+            last += 1.0
+    low, high = min(low, (first - 0.12) * gap), max(high, (last + 0.12) * gap)
+    return float(low), float(high)
+
+
+def _timing_views(pace: float | None, extent: Extent | None) -> rrb.Vertical:
     # From zero on: else the plot would be filled by a jitter of a percent.
-    axis = None if pace is None else rrb.ScalarAxis(range=(0.0, 1.25 * pace))
-    titles = ('Step time p50, p99 [us]', 'Real-time factor')
-    return rrb.Vertical(*(
-        rrb.TimeSeriesView(name=title, origin='/', contents=[path], axis_y=axis_y,
-                           plot_legend=rrb.PlotLegend(visible=False))
-        for title, path, axis_y in zip(titles, TIMING, (None, axis), strict=True)),
-        row_shares=[0.62, 0.38])
+    least = None if pace is None else (0.0, 1.25 * pace)
+    step_time, factor = TIMING
+    return rrb.Vertical(_series_view('Step time', [step_time], TIMING, extent),
+                        _series_view('Pace', [factor], TIMING, extent, least), name='Timing')
 
 
 def _events_view() -> rrb.TextLogView:
@@ -151,9 +223,8 @@ def _events_view() -> rrb.TextLogView:
     return rrb.TextLogView(name='Events', origin='/events', columns=columns)
 
 
-def _recent(interval: int) -> rrb.VisibleTimeRanges:
+def _recent(seconds: float) -> rrb.VisibleTimeRanges:
     """Return the times that a trail goes back to."""
-    seconds = TRAIL_SAMPLES * interval * 1e-9
     recent = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
     now, step_now = (rrb.TimeRangeBoundary.cursor_relative(),
                      rrb.TimeRangeBoundary.cursor_relative(seq=0))
@@ -164,12 +235,12 @@ def _recent(interval: int) -> rrb.VisibleTimeRanges:
     ])
 
 
-def _phase_view(coordinate: Coordinate, interval: int, side: float) -> rrb.Spatial2DView:
+def _phase_view(coordinate: Coordinate, trail: float, side: float) -> rrb.Spatial2DView:
     path = phase_path(coordinate)
     left, right, top, bottom = (1.0 + 2.0 * margin / side for margin in MARGINS)
     return rrb.Spatial2DView(
         name=f'Phase portrait of {coordinate.name}', origin='/phase', contents=f'{path}/**',
-        background=BACKGROUND, overrides={f'{path}/trail': _recent(interval)},
+        background=BACKGROUND, overrides={f'{path}/trail': _recent(trail)},
         visual_bounds=rrb.VisualBounds2D(x_range=[-left, right], y_range=[-top, bottom]))
 
 

@@ -1,11 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a rerun recording holds before its first sample: names, colours, frames, still parts."""
+"""Static parts of a rerun recording: names, colours, frames, and what stands still."""
 
 from collections.abc import Mapping, Sequence
+import re
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms.parts import Line, Part, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, Line, Part, Trail
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name
 from hnn_vi_ros.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
@@ -15,11 +16,17 @@ PALETTE = ((88, 166, 255), (242, 165, 65), (86, 211, 100), (219, 109, 190), (121
            (255, 123, 114), (210, 168, 255), (225, 210, 90))
 BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245, 247, 250)
 # What samples cost, with the unit, by entity.
-TIMING = {'/timing/microseconds_per_step': ['step time, median [us]', 'step time, p99 [us]'],
+TIMING = {'/timing/microseconds_per_step': ['p50 [µs]', 'p99 [µs]'],
           '/timing/real_time_factor': ['real-time factor']}
 # The bands around coordinates and momenta.
 BANDS = '/state/q_band', '/state/p_band'
+_SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
+
+
+def raised(unit: str) -> str:
+    """Return a unit with its exponents as superscripts: kg m²/s of kg m2/s."""
+    return re.sub('(?<=[A-Za-z])-?[0-9]+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
 
 
 def phase_path(coordinate: Coordinate) -> str:
@@ -61,8 +68,9 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
     (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
     bands = {BANDS[0]: q_names, BANDS[1]: [momentum_name(name) for name in p_names]}
     return {
-        '/state/q': [f'{name} [{unit}]' for name, unit in zip(q_names, q_units, strict=True)],
-        '/state/p': [f'{momentum_name(name)} [{unit}]'
+        '/state/q': [f'{name} [{raised(unit)}]'
+                     for name, unit in zip(q_names, q_units, strict=True)],
+        '/state/p': [f'{momentum_name(name)} [{raised(unit)}]'
                      for name, unit in zip(p_names, p_units, strict=True)],
         **({path: [f'{name} {end}' for end in ('lowest', 'highest') for name in names]
             for path, names in bands.items()} if band else {}),
@@ -138,9 +146,10 @@ def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Point
     dq, dp = (right - left) / side, (high - low) / side
     texts = {(q, low - 2.0 * dp): f'{q:g}' for q in ticks(frame.q)}
     texts |= {(left - 24.0 * dq, p + 15.0 * dp): f'{p:g}' for p in ticks(frame.p)}
-    texts[0.5 * (left + right), low - 32.0 * dp] = f'{coordinate.name} [{coordinate.q_unit}]'
+    texts[0.5 * (left + right), low - 32.0 * dp] = (
+        f'{coordinate.name} [{raised(coordinate.q_unit)}]')
     texts[left + 15.0 * dq, high + 42.0 * dp] = (
-        f'{momentum_name(coordinate.name)} [{coordinate.p_unit}]')
+        f'{momentum_name(coordinate.name)} [{raised(coordinate.p_unit)}]')
     return rr.Points2D(list(texts), labels=list(texts.values()), show_labels=True, colors=[INK],
                        radii=rr.Radius.ui_points(0.01))
 
@@ -156,6 +165,10 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
                 colors=[part.color])
         elif isinstance(part, Trail):
             still = rr.LineStrips3D.from_fields(radii=[part.radius], colors=[part.color])
+        elif isinstance(part, Ball):
+            still = rr.Ellipsoids3D.from_fields(
+                centers=None if part.moves else [part.center], half_sizes=[3 * [part.radius]],
+                colors=[part.color], fill_mode=rr.components.FillMode.Solid)
         else:
             still = rr.Boxes3D.from_fields(
                 centers=None if part.moves else [part.center], half_sizes=[part.half_size],

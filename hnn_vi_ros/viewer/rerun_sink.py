@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show samples in the rerun viewer: to a file, to a running viewer, or as a server."""
 
+from functools import partial
 import time
 from typing import final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
-from hnn_vi_ros.mechanisms.parts import bounds_of, Line, Mechanism, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Trail
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_layout as layout
 from hnn_vi_ros.viewer.phase_portrait import ends_of, frames_of, reach_of
-from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, make_blueprint
+from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
 from hnn_vi_ros.viewer.rerun_robot import bounds_of_robot, collisions_of, RobotPicture
 from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
 import numpy as np
@@ -100,6 +101,9 @@ class RerunSink:
         self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
         self._events: list[tuple[int, int, str, str]] = []
+        # What was sent: first and last stamp [ns], least and greatest values by entity.
+        self._times_shown: tuple[int, int] | None = None
+        self._values_shown: dict[str, tuple[float, float]] = {}
         self._closed = False
         self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
@@ -162,6 +166,10 @@ class RerunSink:
         self._closed = True
         try:
             self._send()
+            if not self._stream.live and self._times_shown is not None:
+                # Whoever opens the file finds axes that are fitted to all that is in it.
+                self._stream.send_blueprint(self._blueprint(
+                    Extent(self._times_shown, self._values_shown)))
         finally:
             self._stream.close()
 
@@ -188,9 +196,10 @@ class RerunSink:
             bounds = own if bounds is None else np.array([
                 np.minimum(own[0], bounds[0]), np.maximum(own[1], bounds[1])])
         arrangement = Arrangement(len(shown), bounds, hidden)
-        self._stream.send_blueprint(
-            make_blueprint(shown, self._labels, arrangement, self._interval, pace, [
-                name for name, part in parts.items() if isinstance(part, Trail)]))
+        self._blueprint = partial(
+            make_blueprint, shown, self._labels, arrangement, self._interval, pace,
+            [name for name, part in parts.items() if isinstance(part, Trail)])
+        self._stream.send_blueprint(self._blueprint())
         recording = self._stream.recording
         layout.log_series_styles(recording, self._labels | layout.TIMING)
         for frame in frames:
@@ -236,8 +245,12 @@ class RerunSink:
             for path, values, half in zip(
                     layout.BANDS, (q, p), np.split(spread, [q.shape[1]], axis=1), strict=True):
                 series[path] = np.hstack([values - half, values + half])
+        first = samples[0].stamp if self._times_shown is None else self._times_shown[0]
+        self._times_shown = first, samples[-1].stamp
         for path in self._labels:
-            self._columns(path, times, _scalars(np.asarray(series[path])))
+            values = np.asarray(series[path])
+            self._note(path, values)
+            self._columns(path, times, _scalars(values))
         self._send_portraits(times, samples, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, q)
@@ -258,7 +271,16 @@ class RerunSink:
             stamps, steps, *series = zip(*timings, strict=True)
             times = self._times(list(stamps), list(steps))
             for path, values in zip(layout.TIMING, series, strict=True):
+                self._note(path, np.array(values))
                 self._columns(path, times, _scalars(np.array(values)))
+
+    def _note(self, path: str, values: np.ndarray) -> None:
+        """Widen what is known of the values of a series."""
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            low, high = self._values_shown.get(path, (np.inf, -np.inf))
+            self._values_shown[path] = (min(low, float(finite.min())),
+                                        max(high, float(finite.max())))
 
     def _send_portraits(self, times: list[rr.TimeColumn], samples: list[Sample], q: np.ndarray,
                         p: np.ndarray) -> None:
@@ -283,9 +305,7 @@ class RerunSink:
                 self._columns(layout.part_path(name), times, rr.LineStrips3D.columns(
                     strips=np.stack([points[:-1], points[1:]], axis=1)))
             elif part.moves:
-                columns = rr.LineStrips3D.columns(strips=part.points) \
-                    if isinstance(part, Line) else rr.Boxes3D.columns(centers=part.center)
-                self._columns(layout.part_path(name), times, columns)
+                self._columns(layout.part_path(name), times, _moved(part))
 
     def _times(self, stamps: list[int], steps: list[int]) -> list[rr.TimeColumn]:
         stamp = np.array(stamps, dtype=np.int64)
@@ -297,6 +317,13 @@ class RerunSink:
     def _columns(self, path: str, times: list[rr.TimeColumn], columns: rr.ComponentColumnList
                  ) -> None:
         self._stream.recording.send_columns(path, times, columns, strict=True)
+
+
+def _moved(part: Line | Box | Ball) -> rr.ComponentColumnList:
+    if isinstance(part, Line):
+        return rr.LineStrips3D.columns(strips=part.points)
+    kind = rr.Ellipsoids3D if isinstance(part, Ball) else rr.Boxes3D
+    return kind.columns(centers=part.center)
 
 
 def _scalars(values: np.ndarray) -> rr.ComponentColumnList:

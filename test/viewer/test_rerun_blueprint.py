@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The views fit into the window, whatever there is to show."""
 
-from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, BAR, COLUMN, eye_of, MARGINS, VIEW_ANGLE
+from hnn_vi_ros.viewer.rerun_blueprint import (
+    Arrangement, BAR, COLUMN, eye_of, MARGINS, VIEW_ANGLE, with_ticks)
+from hnn_vi_ros.viewer.rerun_layout import raised
 import numpy as np
 import pytest
 
@@ -44,3 +46,22 @@ def test_eye_sees_every_corner_and_is_not_too_far_away(bounds: np.ndarray, aspec
     assert depth.min() > 0.0
     # The eye is 5 % further away than where a corner touches the edge.
     assert 0.8 < max(vertical.max(), horizontal.max()) < 1.0
+
+
+@pytest.mark.parametrize('low, high', [
+    (-1.0, 1.0), (-5.5, 6.3), (12.41, 12.59), (11.0, 17.0), (7.5, 13.0), (-8e-16, 3e-16),
+    (0.3, 0.3), (0.0, 0.0), (-40.0, -40.0), (2.0, 1e7)])
+def test_axis_has_two_ticks_with_labels_and_holds_the_values(low: float, high: float):
+    begin, end = with_ticks(low, high)
+    assert begin < low <= high < end
+    # The viewer labels multiples of a power of ten that are 25 points apart, of 130 or more.
+    gap = 10.0 ** np.ceil(np.log10(25.0 / 130.0 * (end - begin)))
+    assert np.floor(end / gap) - np.ceil(begin / gap) >= 1.0
+    # The curves still fill at least a quarter of the height.
+    assert high - low == 0.0 or end - begin < 4.0 * (high - low)
+
+
+@pytest.mark.parametrize('unit, expected', [
+    ('kg m2/s', 'kg m²/s'), ('m', 'm'), ('1', '1'), ('kg m2/s2', 'kg m²/s²'), ('s-1', 's⁻¹')])
+def test_exponents_of_units_are_superscripts(unit: str, expected: str):
+    assert raised(unit) == expected
