@@ -1,0 +1,42 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Pictures of recordings in the rerun viewer: `docs/recordings.py` makes them anew.
+
+On a screen, or without one, where the pointer then stands beside the window:
+`xvfb-run -a -s '-screen 0 6000x4000x24' python docs/recordings.py`, some 30 s for each. No other
+viewer may run: it would show the recordings.
+"""
+
+from pathlib import Path
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+
+from hnn_vi_ros import simulate
+from PIL import Image
+
+FOLDER = Path(__file__).resolve().parent / 'recordings'
+# Scene, and simulated time [s].
+SCENES = {'harmonic_oscillator': 20.0, 'double_pendulum': 10.0, 'kepler': 20.0,
+          'henon_heiles': 100.0, 'fput_chain': 100.0, 'spherical_pendulum': 10.0,
+          'heavy_top': 10.0, 'six_joint_arm': 3.0}
+_WINDOW, _WIDTH, _COLOURS = '1400x900', 1400, 128
+
+
+def write_screenshot(name: str, duration: float, path: Path) -> None:
+    """Simulate a scene, and keep what the viewer shows of its recording."""
+    with TemporaryDirectory() as folder:
+        recording, shot = Path(folder) / f'{name}.rrd', Path(folder) / 'shot.png'
+        simulate(name, duration).to_rerun(recording)
+        subprocess.run([sys.executable, '-m', 'rerun_cli', recording, '--window-size', _WINDOW,
+                        '--screenshot-to', shot], check=True, timeout=120.0)
+        picture = Image.open(shot).convert('RGB')
+        picture.thumbnail((_WIDTH, _WIDTH), Image.Resampling.LANCZOS)
+        picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+if __name__ == '__main__':
+    FOLDER.mkdir(exist_ok=True)
+    for scene in sys.argv[1:] or SCENES:
+        write_screenshot(scene, SCENES[scene], FOLDER / f'{scene}.png')
