@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What ``hnn`` can do: every executable, and some commands besides."""
+"""Commands of ``hnn``: every executable, and some more."""
 
 from collections.abc import Sequence
 from importlib import import_module

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every effect offers and declares, in each of the ways in which one can act on a system."""
+"""Base of effects, in each of the ways in which one can act on a system."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What guards look at, and what they say."""
+"""Base of guards: the state that they look at, and their alarms."""
 
 from abc import ABC, abstractmethod
 import math

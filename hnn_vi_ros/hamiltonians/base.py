@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every Hamiltonian offers: H and its gradient, for one state, many, or a kernel."""
+"""Base of Hamiltonians: H and its gradient, for one state, many, or a kernel."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

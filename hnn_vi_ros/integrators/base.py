@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every integrator offers, and what a step works on."""
+"""Base of integrators, and the work space of a step."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable

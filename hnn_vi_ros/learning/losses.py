@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What training makes small: the difference of what a model says from what the data say."""
+"""Losses of training: the difference between a model and the data."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the data of a training run comes from, by its kind."""
+"""Sources of training data, by their kind."""
 
 from collections.abc import Sequence
 import os

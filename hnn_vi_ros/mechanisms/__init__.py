@@ -3,8 +3,9 @@
 """
 Bodies to draw: a scene's coordinates as lines, boxes and balls in metres.
 
-A mechanism is a function ``(q, reach) -> {part name: Line | Box | Ball | Trail}``. It knows no viewer
-and no message type, so that one description serves every display. Axes follow REP 103: z points up.
+A mechanism is a function ``(q, reach) -> {part name: Line | Box | Ball | Trail}``. It knows no
+viewer and no message type, so that one description serves every display. Axes follow REP 103:
+z points up.
 A part that moves carries the leading axes of q; a part that stands still has none.
 """
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulation hands to publishers and sinks at each tick."""
+"""Sample that a simulation hands to publishers and sinks at each tick."""
 
 from dataclasses import dataclass
 
