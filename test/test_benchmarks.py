@@ -3,12 +3,14 @@
 """The machinery of `make bench`, on rows that are made up: needs none of the peers."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 import json
 from pathlib import Path
 import time
 
 from benchmarks.bench import run, write
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
+from benchmarks.report import Group, measured_here, read_groups
 import numpy as np
 import pytest
 
@@ -30,8 +32,8 @@ def measure(settings: Settings) -> Iterator[Row]:
 
 def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys):
     rows = run({'fake': (measure, 1.0)}, repetitions=5, quick=False)
-    write(rows, tmp_path / 'out', {'fake': 7})
-    written = json.loads((tmp_path / 'out' / 'benchmarks.json').read_text())
+    write({'fake': measured_here(rows['fake'], 7)}, tmp_path / 'out')
+    written = json.loads((tmp_path / 'out' / 'benchmarks.json').read_text())['fake']['rows']
     assert [(row['name'], row['target']) for row in written] == [
         ('half', 0.9), ('slow', 2.5), ('told', None)]
     # A sleep lasts at least as long as it is asked to, and rarely twice as long.
@@ -40,6 +42,18 @@ def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys):
     assert '| slow | 3 s | 1 s | 3.00 s more | 3.00 to 3.00 | 1 | 2.5 | **no** |' in text
     assert '- **slow**, 3.00 for 2.5: It sleeps.' in text and '**half**' not in text
     assert 'left' in capsys.readouterr().out
+
+
+def test_groups_that_are_measured_again_leave_the_others(tmp_path):
+    first, second = (Row(name, '1', '2', 0.5, (0.4, 0.6), None, 3) for name in ('one', 'two'))
+    write({'many': Group('there', [first]), 'gradient': Group('there', [second])}, tmp_path)
+    third = replace(first, ratio=0.004)
+    write({'many': Group('here', [third])}, tmp_path)
+    known = read_groups(tmp_path / 'benchmarks.json')
+    assert known == {'gradient': Group('there', [second]), 'many': Group('here', [third])}
+    text = (tmp_path / 'benchmarks.md').read_text()
+    assert text.index('| two |') < text.index('| one | 1 | 2 | 0.004 |')
+    assert '- gradient: there\n- many: here\n' in text
 
 
 def test_rows_of_groups_that_were_measured_before_an_interruption_are_found_again(tmp_path):
@@ -56,7 +70,7 @@ def test_rows_of_groups_that_were_measured_before_an_interruption_are_found_agai
     groups = {'once': (once, 1.0), 'broken': (broken, 1.0)}
     with pytest.raises(RuntimeError, match='interrupted'):
         run(groups, 1, quick=False, keep=tmp_path)
-    assert run({'once': (once, 1.0)}, 1, quick=False, keep=tmp_path) == [row]
+    assert run({'once': (once, 1.0)}, 1, quick=False, keep=tmp_path) == {'once': [row]}
     assert again == [1]
     assert [path.name for path in tmp_path.iterdir()] == ['once.json']
 

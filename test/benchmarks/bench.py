@@ -11,7 +11,8 @@ import sys
 import time
 
 from benchmarks.measurement import Row, Settings
-from benchmarks.report import as_json, as_markdown, as_table, read_rows, write_rows
+from benchmarks.report import (
+    as_json, as_markdown, as_table, Group, measured_here, read_groups, read_rows, write_rows)
 from hnn_vi_ros.studies.results import commit
 
 # A group of rows: its module, and about how long it takes [s].
@@ -26,6 +27,7 @@ GROUPS = {
     'guards': ('benchmarks.guards', 60.0),
     'node': ('benchmarks.node_load', 200.0),
     'memory': ('benchmarks.memory', 800.0),
+    'robots': ('benchmarks.robots', 120.0),
     'cold_start': ('benchmarks.cold_start', 150.0),
 }
 # Read when a library is loaded: too late to set here.
@@ -35,7 +37,7 @@ Measure = Callable[[Settings], Iterator[Row]]
 
 
 def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bool,
-        keep: Path | None = None) -> list[Row]:
+        keep: Path | None = None) -> dict[str, list[Row]]:
     """
     Measure groups of rows one after another, and print each row and the time that is left.
 
@@ -54,13 +56,15 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
         Two rows have the same name.
 
     """
-    rows: list[Row] = []
+    rows: dict[str, list[Row]] = {}
+    known: set[str] = set()
     start, expected = time.monotonic(), sum(seconds for _, seconds in groups.values())
     for name, (measure, seconds) in groups.items():
         kept = None if keep is None else keep / f'{name}.json'
         if kept is not None and (found := read_rows(kept)) is not None:
             print(f'{name}: measured before, in {kept}', flush=True)
-            rows += found
+            rows[name] = found
+            known |= {row.name for row in found}
             expected -= seconds
             continue
         elapsed = time.monotonic() - start
@@ -68,27 +72,32 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
         print(f'{name}: {elapsed:.0f} s gone{left}', flush=True)
         settings = Settings(
             repetitions, quick, lambda text: print(f'  {text} ...', flush=True))
-        first = len(rows)
+        rows[name] = []
         for row in measure(settings):
-            if row.name in {other.name for other in rows}:
+            if row.name in known:
                 raise ValueError(f'two rows are named {row.name!r}')
-            rows.append(row)
+            known.add(row.name)
+            rows[name].append(row)
             print(f'  = {row.name}: {row.ratio:.2f} {row.unit}'.rstrip(), flush=True)
         if kept is not None:
-            write_rows(kept, rows[first:])
+            write_rows(kept, rows[name])
         expected -= seconds
     return rows
 
 
-def write(rows: list[Row], folder: Path, seeds: dict[str, int]) -> None:
-    """Write benchmarks.md and benchmarks.json into a folder."""
+def write(groups: Mapping[str, Group], folder: Path) -> None:
+    """Write benchmarks.md and benchmarks.json into a folder; other groups stay as they are."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / 'benchmarks.md').write_text(as_markdown(rows, seeds))
-    (folder / 'benchmarks.json').write_text(as_json(rows))
+    known = read_groups(folder / 'benchmarks.json') | groups
+    order = [*(name for name in GROUPS if name in known),
+             *(name for name in groups if name not in GROUPS)]
+    known = {name: known[name] for name in order}
+    (folder / 'benchmarks.md').write_text(as_markdown(known))
+    (folder / 'benchmarks.json').write_text(as_json(known))
 
 
 def main(argv: list[str]) -> int:
-    """Run the groups that are asked for; only a whole, unhurried run is written."""
+    """Run the groups that are asked for; what was hurried is not written."""
     parser = argparse.ArgumentParser(prog='bench', description=__doc__)
     parser.add_argument('--rows', nargs='+', choices=GROUPS, default=list(GROUPS),
                         metavar='GROUP', help=f'groups to measure: {", ".join(GROUPS)}')
@@ -108,12 +117,12 @@ def main(argv: list[str]) -> int:
     rows = run({name: (module.rows, GROUPS[name][1]) for name, module in modules.items()},
                3 if arguments.quick else 21, arguments.quick,
                None if arguments.quick or ' ' in state else arguments.keep / state)
-    print(as_table(rows))
-    if arguments.quick or list(arguments.rows) != list(GROUPS):
-        print('Not written: only a whole run without --quick is.')
+    print(as_table([row for group in rows.values() for row in group]))
+    if arguments.quick:
+        print('Not written: only what is measured without --quick is.')
         return 0
-    write(rows, arguments.out, {
-        name: module.SEED for name, module in modules.items() if hasattr(module, 'SEED')})
+    write({name: measured_here(group, getattr(modules[name], 'SEED', None))
+           for name, group in rows.items()}, arguments.out)
     print(f'Written: {arguments.out}/benchmarks.md and benchmarks.json')
     return 0
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmark's table: for people in Markdown, for programs in JSON."""
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from datetime import datetime, UTC
 from importlib.metadata import PackageNotFoundError, version
 import json
@@ -14,21 +14,54 @@ from benchmarks.measurement import Row
 from hnn_vi_ros.studies.results import commit, machine
 
 _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 'torch',
-             'torchdiffeq')
+             'torchdiffeq', 'pin', 'mujoco')
 _HEADING = """\
 # Benchmarks
 
 Every row is measured against its peer in turns, in one run, one thread each unless it says
-otherwise; `make bench` writes this file anew. A ratio is the median of the turns' ratios, ours
-over the peer's, with its quartiles; at most its target is good.
+otherwise; `make bench` writes this file anew, `make bench ARGS='--rows robots'` one group of rows.
+A ratio is the median of the turns' ratios, ours over the peer's, with its quartiles; at most its
+target is good.
 """
 
 
-def as_json(rows: Sequence[Row]) -> str:
-    """Return a list of {name, ratio, target}."""
-    return json.dumps(
-        [{'name': row.name, 'ratio': row.ratio, 'target': row.target} for row in rows],
-        indent=2) + '\n'
+@dataclass(frozen=True)
+class Group:
+    """
+    Rows that were measured together.
+
+    Parameters
+    ----------
+    where : str
+        The machine, commit, versions, date and seed.
+    rows : list of Row
+        In the order of the table.
+
+    """
+
+    where: str
+    rows: list[Row]
+
+
+def measured_here(rows: list[Row], seed: int | None = None) -> Group:
+    """Return rows with what they were measured on: this machine, commit, versions, and now."""
+    return Group('; '.join([
+        machine(), f'commit {commit()}', f'Python {platform.python_version()}', _versions(),
+        f'{datetime.now(UTC):%Y-%m-%d %H:%M} UTC', *([] if seed is None else [f'seed {seed}'])]),
+        rows)
+
+
+def as_json(groups: Mapping[str, Group]) -> str:
+    """Return all that is known of the rows, by group."""
+    return json.dumps({name: asdict(group) for name, group in groups.items()}, indent=2) + '\n'
+
+
+def read_groups(path: Path) -> dict[str, Group]:
+    """Return the groups of a file of ``as_json``; none where there is no file."""
+    if not path.is_file():
+        return {}
+    return {name: Group(group['where'], [_row(row) for row in group['rows']])
+            for name, group in json.loads(path.read_text()).items()}
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -41,8 +74,7 @@ def read_rows(path: Path) -> list[Row] | None:
     """Return the rows of a group that were kept, None where there are none."""
     if not path.is_file():
         return None
-    return [Row(**{**row, 'quartiles': tuple(row['quartiles'])})
-            for row in json.loads(path.read_text())]
+    return [_row(row) for row in json.loads(path.read_text())]
 
 
 def as_table(rows: Sequence[Row]) -> str:
@@ -54,31 +86,35 @@ def as_table(rows: Sequence[Row]) -> str:
         target = '' if row.target is None else f'{row.target:g}'
         met = {None: '', True: 'yes', False: '**no**'}[row.met]
         lines.append(
-            f'| {row.name} | {row.ours} | {row.peer} | {row.ratio:.2f} {row.unit}'.rstrip()
-            + f' | {low:.2f} to {high:.2f} | {row.repetitions} | {target} | {met} |')
+            f'| {row.name} | {row.ours} | {row.peer} | {_number(row.ratio)} {row.unit}'.rstrip()
+            + f' | {_number(low)} to {_number(high)} | {row.repetitions} | {target} | {met} |')
     return '\n'.join(lines) + '\n'
 
 
-def as_markdown(rows: Sequence[Row], seeds: dict[str, int]) -> str:
+def as_markdown(groups: Mapping[str, Group]) -> str:
     """Return the whole document."""
+    rows = [row for group in groups.values() for row in group.rows]
     missed = [row for row in rows if row.met is False]
-    misses = [f'- **{row.name}**, {row.ratio:.2f} for {row.target:g}: '
+    misses = [f'- **{row.name}**, {_number(row.ratio)} for {row.target:g}: '
               f'{row.miss or "not explained yet."}' for row in missed]
     notes = [f'- {row.name}: {row.note}.' for row in rows if row.note]
+    # Groups that were measured on the same are told together.
+    wheres: dict[str, list[str]] = {}
+    for name, group in groups.items():
+        wheres.setdefault(group.where, []).append(name)
     parts = [_HEADING, as_table(rows), '## Rows that miss their target\n',
              '\n'.join(misses or ['None.']) + '\n', '## Notes\n', '\n'.join(notes) + '\n',
-             '## Where\n', '\n'.join(_circumstances(seeds)) + '\n']
-    return '\n'.join(parts)
+             '## Where\n', *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
+    return '\n'.join(parts) + '\n'
 
 
-def _circumstances(seeds: dict[str, int]) -> list[str]:
-    return [
-        f'- Machine: {machine()}',
-        f'- Commit: {commit()}',
-        f'- Versions: Python {platform.python_version()}, {_versions()}',
-        f'- Date: {datetime.now(UTC):%Y-%m-%d %H:%M} UTC',
-        f'- Seeds: {", ".join(f"{name} {seed}" for name, seed in seeds.items())}',
-    ]
+def _number(value: float) -> str:
+    """Return a ratio with two decimals, or with two digits where that would be 0.00."""
+    return f'{value:.2f}' if not 0.0 < abs(value) < 0.01 else f'{value:.2g}'
+
+
+def _row(values: dict) -> Row:
+    return Row(**{**values, 'quartiles': tuple(values['quartiles'])})
 
 
 def _versions() -> str:
