@@ -7,13 +7,19 @@ from typing import final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot, SLIDING
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 import numpy as np
 import rerun as rr
 from rerun.urdf import UrdfTree
 
 # The entity whose frame the root of the robot stands in, and those that its joints move by.
 _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
+# Below the world, which the view of the mechanism shows.
+_EFFORTS = '/world/efforts'
+# An arrow at the limit of the effort is this share of the reach long; its colours (red, green,
+# blue) at no effort and at the limit.
+_ARROW, _IDLE, _FULL = 0.3, np.array([255.0, 200.0, 40.0]), np.array([215.0, 25.0, 30.0])
+_GRAVITY = 9.81
 
 
 @final
@@ -54,15 +60,48 @@ class RobotPicture:
              list(coordinates).index(joint.name) if joint.name in coordinates else None,
              robot.locked.get(joint.name, 0.0))
             for joint in tree.joints() if joint.name in {*coordinates, *robot.locked}]
+        own = {joint.name: joint for link in robot.links.values() for joint in link.joints}
+        self._moving = [own[name] for name in coordinates if name in own]
+        self._reach, self._usual = _reach_of(robot), _usual_effort(robot)
 
-    def send(self, times: list[rr.TimeColumn], q: np.ndarray) -> None:
-        """Move the joints to q, shape (n, d), at n times."""
+    def send(self, times: list[rr.TimeColumn], q: np.ndarray, efforts: np.ndarray | None = None
+             ) -> None:
+        """
+        Move the joints to q at n times.
+
+        Parameters
+        ----------
+        times : list of rerun.TimeColumn
+            Of n samples.
+        q : np.ndarray, shape (n, d)
+            Coordinates [rad], [m].
+        efforts : np.ndarray, shape (n, d), optional
+            What motors apply [N m], [N]: an arrow along each joint's axis, by the right-hand
+            rule, as long and as red as it is near to the joint's limit. A joint without a limit
+            has that of the robot's weight at its reach, or its weight.
+
+        """
         for joint, path, column, held in self._joints:
             values = np.full(len(q), held) if column is None else q[:, column]
             # Limits act where the scene says so: the picture shows what is simulated.
             self._recording.send_columns(
                 path, times, joint.compute_transform_columns(values.tolist(), clamp=False),
                 strict=True)
+        if efforts is not None:
+            for joint, effort in zip(self._moving, efforts.T, strict=True):
+                self._send_effort(times, joint, effort)
+
+    def _send_effort(self, times: list[rr.TimeColumn], joint: Joint, effort: np.ndarray) -> None:
+        path = f'{_EFFORTS}/{rr.escape_entity_path_part(joint.name)}'
+        # In the frame of the link that the joint moves, in which its axis stays.
+        self._recording.log(path, rr.CoordinateFrame(joint.child), static=True)
+        usual = self._usual / (self._reach if joint.kind == SLIDING else 1.0)
+        share = np.clip(effort / (joint.limits.effort or usual), -1.0, 1.0)
+        vectors = (_ARROW * self._reach * share)[:, None] * joint.axis
+        colors = _IDLE + np.abs(share)[:, None] * (_FULL - _IDLE)
+        self._recording.send_columns(path, times, rr.Arrows3D.columns(
+            vectors=vectors, colors=colors.astype(np.uint8),
+            radii=np.full(len(share), 0.012 * self._reach)), strict=True)
 
 
 def collisions_of(robot: Robot) -> str:
@@ -77,6 +116,12 @@ def bounds_of_robot(robot: Robot) -> np.ndarray:
     It is the cube within the sphere that the robot stays in whatever its joints do: from the
     distance from which all corners of it are seen, the sphere is.
     """
+    half = _reach_of(robot) / np.sqrt(3.0)
+    return np.array([[-half] * 3, [half] * 3])
+
+
+def _reach_of(robot: Robot) -> float:
+    """Return the radius of a sphere about the root that all of a robot stays in [m]."""
     reach, waiting = 0.0, [(robot.root, 0.0)]
     while waiting:
         name, distance = waiting.pop()
@@ -87,5 +132,10 @@ def bounds_of_robot(robot: Robot) -> np.ndarray:
             slide = max(map(abs, filter(None, joint.bounds)), default=0.0)
             waiting.append((joint.child, distance + float(np.linalg.norm(joint.origin))
                             + slide * (joint.kind == SLIDING)))
-    half = reach / np.sqrt(3.0) if reach > 0.0 else 1.0
-    return np.array([[-half] * 3, [half] * 3])
+    return reach if reach > 0.0 else np.sqrt(3.0)
+
+
+def _usual_effort(robot: Robot) -> float:
+    """Return the moment of the weight of all links at the reach [N m]."""
+    mass = sum(link.inertial.mass for link in robot.links.values() if link.inertial is not None)
+    return _GRAVITY * max(mass, 1e-3) * _reach_of(robot)

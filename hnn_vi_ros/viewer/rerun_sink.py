@@ -35,8 +35,8 @@ class RerunSink:
     """
     A recording of one run: state and energy series, phase portraits, the mechanism, events.
 
-    A robot that a URDF describes is drawn as the SDK reads it. Phase portraits are drawn of the
-    first MOST_PORTRAITS coordinates. Three timelines: ``sim_time`` (simulated time), ``step``
+    A robot that a URDF describes is drawn as the SDK reads it, with an arrow at each joint whose
+    motor works. Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three timelines: ``sim_time`` (simulated time), ``step``
     and ``ros_time``. Samples are thinned out in simulated time and gathered for a moment of wall
     time between sends.
 
@@ -255,7 +255,10 @@ class RerunSink:
         if self._mechanism is not None:
             self._send_mechanism(times, q)
         if self._picture is not None:
-            self._picture.send(times, q)
+            driven = any(s.motors is not None for s in samples)
+            self._picture.send(times, q, np.array([
+                np.zeros(q.shape[1]) if s.motors is None else s.motors for s in samples])
+                if driven else None)
         self._sent = samples[-1]
 
     def _send_events(self) -> None:

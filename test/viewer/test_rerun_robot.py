@@ -20,12 +20,14 @@ from urdf_robots import chain, ROOT, TREE, TREE_ARGUMENTS
 ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
 
 
-def record(path: Path, robot: RigidBodyTree, q: np.ndarray) -> dict[str, dict[str, list]]:
+def record(path: Path, robot: RigidBodyTree, q: np.ndarray, efforts: np.ndarray | None = None
+           ) -> dict[str, dict[str, list]]:
     """Return what has a time in a recording of so many samples."""
     sink = RerunSink('arm', path, robot, q[0], np.zeros(q.shape[1]), interval=0)
     for n, row in enumerate(q):
         rest = np.zeros(len(row))
-        sink.write(Sample(n, n * 1000, row, rest, rest, rest, 1.0, np.nan, 0.0))
+        sink.write(Sample(n, n * 1000, row, rest, rest, rest, 1.0, np.nan, 0.0,
+                          motors=None if efforts is None else efforts[n]))
     sink.close()
     return read(path)
 
@@ -55,6 +57,26 @@ def test_robot_is_drawn_and_its_joints_move_as_simulated(tmp_path: Path):
     check = subprocess.run([sys.executable, '-m', 'rerun_cli', 'rrd', 'verify', str(path)],
                            capture_output=True, text=True, timeout=60)
     assert check.returncode == 0, check.stderr
+
+
+def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: Path):
+    path, robot = tmp_path / 'arm.rrd', RigidBodyTree(str(ARM))
+    limits = np.array([joint.limits.effort for joint in robot.joints])
+    efforts = np.array([[0.0, -0.5], [1.0, 3.0]]) * limits
+    found = record(path, robot, np.zeros((2, 2)), efforts)
+    longest = 0.3 * np.linalg.norm(bounds_of_robot(robot.robot)[1])
+    for column, (joint, shares) in enumerate(zip(
+            robot.joints, ([0.0, 1.0], [-0.5, 1.0]), strict=True)):
+        arrows = found[f'/world/efforts/{joint.name}']
+        # Stored as float32.
+        assert np.array(arrows['Arrows3D:vectors']).reshape(2, 3) == pytest.approx(
+            longest * np.outer(shares, robot.joints[column].axis), abs=1e-6)
+        # Red from yellow: of the same colour only where they are of the same size.
+        colors = np.array(arrows['Arrows3D:colors']).ravel()
+        assert len(set(colors.tolist())) == 2
+    # Without motors there are none.
+    assert not any('efforts' in name for name in
+                   record(tmp_path / 'free.rrd', robot, np.zeros((2, 2))))
 
 
 def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
