@@ -24,17 +24,35 @@ def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
     mechanical = checkpoint.card.mechanical
     if mechanical is None or mechanical.prior is None or mechanical.prior.identification is None:
         return checkpoint
-    errors, added, measured = zip(*(_errors(network, motion) for motion in motions), strict=True)
-    error, forces = np.concatenate(errors), np.concatenate(measured)
-    update = {'force_error': ((error**2).mean(axis=0) / forces.var(axis=0)).tolist()}
-    if network.structure.residual:
-        share = np.sqrt((np.concatenate(added)**2).mean(axis=0) / (forces**2).mean(axis=0))
-        update['residual_share'] = share.tolist()
+    error, share = force_errors(network, motions)
+    update = {'force_error': error} | ({'residual_share': share} if share else {})
     prior = mechanical.prior
     found = prior.identification.model_copy(update=update)
     prior = prior.model_copy(update={'identification': found})
     return replace(checkpoint, card=checkpoint.card.model_copy(update={
         'mechanical': mechanical.model_copy(update={'prior': prior})}))
+
+
+def force_errors(network: MechanicalNetwork, motions: Sequence[Motion]
+                 ) -> tuple[list[float], list[float]]:
+    """
+    Return how far forces are off along motions, and the share that networks have in them.
+
+    Returns
+    -------
+    list of float, d
+        Squared error over the variance, of each joint [1].
+    list of float, d
+        RMS of what networks add over that of the forces [1]; empty where there are none.
+
+    """
+    errors, added, measured = zip(*(_errors(network, motion) for motion in motions), strict=True)
+    error, forces = np.concatenate(errors), np.concatenate(measured)
+    found = ((error**2).mean(axis=0) / forces.var(axis=0)).tolist()
+    if not network.structure.residual:
+        return found, []
+    share = np.sqrt((np.concatenate(added)**2).mean(axis=0) / (forces**2).mean(axis=0))
+    return found, share.tolist()
 
 
 def _errors(network: MechanicalNetwork, motion: Motion) -> tuple[np.ndarray, ...]:

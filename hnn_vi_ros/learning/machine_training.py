@@ -249,10 +249,11 @@ def split_motions(motions: Sequence[Motion], test_runs: Sequence[str]
         return ([motion for motion in motions if run_of(motion) not in test_runs],
                 [motion for motion in motions if run_of(motion) in test_runs])
     ends = [4 * len(motion.t) // 5 for motion in motions]
-    return ([_part(motion, slice(None, end)) for motion, end in zip(motions, ends, strict=True)],
-            [_part(motion, slice(end, None)) for motion, end in zip(motions, ends, strict=True)])
+    return ([part_of(motion, slice(None, end)) for motion, end in zip(motions, ends, strict=True)],
+            [part_of(motion, slice(end, None)) for motion, end in zip(motions, ends, strict=True)])
 
 
-def _part(motion: Motion, rows: slice) -> Motion:
+def part_of(motion: Motion, rows: slice) -> Motion:
+    """Return some samples of a motion."""
     return replace(motion, **{name: values[rows] for name, values in vars(motion).items()
                               if isinstance(values, np.ndarray)})

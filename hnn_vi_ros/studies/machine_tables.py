@@ -317,10 +317,10 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
         # Effects read what a model has learned beside H from a file.
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
-        return case.measure(_predicted(case, file, checkpoint, *motions[:2]), motions.test, data)
+        return case.measure(predicted(case, file, checkpoint, *motions[:2]), motions.test, data)
 
 
-def _predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Motion],
+def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Motion],
                test: Sequence[Motion]) -> Predict:
     """Return what a saved model predicts, in the simulation that a scene of it would run."""
     names = [coordinate.name for coordinate in checkpoint.card.coordinates]

@@ -14,6 +14,7 @@ import numpy as np
 
 PAGE, FOLDER, CSV = 'learning.md', 'learning', 'published_tables.csv'
 MACHINES = 'machines.json'
+ROBOTS = 'robots.json'
 REAL = 'real_pendulum'
 SYSTEMS = {'mass_spring': 'mass-spring', 'pendulum': 'pendulum', 'two_body': 'two-body',
            REAL: 'real pendulum'}
@@ -116,15 +117,16 @@ def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
     """Write the page; return the file."""
     path = folder / PAGE
     machines = '\n'.join(_machines_table(folder / FOLDER / MACHINES))
-    path.write_text(as_page(ResultTable(results), quick, machines), encoding='utf-8')
+    robots = '\n'.join(_robots_table(folder / FOLDER / ROBOTS))
+    path.write_text(as_page(ResultTable(results), quick, machines, robots), encoding='utf-8')
     return path
 
 
-def as_page(results: ResultTable, quick: bool, machines: str) -> str:
+def as_page(results: ResultTable, quick: bool, machines: str, robots: str) -> str:
     """Return the page."""
     return PAGE_TEXT.format(
         quick=QUICK_TEXT if quick else '', csv=f'{FOLDER}/{CSV}', machines=machines,
-        machine=results.names('machine'), commit=results.names('commit'),
+        robots=robots, machine=results.names('machine'), commit=results.names('commit'),
         summary=_summary(results),
         hnn_published='\n'.join(_published_table(results, 'hnn')),
         hnn_noise='\n'.join(_noise_table(results)),
@@ -216,6 +218,20 @@ def _machines_table(path: Path) -> Iterator[str]:
                f'| {_numbers(row["reference"])} | {_numbers(row["goal"])} '
                f'| {_numbers(row["ours"])}{worst} '
                f'| {baselines} | {"yes" if row["met"] else "**no**"} |')
+
+
+def _robots_table(path: Path) -> Iterator[str]:
+    """Yield what was identified of robots, and which networks the choice takes."""
+    if not path.is_file():
+        yield 'Not measured.'
+        return
+    yield '| robot | measure | model | others | ours | error in the choice | chosen |'
+    yield '|---' * 7 + '|'
+    for row in json.loads(path.read_text(encoding='utf-8')):
+        choice = '' if row['choice'] is None else f'{row["choice"]:.3g}'
+        yield (f'| {row["robot"]} | {row["measure"]} | `{row["model"]}` '
+               f'| {_numbers(row["reference"])} | {_numbers(row["ours"])} | {choice} '
+               f'| {"yes" if row["chosen"] else ""} |')
 
 
 def _seeds(count: int | None) -> str:
