@@ -3,6 +3,8 @@
 """An arm of a scene in MuJoCo, from the same URDF: it swings freely, and nothing touches."""
 
 from collections.abc import Callable
+from contextlib import chdir
+from tempfile import TemporaryDirectory
 
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 import mujoco
@@ -14,6 +16,8 @@ INTEGRATORS = {
     'implicit': mujoco.mjtIntegrator.mjINT_IMPLICIT,
     'RK4': mujoco.mjtIntegrator.mjINT_RK4,
 }
+_UNSTABLE = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
+             mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 class MujocoArm:
@@ -57,16 +61,24 @@ class MujocoArm:
 
     def prepare(self, integrator: str, h: float, samples: int, every: int
                 ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
-        """Return a run from the start that returns q and v, of shape (samples, d)."""
+        """
+        Return a run from the start that returns q and v, of shape (samples, d).
+
+        They end where MuJoCo finds its accelerations too large to go on, and would begin anew.
+        """
         self.model.opt.integrator, self.model.opt.timestep = INTEGRATORS[integrator], h
         mujoco.mj_resetData(self.model, self._data)
         self._data.qpos = self._q0
         q, v = np.empty((2, samples, self._q0.size))
 
         def run() -> tuple[np.ndarray, np.ndarray]:
-            for sample in range(samples):
-                # The loop over the steps is MuJoCo's own.
-                mujoco.mj_step(self.model, self._data, nstep=every)
-                q[sample], v[sample] = self._data.qpos, self._data.qvel
+            # Its warnings go to a file in the working directory.
+            with TemporaryDirectory() as folder, chdir(folder):
+                for sample in range(samples):
+                    # The loop over the steps is MuJoCo's own.
+                    mujoco.mj_step(self.model, self._data, nstep=every)
+                    if any(self._data.warning[kind].number for kind in _UNSTABLE):
+                        return q[:sample], v[:sample]
+                    q[sample], v[sample] = self._data.qpos, self._data.qvel
             return q, v
         return run

@@ -175,7 +175,8 @@ def _fewest_steps(arm: Arm, integrator: str, reference: np.ndarray) -> tuple[int
     order = 4 if integrator == 'RK4' else 1
     steps, most = 10_000, (200_000 if order == 4 else 1_000_000)
     while True:
-        error = float(np.max(np.abs(arm.mujoco_path(integrator, steps)() - reference)))
+        path = arm.mujoco_path(integrator, steps)()
+        error = float(np.max(np.abs(path - reference))) if len(path) == _SAMPLES else np.inf
         if 0.7 * _WANTED <= error <= _WANTED or steps == most:
             return steps, error
         if order == 1 and error > _WANTED and steps == 10_000:
@@ -193,6 +194,7 @@ def _energy_row(arm: Arm, integrator: str, settings: Settings) -> Row:
     peer_time = _cost(lambda: arm.mujoco.prepare(integrator, _MUJOCO_STEP, _TIMED, every))
     q, v = arm.mujoco.prepare(integrator, _MUJOCO_STEP, samples, every)()
     theirs = arm.band(q, np.einsum('mij,mj->mi', arm.robot.masses(q), v))
+    ended = '' if len(q) == samples else f', and is unstable after {len(q) * _EVERY:g} s'
     found = []
     for method in _METHODS[::2]:
         for parts in (1, 2, 3, 4, 6):
@@ -213,7 +215,7 @@ def _energy_row(arm: Arm, integrator: str, settings: Settings) -> Row:
         f'{band:.2g} J', f'MuJoCo {integrator} {theirs:.2g} J', band / theirs,
         (band / theirs, band / theirs), 1.0, 1,
         note=f'MuJoCo at its own step of {_MUJOCO_STEP:g} s takes {1e3 * peer_time:.3g} ms for '
-             f'a simulated second, {method} at h = {_EVERY / parts:.3g} {1e3 * run:.3g} ms')
+             f'a simulated second{ended}; {method} at h = {_EVERY / parts:.3g} {1e3 * run:.3g} ms')
 
 
 def _cost(prepare: Callable[[], Callable[[], object]]) -> float:
