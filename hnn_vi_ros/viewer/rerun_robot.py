@@ -18,7 +18,7 @@ _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
 _EFFORTS = '/world/efforts'
 # An arrow at the limit of the effort is this share of the reach long; its colours (red, green,
 # blue) at no effort and at the limit.
-_ARROW, _IDLE, _FULL = 0.3, np.array([255.0, 200.0, 40.0]), np.array([215.0, 25.0, 30.0])
+_ARROW, _IDLE, _FULL = 0.4, np.array([60.0, 200.0, 255.0]), np.array([235.0, 20.0, 60.0])
 _GRAVITY = 9.81
 
 

@@ -64,14 +64,14 @@ def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: P
     limits = np.array([joint.limits.effort for joint in robot.joints])
     efforts = np.array([[0.0, -0.5], [1.0, 3.0]]) * limits
     found = record(path, robot, np.zeros((2, 2)), efforts)
-    longest = 0.3 * np.linalg.norm(bounds_of_robot(robot.robot)[1])
+    longest = 0.4 * np.linalg.norm(bounds_of_robot(robot.robot)[1])
     for column, (joint, shares) in enumerate(zip(
             robot.joints, ([0.0, 1.0], [-0.5, 1.0]), strict=True)):
         arrows = found[f'/world/efforts/{joint.name}']
         # Stored as float32.
         assert np.array(arrows['Arrows3D:vectors']).reshape(2, 3) == pytest.approx(
             longest * np.outer(shares, robot.joints[column].axis), abs=1e-6)
-        # Red from yellow: of the same colour only where they are of the same size.
+        # Red from blue: of the same colour only where they are of the same size.
         colors = np.array(arrows['Arrows3D:colors']).ravel()
         assert len(set(colors.tolist())) == 2
     # Without motors there are none.
