@@ -321,7 +321,7 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
 
 
 def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Motion],
-               test: Sequence[Motion]) -> Predict:
+              test: Sequence[Motion]) -> Predict:
     """Return what a saved model predicts, in the simulation that a scene of it would run."""
     names = [coordinate.name for coordinate in checkpoint.card.coordinates]
     driven = any(motion.tau.any() for motion in train)

@@ -7,7 +7,7 @@ import json
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.studies import rigid_body_coverage
-from hnn_vi_ros.studies.published_page import ROBOTS, _robots_table
+from hnn_vi_ros.studies.published_page import _robots_table, ROBOTS
 from hnn_vi_ros.studies.robot_tables import (
     DFKI_URDF, MODELS, read_runs, ROBOTS_MEASURED, rows_of, two_runs)
 import numpy as np
