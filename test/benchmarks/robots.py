@@ -128,7 +128,9 @@ def _dynamics_rows(arm: Arm, settings: Settings) -> Iterator[Row]:
     yield compare(f"{arm.name}: forward dynamics, q''", times[:, 1], times[:, 2], target=1.0,
                   scale=1e6 / _STATES, peer_name='pin.aba in a loop',
                   note=f"{told}; ours is the second derivative of H along (q', p'), of which no "
-                       'method has need')
+                       'method has need',
+                  miss='gradient and second derivative place the tree, and factorise M, one after '
+                       'the other.')
 
 
 def _path_row(arm: Arm, settings: Settings) -> Row:
