@@ -56,7 +56,7 @@ def _costs(command: list[str], watched: float, turns: int) -> list[float]:
         stamp = message.header.stamp
         newest[:] = [(time.perf_counter(), stamp.sec + 1e-9 * stamp.nanosec)]
 
-    node.create_subscription(JointState, '/hnn_simulator/joint_states', hear, 1)
+    node.create_subscription(JointState, '/joint_states', hear, 1)
     environment = {key: value for key, value in os.environ.items() if key not in OURS_ALONE}
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(command, cwd=folder, env=environment,
