@@ -21,6 +21,8 @@ from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 import numpy as np
 from numpy.typing import ArrayLike
 
+__all__ = ['SceneEnv', 'SceneVectorEnv', 'Transition', 'check_action']
+
 
 class Transition(NamedTuple):
     """

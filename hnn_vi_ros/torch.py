@@ -19,7 +19,8 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.weights import OnWeights, with_weights
 from hnn_vi_ros.models.learned import warn_of_scheme
 from hnn_vi_ros.run.acting_effects import flow_rates
-from hnn_vi_ros.run.derivatives import Dependence, DifferentiableRun, on_number
+from hnn_vi_ros.run.dependences import Dependence, on_number
+from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import with_numbers
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
@@ -28,6 +29,8 @@ from hnn_vi_ros.simulation.system import System
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
+
+__all__ = ['Motion', 'simulate']
 
 # Names of tensors of a model, among those of numbers of a scene.
 _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
@@ -54,7 +57,7 @@ class Motion(NamedTuple):
 def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
              parameters: Mapping[str, torch.Tensor] | None = None,
              commands: torch.Tensor | None = None, step_size: float | torch.Tensor | None = None,
-             every: int = 1) -> Motion:
+             every: int = 1, checkpoints: int | None = None) -> Motion:
     """
     Simulate a scene, as a function that torch differentiates, once, in reverse or forward mode.
 
@@ -83,6 +86,10 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         of steps as it is, and so are the times.
     every : int, optional
         Steps from one sample to the next.
+    checkpoints : int, optional
+        Most snapshots that are kept for the gradient, of each block of trajectories: fewer take
+        less memory, and steps are taken more often. By default the square root of the number of
+        steps, up to a thousand.
 
     Returns
     -------
@@ -104,6 +111,8 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
     given = {} if commands is None else {'commands': commands}
     _check_tensors({'q0': q0, 'p0': p0, **given, **(parameters or {})})
     check_count('every', every)
+    if checkpoints is not None:
+        check_count('checkpoints', checkpoints)
     check_seconds('duration', duration)
     scene, run, others = _prepared(
         scene if isinstance(scene, Scene) else load_scene(scene), parameters or {}, step_size)
@@ -117,7 +126,8 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
             commands.ndim == 3 and commands.shape[1] != trajectories)):
         raise ValueError(f'commands have shape {tuple(commands.shape)}, expected ({samples}, c) '
                          f'or ({samples}, {trajectories}, c)')
-    z = _Run.apply(run, [dependence for dependence, _ in others], samples, every,
+    how = _How(samples, every, checkpoints)
+    z = _Run.apply(run, [dependence for dependence, _ in others], how,
                    z0.reshape(-1, z0.shape[-1]), commands, *(tensor for _, tensor in others))
     q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
     h = step_size if isinstance(step_size, torch.Tensor) else scene.known_step_size
@@ -160,45 +170,55 @@ def _prepared(scene: Scene, parameters: Mapping[str, torch.Tensor],
     return scene, run, others
 
 
+class _How(NamedTuple):
+    """How many samples are taken, steps from one to the next, and most snapshots."""
+
+    samples: int
+    every: int
+    checkpoints: int | None
+
+
 class _Run(torch.autograd.Function):
     """A run, by its initial states (m, 2 d) and by what else it depends on."""
 
     @staticmethod
-    def forward(run: DifferentiableRun, dependences: list[Dependence], samples: int, every: int,
+    def forward(run: DifferentiableRun, dependences: list[Dependence], how: _How,
                 z0: torch.Tensor, commands: torch.Tensor | None, *others: torch.Tensor
                 ) -> torch.Tensor:
         return torch.from_numpy(run.record(
-            z0.detach().numpy(), samples, every,
-            None if commands is None else commands.detach().numpy()))
+            z0.detach().numpy(), how.samples, how.every,
+            None if commands is None else commands.detach().numpy(),
+            checkpoints=how.checkpoints))
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: torch.Tensor) -> None:
-        ctx.run, ctx.dependences, _, _, z0, commands, *_ = inputs
+        ctx.run, ctx.dependences, _, z0, commands, *_ = inputs
         ctx.shape = tuple(z0.shape)
         ctx.commands = None if commands is None else tuple(commands.shape)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangents: torch.Tensor) -> tuple:
-        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[6:]) if needed]
-        by_commands = np.empty(ctx.commands) if ctx.needs_input_grad[5] else None
+        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[5:]) if needed]
+        by_commands = np.empty(ctx.commands) if ctx.needs_input_grad[4] else None
         gradient, found = ctx.run.pull_back(
             cotangents.contiguous().numpy(), [ctx.dependences[k] for k in wanted], by_commands)
         others: list[torch.Tensor | None] = [None] * len(ctx.dependences)
         for k, part in zip(wanted, found, strict=True):
             others[k] = torch.from_numpy(part)
         pushed = None if by_commands is None else torch.from_numpy(by_commands)
-        return None, None, None, None, torch.from_numpy(gradient), pushed, *others
+        return None, None, None, torch.from_numpy(gradient), pushed, *others
 
     @staticmethod
     def jvp(ctx: Any, *tangents: torch.Tensor | None) -> torch.Tensor:
         z0, commands, *others = (
             None if change is None else change.detach().contiguous().numpy()
-            for change in tangents[4:])
+            for change in tangents[3:])
         changes = [(dependence, change) for dependence, change in zip(
             ctx.dependences, others, strict=True) if change is not None and change.any()]
+        tangents = np.zeros(ctx.shape) if z0 is None else z0
         return torch.from_numpy(
-            ctx.run.push_forward(np.zeros(ctx.shape) if z0 is None else z0, changes, commands))
+            ctx.run.push_forward([Change(tangents, changes, commands)])[0])
 
 
 class _OnNumberOfScene:

@@ -203,6 +203,34 @@ def test_memory_grows_with_the_square_root_of_the_steps(pendulum):
     assert peak(16 * 2500) - least <= 6 * (peak(2500) - least)
 
 
+def test_snapshots_are_as_few_as_asked_for_and_the_gradient_is_the_same(pendulum):
+    def gradient(checkpoints: int | None) -> torch.Tensor:
+        q0 = torch.ones(1, dtype=torch.float64, requires_grad=True)
+        simulate(pendulum, q0, 0.0 * q0.detach(), duration=5.0, checkpoints=checkpoints
+                 ).q.square().sum().backward()
+        return q0.grad
+    assert torch.equal(gradient(2), gradient(None))
+
+
+@pytest.mark.parametrize('name, build', [
+    ('effects.0.rate', lambda: [{'kind': 'damping', 'rate': 0.0}]),
+    ('effects.0.friction.angle', lambda: [
+        {'kind': 'joint_friction', 'friction': {'angle': 0.0}, 'damping': {'angle': 0.1},
+         'speed': 0.5}])])
+def test_number_at_the_end_of_its_range_has_a_derivative(pendulum, name, build):
+    scene, one = pendulum.changed({'effects': build()}), torch.ones(1, dtype=torch.float64)
+
+    def last(value: torch.Tensor) -> torch.Tensor:
+        return simulate(scene, one, 0.3 * one, duration=1.0, every=100,
+                        parameters={name: value}).q[-1, 0]
+    number = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    (found,) = torch.autograd.grad(last(number), number)
+    # One-sided, of order 2: 1e-8 of the third derivative is cut off, and 1e-12 rounded.
+    values = [float(last(torch.tensor(k * 1e-4, dtype=torch.float64))) for k in range(3)]
+    assert float(found) == pytest.approx(
+        (-1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2]) / 1e-4, rel=1e-6)
+
+
 @pytest.mark.parametrize('changes, error, message', [
     ({'duration': 1.003}, ValueError, 'duration = 1.003 s is 100.3 samples, one every 0.01 s: '),
     ({'every': 3}, ValueError, 'duration = 1 s is 33.3333 samples, one every 0.03 s: '),

@@ -19,11 +19,11 @@ from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, Unsuppo
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
+from hnn_vi_ros.learning.identify_input import check_times, steps_per_sample
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
 from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
-from hnn_vi_ros.learning.identify_windows import check_times, steps_per_sample
 from hnn_vi_ros.learning.motion_arrays import ArraysData, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured motions in windows, and what a scene with given numbers predicts in each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -10,13 +10,16 @@ import math
 from hnn_vi_ros.effects.base import Effect, Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
-from hnn_vi_ros.errors import DataError, HnnViRosError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.identify_numbers import FreeScene
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.learning.identify_input import command_names, impulse, steps_per_sample
+from hnn_vi_ros.learning.identify_numbers import DELAY, FreeScene
 from hnn_vi_ros.learning.measured_force import MeasuredForce
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.run.acting_effects import flow_rates
-from hnn_vi_ros.run.derivatives import DifferentiableRun, gradient_of
+from hnn_vi_ros.run.dependences import Dependence, difference, OnNumber, sum_of
+from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
@@ -25,8 +28,6 @@ import numpy as np
 
 # Of a central difference: the error of its truncation is as large as that of rounding.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
-# Of a step: times of samples that are further from whole steps shift the phase of a drive.
-_OFF_GRID = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +135,11 @@ class Prediction:
         self._effects, self._force = self._acting(scene)
         self._on_failure = scene.on_failure
         # Time, and what was measured, are others in each window.
-        self._alone = any(isinstance(effect, MeasuredForce | PeriodicDrive)
+        self._timed = any(isinstance(effect, MeasuredForce | PeriodicDrive)
                           for effect in self._effects)
+        # The step of its run's clock with which each begins.
+        self._first = np.rint(windows.times / self._h).astype(int) if self._timed else \
+            np.zeros(len(windows.run), dtype=int)
 
     def _acting(self, scene: Scene) -> tuple[list[Effect], MeasuredForce | None]:
         """Return the effects, with the measured forces in place of commands."""
@@ -143,7 +147,8 @@ class Prediction:
         for i, effect in enumerate(effects):
             if isinstance(effect, ExternalForce):
                 names = command_names(effect, self.hamiltonian.coordinates, self._windows.motions)
-                force = MeasuredForce(names, self._samples * self._per_sample)
+                longest = max(len(motion.t) for motion in self._windows.motions)
+                force = MeasuredForce(names, longest * self._per_sample)
                 force.times[1] = 1.0 / self._h
                 effects[i] = force
         return effects, force
@@ -187,16 +192,27 @@ class Prediction:
         """
         found = np.full((*starts.shape[:2], self._samples + 1, starts.shape[2]), np.nan)
         found[:, :, 0] = starts
-        if self._alone:
-            for w in range(len(starts)):
-                self._prepare(w)
-                self._record(starts[w], found[w], self._step(w))
-        else:
-            flat, into = starts.reshape(-1, starts.shape[2]), found.reshape(
-                -1, *found.shape[2:])
-            for a in range(0, len(flat), BLOCK):
-                self._record(flat[a:a + BLOCK], into[a:a + BLOCK], 0)
+        for rows in self._runs():
+            for begin in np.unique(self._first[rows]):
+                own = rows[self._first[rows] == begin]
+                flat = starts[own].reshape(-1, starts.shape[2])
+                into = np.full((len(flat), *found.shape[2:]), np.nan)
+                for a in range(0, len(flat), BLOCK):
+                    self._record(flat[a:a + BLOCK], into[a:a + BLOCK], int(begin))
+                found[own, :, 1:] = into.reshape(found[own].shape)[:, :, 1:]
         return found
+
+    def _runs(self) -> Iterator[np.ndarray]:
+        """Yield the windows of each run, with its measured forces in effect, or all together."""
+        if self._force is None:
+            yield np.arange(len(self._first))
+            return
+        for run in np.unique(self._windows.run):
+            motion, force = self._windows.motions[run], self._force
+            force.times[0] = round(float(motion.t[0]) / self._h) * self._h
+            edges = self._h * np.arange(len(force.table) + 1) - self._delay
+            force.table[:] = np.diff(impulse(motion, edges), axis=0) / self._h
+            yield np.flatnonzero(self._windows.run == run)
 
     def _record(self, starts: np.ndarray, found: np.ndarray, step: int) -> None:
         """Fill the states from some starts, one by one if they do not all go well together."""
@@ -209,20 +225,6 @@ class Prediction:
             if len(starts) > 1:
                 for k in range(len(starts)):
                     self._record(starts[k:k + 1], found[k:k + 1], step)
-
-    def _step(self, w: int) -> int:
-        return round(float(self._windows.times[w]) / self._h)
-
-    def _prepare(self, w: int) -> None:
-        """Put the forces that were measured in a window into effect."""
-        if self._force is None:
-            return
-        start = self._step(w) * self._h
-        self._force.times[0] = start
-        motion = self._windows.motions[self._windows.run[w]]
-        edges = self._windows.first[w] * self._windows.spacing + self._h * np.arange(
-            len(self._force.table) + 1) - self._delay
-        self._force.table[:] = np.diff(impulse(motion, edges), axis=0) / self._h
 
     def by_starts(self, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -240,7 +242,7 @@ class Prediction:
         """
         if self._run is not None:
             return self._exact(self._run, starts, [
-                (np.broadcast_to(unit, starts.shape), None) for unit in np.eye(starts.shape[1])])
+                Change(np.broadcast_to(unit, starts.shape)) for unit in np.eye(starts.shape[1])])
         n = starts.shape[1]
         spacing = _SPACING * np.maximum(np.abs(starts).max(axis=0), 1e-3)
         offsets = np.concatenate([np.zeros((1, n)), np.diag(spacing), -np.diag(spacing)])
@@ -253,148 +255,104 @@ class Prediction:
         wanted = range(len(self._values))
         if not wanted:
             return np.zeros((*self._windows.measured.shape, 0))
-        if self._run is not None:
-            return self._exact(self._run, starts, [(np.zeros_like(starts), k) for k in wanted])[1]
-        return np.stack([self._difference(starts, k) for k in wanted], axis=-1)
+        # How late forces come changes the forces themselves, not how H' depends on states.
+        exact = [k for k in wanted if self._run is not None
+                 and self._free.numbers[k].place != DELAY]
+        slopes = np.empty((*self._windows.measured.shape, len(wanted)))
+        if self._run is not None and exact:
+            slopes[..., exact] = self._exact(self._run, starts, [
+                Change(np.zeros_like(starts), [(self._on_number(k), np.array(1.0))])
+                for k in exact])[1]
+        for k in wanted:
+            if k not in exact:
+                slopes[..., k] = self._difference(starts, k)
+        return slopes
 
     def _difference(self, starts: np.ndarray, k: int) -> np.ndarray:
-        """Return a central difference by one number; its spacing keeps within the bounds."""
-        sides = []
-        for value in self._beside(k):
-            values = self._values.copy()
-            values[k] = value
-            other = Prediction(self._free, values, self._windows)
-            sides.append((value, other.measured_at(other.states(starts[:, None])[:, 0])))
-        (low, below), (high, above) = sides
-        return (above - below) / (high - low)
+        """Return a difference by one number, within its bounds."""
+        total = np.zeros(self._windows.measured.shape)
+        for value, weight in self._beside(k):
+            other = Prediction(self._free, self._with(k, value), self._windows)
+            total += weight * other.measured_at(other.states(starts[:, None])[:, 0])
+        return total
 
     @cached_property
     def _run(self) -> DifferentiableRun | None:
         """Return the run whose derivatives are exact, None where there is none."""
-        if self._alone:
-            return None
         try:
             return DifferentiableRun(self.hamiltonian, self._integrator, self._h, self._effects)
         except UnsupportedSystem:
             return None
 
-    def _exact(self, run: DifferentiableRun, starts: np.ndarray,
-               changes: Sequence[tuple[np.ndarray, int | None]]) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is predicted, and how it changes with the starts and with a number."""
+    def _exact(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change]
+               ) -> tuple[np.ndarray, np.ndarray]:
+        """Return what is predicted, and how it changes with the starts or with numbers."""
+        shape = self._windows.measured.shape
+        found, slopes = np.full(shape, np.nan), np.full((*shape, len(changes)), np.nan)
+        for rows in self._runs():
+            self._follow(run, starts, changes, rows, found, slopes)
+        return found, slopes
+
+    def _follow(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
+                rows: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> None:
+        """Fill what is predicted in some windows, one by one if they do not all go well."""
         try:
-            states = run.record(np.ascontiguousarray(starts), self._samples, self._per_sample)
-            states = states.swapaxes(0, 1)
-            slopes = []
-            for tangents, k in changes:
-                number = None if k is None else self._on_number(k)
-                moved = run.push_forward(
-                    np.ascontiguousarray(tangents), [] if number is None else [
-                        (number, np.array(1.0))]).swapaxes(0, 1)
-                slopes.append(self._measured_change(states, moved, number))
-        except HnnViRosError:
-            shape = self._windows.measured.shape
-            return np.full(shape, np.nan), np.full((*shape, len(changes)), np.nan)
-        return self.measured_at(states), np.stack(slopes, axis=-1)
+            states = run.record(np.ascontiguousarray(starts[rows]), self._samples,
+                                self._per_sample, first=self._first[rows]).swapaxes(0, 1)
+            moved = run.push_forward([
+                change._replace(tangents=change.tangents[rows]) for change in changes])
+        except (HnnViRosError, ValueError):
+            if len(rows) > 1:
+                for row in rows:
+                    self._follow(run, starts, changes, np.array([row]), found, slopes)
+            return
+        found[rows] = self.measured_at(states)
+        for k, (change, own) in enumerate(zip(changes, moved.swapaxes(1, 2), strict=True)):
+            number = change.others[0][0] if change.others else None
+            slopes[rows, :, :, k] = self._measured_change(states, own, number)
 
     def _measured_change(self, states: np.ndarray, moved: np.ndarray,
-                         number: '_OnNumber | None') -> np.ndarray:
+                         number: Dependence | None) -> np.ndarray:
         d = self._windows.dimension
         if self._windows.measured.shape[2] == d:
             return moved[..., :d]
         flat = [np.ascontiguousarray(part.reshape(-1, d)) for part in (
             *np.split(states, 2, axis=-1), *np.split(moved, 2, axis=-1))]
         v = self._joined.hessian_vector(*flat)[1]
-        if number is not None:
+        if isinstance(number, _OnNumber):
             v = v + number.velocity(*flat[:2])
         return np.concatenate([moved[..., :d], v.reshape(*moved.shape[:-1], d)], axis=-1)
 
     def _on_number(self, k: int) -> '_OnNumber':
         """Return the dependence of the steps on one number."""
-        systems, rates = [], []
-        for value in self._beside(k):
-            values = self._values.copy()
-            values[k] = value
-            scene, _ = self._free.at(values)
-            hamiltonian, effects = scene.create_hamiltonian(), scene.create_effects()
-            systems.append((value, System(hamiltonian, effects, self._integrator)))
-            rates.append(flow_rates(hamiltonian, self._integrator, effects))
-        return _OnNumber(systems, rates)
+        return _OnNumber([(weight, Prediction(self._free, self._with(k, value), self._windows))
+                          for value, weight in self._beside(k)], self._integrator)
 
-    def _beside(self, k: int) -> tuple[float, float]:
-        """Return a value of a number below its own and one above, both within the bounds."""
-        number, value = self._free.numbers[k], self._values[k]
+    def _with(self, k: int, value: float) -> np.ndarray:
+        """Return the numbers with another value of one."""
+        values = self._values.copy()
+        values[k] = value
+        return values
+
+    def _beside(self, k: int) -> list[tuple[float, float]]:
+        """Return values of a number within its bounds, and weights of a difference by them."""
+        number, value = self._free.numbers[k], float(self._values[k])
         spacing = _SPACING * (abs(value) or abs(number.start) or 1.0)
-        spacing = min(spacing, 0.5 * (value - number.low) or spacing,
-                      0.5 * (number.high - value) or spacing)
-        return max(value - spacing, number.low), min(value + spacing, number.high)
+        return difference(value, spacing, number.low, number.high)
 
 
-class _OnNumber:
-    """The dependence of H' and of rates of damping on a number, by differences; see Dependence."""
+class _OnNumber(OnNumber):
+    """The dependence of H', of rates of damping and of velocities on a number, by differences."""
 
-    def __init__(self, systems: Sequence[tuple[float, System]], rates: Sequence[np.ndarray]):
-        (low, self._below), (high, self._above) = systems
-        self._width = high - low
-        self.rates = (rates[1] - rates[0]) / self._width
-
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return how (H_q, H_p) change, shape (2, N)."""
-        below, above = (gradient_of(system.kernel, q, p) for system in (self._below, self._above))
-        return change * (above - below) / self._width
-
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the gradient by the number, shape ()."""
-        return np.array((weights * self.changed(q, p, np.array(1.0))).sum())
+    def __init__(self, others: Sequence[tuple[float, Prediction]], integrator: Integrator):
+        kernels = [(weight, System(other.hamiltonian, other._effects, integrator).kernel)
+                   for weight, other in others]
+        super().__init__(lambda q, p: sum_of(kernels, q, p), sum(
+            (weight * flow_rates(other.hamiltonian, integrator, other._effects)
+             for weight, other in others), np.zeros(())))
+        self._joined = [(weight, other._joined) for weight, other in others]
 
     def velocity(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return how the velocities of states change, shape (N, d)."""
-        below, above = (system.hamiltonian.gradient(q, p)[1]
-                        for system in (self._below, self._above))
-        return (above - below) / self._width
-
-
-def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
-    """
-    Return the integral of the measured forces up to times from the first sample on [s].
-
-    Each force holds until the next, or goes over into it, as the motion says; the first one acts
-    before the first sample, the last one after the last.
-    """
-    tau, spacing = motion.tau, motion.spacing
-    means = tau[:-1] if motion.held else 0.5 * (tau[1:] + tau[:-1])
-    whole = np.concatenate([np.zeros((1, tau.shape[1])), np.cumsum(means * spacing, axis=0)])
-    row = np.clip(np.floor(times / spacing).astype(int), 0, len(tau) - 1)
-    rest = (times - row * spacing)[:, None]
-    slope = np.zeros_like(tau)
-    if not motion.held:
-        slope[:-1] = np.diff(tau, axis=0) / spacing
-    return whole[row] + rest * (tau[row] + 0.5 * np.where(rest > 0.0, rest, 0.0) * slope[row])
-
-
-def steps_per_sample(scene: Scene, spacing: float) -> int:
-    """Return how many steps are taken from one sample to the next, none longer than h."""
-    return max(1, math.ceil(spacing / scene.known_step_size - 1e-9))
-
-
-def command_names(effect: ExternalForce, coordinates: Sequence, motions: Sequence[Motion]
-                  ) -> Sequence[str]:
-    """Return the coordinates on which the measured forces act, or raise DataError."""
-    names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
-    if not effect.names:
-        raise DataError('external_force: its model has an input map, which takes no measured '
-                        'forces here; give it coordinates')
-    if m in (len(effect.names), len(names)):
-        return effect.names if m == len(effect.names) else names
-    raise DataError(f'external_force has {len(effect.names)} coordinates, H {len(names)}, and the '
-                    f'data hold {m} forces; give as many')
-
-
-def check_times(effects: Sequence[Effect], motions: Sequence[Motion], h: float) -> None:
-    """Raise DataError where a drive would be out of phase: samples at no whole steps."""
-    if any(isinstance(effect, PeriodicDrive) for effect in effects):
-        for motion in motions:
-            off = abs(motion.t[0] / h - round(motion.t[0] / h))
-            if off > _OFF_GRID:
-                raise DataError(f'{motion.name}: begins at {motion.t[0]:.9g} s, which is no whole '
-                                f'number of steps of {h:g} s, by which the drive of the scene '
-                                'counts time; shift the times')
+        return sum((weight * joined.gradient(q, p)[1] for weight, joined in self._joined),
+                   np.zeros(()))

@@ -32,14 +32,14 @@ class MeasuredForce(Force):
     names : sequence of str
         m coordinates.
     steps : int
-        Most steps that are taken from one start.
+        Most steps of a run.
 
     Attributes
     ----------
     table : np.ndarray, shape (steps, m)
-        The force in each step [N], [N m]; to be filled before a start, as are ``times``.
+        The force in each step of a run [N], [N m]; to be filled before a start, as are ``times``.
     times : np.ndarray, shape (2,)
-        The time of the start [s], and steps per second.
+        The time at which the run begins [s], and steps per second.
 
     """
 

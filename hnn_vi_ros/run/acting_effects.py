@@ -117,15 +117,14 @@ class ActingEffects:
         command = self.commands[sample]
         return command if command.ndim == 1 else command[block.start]
 
-    def acting(self, block: slice, first: int, count: int, every: int) -> Acting:
-        """Return what effects do in steps of a block of trajectories."""
-        state = self._system.effect_state
+    def acting(self, block: slice, first: int, times: np.ndarray, every: int) -> Acting:
+        """Return what effects do in steps of a block of trajectories, from the first of them."""
+        state, count = self._system.effect_state, len(times)
         rows = np.zeros((count, state.command.size))
         if self.commands is not None:
             samples = (first + np.arange(count)) // every
             known = {k: self._row(self._command(block, k)) for k in np.unique(samples)}
             rows = np.array([known[k] for k in samples])
-        times = (first + np.arange(count)) * self._h
         return Acting(state.clock, state.command, times, rows, self._flow)
 
     def padded(self, states: np.ndarray) -> np.ndarray:

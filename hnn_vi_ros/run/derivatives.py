@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose derivatives are known: the exact ones of the steps that were taken."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
@@ -13,8 +13,9 @@ from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
-from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.run.acting_effects import ActingEffects, check_effects
+from hnn_vi_ros.run.checkpoints import Checkpoints
+from hnn_vi_ros.run.dependences import Dependence, gradient_of, OnNumber
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.stage_work import StageWork
@@ -22,43 +23,36 @@ from hnn_vi_ros.simulation.stages import entry_of, find_stages, pull_back, push_
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
-# A central difference of order 6 with this share of a number as its spacing: what is cut off is
-# some 1e-15 for powers of the number, and rounding 1e-13.
-_SPACING, _WEIGHTS = 2e-3, (3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0)
+# Steps that are differentiated at a time, at least, and most snapshots that are kept, unless
+# fewer are asked for.
+_PIECE, _SNAPSHOTS = 64, 1000
 
 
-class Dependence(Protocol):
-    """How H' depends on something that is no state, at states one after another, (N,) each."""
+class Change(NamedTuple):
+    """
+    A direction in which all that a run of m trajectories depends on changes at once.
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the gradient by it of the sum of weights, shape (2, N), times (H_q, H_p)."""
+    Parameters
+    ----------
+    tangents : np.ndarray, shape (m, 2 d)
+        How the initial states change.
+    others : sequence of (Dependence, np.ndarray)
+        What else changes, and by how much; see ``pull_back``.
+    commands : np.ndarray, of the shape of the commands, optional
+        How these change.
 
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return how (H_q, H_p) change, shape (2, N), where it changes so."""
+    """
 
-
-class _OnNumber:
-    """A dependence on a number, by the derivatives of (H_q, H_p) and of rates of damping."""
-
-    def __init__(self, slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
-                 rates: np.ndarray | None = None):
-        self._slope, self.rates = slope, rates
-
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return a number, shape (); see Dependence."""
-        return np.array((weights * self._slope(q, p)).sum())
-
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return the change; see Dependence."""
-        return change * self._slope(q, p)
+    tangents: np.ndarray
+    others: Sequence[tuple[Dependence, np.ndarray]] = ()
+    commands: np.ndarray | None = None
 
 
 class _Segment(NamedTuple):
-    """Steps that follow one another, of a block of trajectories, and where they begin."""
+    """Steps that follow one another."""
 
     first: int
     count: int
-    snapshot: dict[str, np.ndarray]
 
 
 class DifferentiableRun:
@@ -70,8 +64,8 @@ class DifferentiableRun:
     theorem (see stages): what comes out is the derivative of the discrete trajectory, to
     round-off, not an approximation of that of the flow.
 
-    Of N steps only sqrt(N) snapshots are kept. A product takes the steps between two of them once
-    more, bit by bit, so memory grows by the square root of the time.
+    Of N steps only sqrt(N) snapshots are kept, or as few as ``record`` is asked for. A product
+    takes the steps between two of them once more, bit by bit.
 
     Parameters
     ----------
@@ -109,7 +103,8 @@ class DifferentiableRun:
         self._entries: dict[Callable[..., int], Callable[..., int]] = {}
 
     def record(self, z: np.ndarray, samples: int, every: int = 1,
-               commands: np.ndarray | None = None) -> np.ndarray:
+               commands: np.ndarray | None = None, first: np.ndarray | None = None,
+               checkpoints: int | None = None) -> np.ndarray:
         """
         Take samples every so many steps, from initial states on.
 
@@ -122,6 +117,13 @@ class DifferentiableRun:
         commands : np.ndarray, shape (samples, c) or (samples, m, c), optional
             Of an effect that takes them, each held until the next sample; for all trajectories,
             or for each, which then step alone.
+        first : np.ndarray of int, shape (m,), optional
+            The step at which each trajectory begins, for forces that depend on time; those next to
+            each other that begin together step together.
+        checkpoints : int, optional
+            Most snapshots that are kept of a block of trajectories: with few of them the way back
+            takes steps more often (see Checkpoints). By default the square root of the number of
+            steps, up to a thousand.
 
         Returns
         -------
@@ -138,24 +140,32 @@ class DifferentiableRun:
         """
         steps = samples * every
         self._every, self._z = every, z.copy()
+        self._first = np.zeros(len(z), dtype=int) if first is None else np.array(first, dtype=int)
         self._acting.set_commands(commands, every)
-        size = BLOCK if commands is None or commands.ndim == 2 else 1
-        stride = max(1, math.isqrt(steps))
-        self._blocks: list[tuple[slice, list[_Segment]]] = []
+        stride = max(_PIECE, math.isqrt(steps))
+        self._segments = [_Segment(a, min(stride, steps - a)) for a in range(0, steps, stride)]
+        most = min(_SNAPSHOTS, len(self._segments)) if checkpoints is None else checkpoints
+        self._blocks: list[tuple[slice, Checkpoints]] = []
         sampled = np.empty((samples + 1, *z.shape))
         sampled[0] = z
-        for a in range(0, len(z), size):
-            block = slice(a, a + size)
-            simulation, segments = self._start(block), []
-            for first in range(0, steps, stride):
-                segment = _Segment(first, min(stride, steps - first), simulation.snapshot())
-                states = self._acting.advance(
-                    simulation, block, segment.first, segment.count, every)
+        for block in self._together(commands is not None and commands.ndim == 3):
+            simulation, kept = self._start(block), Checkpoints(len(self._segments), most)
+            for k, segment in enumerate(self._segments):
+                kept.pass_by(k, simulation.snapshot)
+                states = self._advance(simulation, block, segment)
                 inside, at = self._samples_in(segment)
                 sampled[at, block] = states[inside]
-                segments.append(segment)
-            self._blocks.append((block, segments))
+            self._blocks.append((block, kept))
         return sampled
+
+    def _together(self, alone: bool) -> Iterator[slice]:
+        """Yield the blocks of trajectories that step together."""
+        a = 0
+        while a < len(self._z):
+            same = self._first[a:a + (1 if alone else BLOCK)] == self._first[a]
+            b = a + (len(same) if same.all() else int(same.argmin()))
+            yield slice(a, b)
+            a = b
 
     def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
                   by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -180,10 +190,12 @@ class DifferentiableRun:
         gradient, others = cotangents[0].copy(), [np.zeros(()) for _ in dependences]
         if by_commands is not None:
             by_commands[...] = 0.0
-        for block, segments in self._blocks:
+        for block, kept in self._blocks:
             simulation = self._start(block)
             following = self._acting.padded(np.zeros_like(gradient[block]))
-            for segment in reversed(segments):
+            for k in kept.backwards(simulation.restore, lambda k: self._advance(
+                    simulation, block, self._segments[k]), simulation.snapshot):
+                segment = self._segments[k]
                 stages, states = self._stages(simulation, segment, block)
                 local = np.zeros((segment.count + 1, *following.shape))
                 inside, at = self._samples_in(segment)
@@ -193,7 +205,7 @@ class DifferentiableRun:
                 felt = np.empty((segment.count, 2, *local.shape[1:]))
                 self._call(pull_back, segment, block, stages, local, directions, felt)
                 following = local[0]
-                at_stages, weights = self._timed(stages, segment), self._halves(directions)
+                at_stages, weights = self._timed(stages, segment, block), self._halves(directions)
                 others = [total + dependence.contracted(*at_stages, weights)
                           + self._by_rates(dependence, states, felt)
                           for total, dependence in zip(others, dependences, strict=True)]
@@ -202,48 +214,51 @@ class DifferentiableRun:
             gradient[block] += self._acting.cut(following)
         return gradient, [np.asarray(total) for total in others]
 
-    def push_forward(self, tangents: np.ndarray,
-                     changes: Sequence[tuple[Dependence, np.ndarray]] = (),
-                     commands: np.ndarray | None = None) -> np.ndarray:
+    def push_forward(self, changes: Sequence[Change]) -> np.ndarray:
         """
-        Return how the samples of the last run change, shape (samples + 1, m, 2 d).
+        Return how the samples of the last run change in directions, (r, samples + 1, m, 2 d).
 
         Parameters
         ----------
-        tangents : np.ndarray, shape (m, 2 d)
-            How the initial states change.
-        changes : sequence of (Dependence, np.ndarray)
-            What else changes, and by how much; see ``pull_back``.
-        commands : np.ndarray, of the shape of the commands, optional
-            How these change.
+        changes : sequence of Change
+            r of them, for which the steps are taken and differentiated together.
 
         """
-        last = max((segment.first + segment.count for segment in self._blocks[0][1]), default=0)
-        sampled = np.empty((last // self._every + 1, *tangents.shape))
-        sampled[0] = tangents
-        for block, segments in self._blocks:
-            simulation, before = self._start(block), self._acting.padded(tangents[block])
-            for segment in segments:
+        last = sum(segment.count for segment in self._segments)
+        sampled = np.empty((len(changes), last // self._every + 1, *self._z.shape))
+        for block, _ in self._blocks:
+            simulation = self._start(block)
+            tangents = np.stack([change.tangents[block] for change in changes])
+            sampled[:, 0, block], before = tangents, self._acting.padded(tangents)
+            for segment in self._segments:
                 stages, states = self._stages(simulation, segment, block)
                 local = np.empty((segment.count + 1, *before.shape))
                 local[0] = before
-                sources = np.zeros((segment.count, len(before), 2, stages.shape[2] // 2))
+                sources = np.zeros((segment.count, *before.shape[:2], stages.shape[2]))
                 added = np.zeros((segment.count, 2, *before.shape))
-                for dependence, change in changes:
-                    both = dependence.changed(*self._timed(stages, segment), change)
-                    sources += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3)
-                    rates = getattr(dependence, 'rates', None)
-                    if rates is not None:
-                        added += change * self._acting.flowed(states) * \
-                            self._acting.per_momentum(rates)
-                if commands is not None:
-                    self._add_commands(sources, commands, segment, block)
-                self._call(push_forward, segment, block, stages, sources.reshape(stages.shape),
-                           added, local)
+                for r, change in enumerate(changes):
+                    self._add_sources(sources[:, r], added[:, :, r], change, stages, states,
+                                      segment, block)
+                self._call(push_forward, segment, block, stages, sources, added, local)
                 inside, at = self._samples_in(segment)
-                sampled[at, block] = self._acting.cut(local[1 + inside])
+                sampled[:, at, block] = self._acting.cut(local[1 + inside]).swapaxes(0, 1)
                 before = local[-1]
         return sampled
+
+    def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
+                     stages: np.ndarray, states: np.ndarray, segment: _Segment, block: slice
+                     ) -> None:
+        """Add what changes of all but states do in a segment; see stages.push_forward."""
+        halves = sources.reshape(*sources.shape[:2], 2, -1)
+        for dependence, much in change.others:
+            both = dependence.changed(*self._timed(stages, segment, block), much)
+            halves += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3)
+            rates = getattr(dependence, 'rates', None)
+            if rates is not None:
+                added += much * self._acting.flowed(states) * self._acting.per_momentum(rates)
+        if change.commands is not None:
+            self._add_commands(halves, change.commands, segment, block)
+        sources[...] = halves.reshape(sources.shape)
 
     @property
     def on_step_size(self) -> Dependence:
@@ -252,16 +267,19 @@ class DifferentiableRun:
             raise UnsupportedSystem('the step size is not differentiable yet together with forces '
                                     'or damping; leave one of them out')
         # In a step H' stands beside h, and nowhere else.
-        return _OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
+        return OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
 
     def _start(self, block: slice) -> Simulation:
         """Return the simulation with its trajectories at the initial states of a block."""
         q, p = np.split(self._z[block], 2, axis=1)
         if self._simulation is None:
             self._simulation = Simulation(*self._arguments, q, p, self._effects, 'stop')
-        else:
-            self._simulation.restart(q, p)
+        self._simulation.restart(q, p, step=int(self._first[block.start]))
         return self._simulation
+
+    def _advance(self, simulation: Simulation, block: slice, segment: _Segment) -> np.ndarray:
+        """Take a segment's steps; return the states after them, shape (K, m, 2 d)."""
+        return self._acting.advance(simulation, block, *segment, self._every)
 
     def _samples_in(self, segment: _Segment) -> tuple[np.ndarray, np.ndarray]:
         """Return which of the states after a segment's steps are samples, and which samples."""
@@ -271,11 +289,10 @@ class DifferentiableRun:
 
     def _stages(self, simulation: Simulation, segment: _Segment, block: slice
                 ) -> tuple[np.ndarray, np.ndarray]:
-        """Take a segment's steps again; return stages (K, m, 2 s d), states (K + 1, m, 2 d)."""
-        simulation.restore(segment.snapshot)
+        """Take a segment's steps; return stages (K, m, 2 s d), states (K + 1, m, 2 d)."""
         before = np.hstack([simulation.q, simulation.p])[None]
-        states = self._acting.padded(np.concatenate([before, self._acting.advance(
-            simulation, block, segment.first, segment.count, self._every)]))
+        states = self._acting.padded(np.concatenate([
+            before, self._advance(simulation, block, segment)]))
         stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
         self._call(find_stages, segment, block, states, stages)
         return stages, states
@@ -313,26 +330,30 @@ class DifferentiableRun:
     def _call(self, loop: Callable[..., int], segment: _Segment, block: slice,
               *arrays: np.ndarray) -> None:
         """Run a loop of the module stages over the steps of a segment, or raise."""
-        acting = self._acting.acting(block, segment.first, segment.count, self._every)
+        times = self._times(segment, block)
+        acting = self._acting.acting(block, segment.first, times, self._every)
         arguments = self._kernel, self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
             self._entries[loop] = entry_of(loop, *arguments)
         failed = self._entries[loop](*arguments)
         if failed >= 0:
-            t = (segment.first + failed) * self._h
+            t = times[failed]
             problem = 'its stages are not found again to round-off' if loop is find_stages else \
                 'the matrix of its equation is singular'
             raise HnnViRosError(f'the step at t = {t:.9g} s has no derivative: {problem}; use a '
                                 'smaller step_size or another integrator')
 
-    def _timed(self, stages: np.ndarray, segment: _Segment) -> np.ndarray:
+    def _times(self, segment: _Segment, block: slice) -> np.ndarray:
+        """Return the times at which a segment's steps begin [s], shape (K,)."""
+        return (self._first[block.start] + segment.first + np.arange(segment.count)) * self._h
+
+    def _timed(self, stages: np.ndarray, segment: _Segment, block: slice) -> np.ndarray:
         """Return the stages' halves for a kernel whose clock is at the start of the run."""
         channels = self._kernel.channels
         if channels:
             stages = stages.copy()
             q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)
-            times = (segment.first + np.arange(segment.count)) * self._h
-            q[..., self._d - channels:] += times[:, None, None, None]
+            q[..., self._d - channels:] += self._times(segment, block)[:, None, None, None]
         return self._halves(stages)
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
@@ -340,41 +361,6 @@ class DifferentiableRun:
         s = self._tableau.stages
         return np.ascontiguousarray(
             stages.reshape(-1, 2, s * self._d).swapaxes(0, 1)).reshape(2, -1)
-
-
-def on_number(kernel_of: Callable[[float], Kernel], value: float,
-              rates_of: Callable[[float], np.ndarray] | None = None) -> Dependence:
-    """
-    Return the dependence on a number of H, by differences of H' of order 6.
-
-    Parameters
-    ----------
-    kernel_of : callable
-        Returns the kernel of H with another value of the number.
-    value : float
-        The number.
-    rates_of : callable, optional
-        Returns the rates of damping around the steps with another value; see ``flow_rates``.
-
-    """
-    spacing = _SPACING * (abs(value) or 1.0)
-    rates = None
-    if rates_of is not None:
-        # Linear in the number, if they depend on it at all.
-        rates = (rates_of(value + spacing) - rates_of(value - spacing)) / (2.0 * spacing)
-    kernels = [(sign * weight / spacing, kernel_of(value + sign * (k + 1) * spacing))
-               for k, weight in enumerate(_WEIGHTS) for sign in (1.0, -1.0)]
-
-    def slope(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return sum(weight * gradient_of(kernel, q, p) for weight, kernel in kernels)
-    return _OnNumber(slope, rates)
-
-
-def gradient_of(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return (H_q, H_p), shape (2, N)."""
-    both = np.empty((2, q.size))
-    kernel.gradient(kernel.parameters, q, p, *both)
-    return both
 
 
 def _differentiable(hamiltonian: Hamiltonian, integrator: Integrator) -> PartitionedTableau:

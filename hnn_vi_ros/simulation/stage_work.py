@@ -23,7 +23,9 @@ class StageWork(NamedTuple):
     slopes : np.ndarray, shape (s, 2 d, 2 d)
         H'' at each stage.
     matrix : np.ndarray, shape (2 s d, 2 s d)
-        I - G_Z, or its transpose.
+        I - G_Z, or its transpose; or its factors.
+    pivots : np.ndarray of int, shape (2 s d,)
+        The exchanges of rows of these factors.
     right : np.ndarray, shape (2 s d,)
         The right-hand side, then the solution.
     start, end : np.ndarray, shape (2 d,)
@@ -39,6 +41,7 @@ class StageWork(NamedTuple):
     product_p: np.ndarray
     slopes: np.ndarray
     matrix: np.ndarray
+    pivots: np.ndarray
     right: np.ndarray
     start: np.ndarray
     end: np.ndarray
@@ -49,8 +52,8 @@ class StageWork(NamedTuple):
         n = 2 * s * d
         v_q, v_p, product_q, product_p = np.zeros((4, s * d))
         return cls(SolverWork.empty(n), np.zeros(2 * d), v_q, v_p, product_q, product_p,
-                   np.zeros((s, 2 * d, 2 * d)), np.zeros((n, n)), np.zeros(n),
-                   np.zeros(2 * d), np.zeros(2 * d))
+                   np.zeros((s, 2 * d, 2 * d)), np.zeros((n, n)),
+                   np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(2 * d), np.zeros(2 * d))
 
 
 class Acting(NamedTuple):

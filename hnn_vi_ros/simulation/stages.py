@@ -24,7 +24,8 @@ from hnn_vi_ros.integrators.solvers import anderson
 from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import solve_linear
+from hnn_vi_ros.kernels.linear_algebra import (
+    factorise_rows, solve_factorised, solve_linear)
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.simulation.stage_work import Acting, StageWork
 import numpy as np
@@ -141,17 +142,17 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
                  stages: np.ndarray, sources: np.ndarray, added: np.ndarray,
                  tangents: np.ndarray, work: StageWork) -> int:
     """
-    Take tangents through steps.
+    Take tangents through steps, r of each trajectory, for which a step is factorised once.
 
     Parameters
     ----------
     kernel, h, tableau, acting, stages, work
         See ``find_stages``.
-    sources : np.ndarray, shape (K, m, 2 s d)
+    sources : np.ndarray, shape (K, r, m, 2 s d)
         Changes of H_q at the stages, then of H_p, for other reasons than the state.
-    added : np.ndarray, shape (K, 2, m, 2 d)
+    added : np.ndarray, shape (K, 2, r, m, 2 d)
         Changes of the state after the flow before each step, and after that behind it, likewise.
-    tangents : np.ndarray, shape (K + 1, m, 2 d)
+    tangents : np.ndarray, shape (K + 1, r, m, 2 d)
         Of the first state; of all states afterwards.
 
     Returns
@@ -166,12 +167,16 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
     for n in range(stages.shape[0]):
         _enter(acting, n)
         for m in range(stages.shape[1]):
-            for k in range(flow.size):
-                start[k] = flow[k] * tangents[n, m, k] + added[n, 0, m, k]
-            if not _push(kernel, h, tableau, stages[n, m], sources[n, m], start, end, work):
+            _fill_slopes(kernel, stages[n, m], work)
+            _fill_matrix(h, tableau, work, False)
+            if not factorise_rows(work.matrix, work.pivots):
                 return n
-            for k in range(flow.size):
-                tangents[n + 1, m, k] = flow[k] * end[k] + added[n, 1, m, k]
+            for r in range(tangents.shape[1]):
+                for k in range(flow.size):
+                    start[k] = flow[k] * tangents[n, r, m, k] + added[n, 0, r, m, k]
+                _push(kernel, h, tableau, sources[n, r, m], start, end, work)
+                for k in range(flow.size):
+                    tangents[n + 1, r, m, k] = flow[k] * end[k] + added[n, 1, r, m, k]
     return -1
 
 
@@ -336,20 +341,17 @@ def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
 
 
 @inlined
-def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
-          source: np.ndarray, before: np.ndarray, after: np.ndarray, work: StageWork) -> bool:
-    """Fill the tangent after a step from that before it; False if the matrix is singular."""
+def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndarray,
+          before: np.ndarray, after: np.ndarray, work: StageWork) -> None:
+    """Fill the tangent after a step, whose matrix is factorised, from that before it."""
     s, d, right, slopes = tableau.q_weights.size, kernel.dimension, work.right, work.slopes
     n = s * d
-    _fill_slopes(kernel, x, work)
-    _fill_matrix(h, tableau, work, False)
     for i in range(s):
         for k in range(d):
             dq, dp = _combine(tableau, source[:n], source[n:], i, k)
             right[i * d + k] = before[k] + h * dq
             right[n + i * d + k] = before[d + k] + h * dp
-    if solve_linear(work.matrix, right) == 0:
-        return False
+    solve_factorised(work.matrix, work.pivots, right)
     for k in range(d):
         after[k], after[d + k] = before[k], before[d + k]
         for j in range(s):
@@ -360,4 +362,3 @@ def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
                 at_p += slopes[j, d + k, c] * v_q + slopes[j, d + k, d + c] * v_p
             after[k] += h * tableau.q_weights[j] * at_p
             after[d + k] -= h * tableau.p_weights[j] * at_q
-    return True

@@ -18,6 +18,7 @@ from hnn_vi_ros.learning.identify_statistics import (
     correlations_of, Estimates, estimates_of, profile)
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
 from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.run.dependences import difference
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.studies import identify_coverage
 import numpy as np
@@ -99,6 +100,64 @@ def test_exact_tangents_are_differences_of_simulations(name, numbers, tmp_path, 
     for one, other in zip(exact, slopes(), strict=True):
         # Differences lose two thirds of the digits, and some more by the motion's growth.
         np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(other).max())
+
+
+def test_exact_tangents_of_driven_windows_are_differences_of_simulations(tmp_path, monkeypatch):
+    """Each window begins at a time of its own, with the forces that were measured from there."""
+    scene = Scene.build(
+        hamiltonian='double_pendulum', integrator='implicit_midpoint', step_size=0.01,
+        initial_state=([0.5, -0.3], [0.0, 0.0]), effects=[
+            {'kind': 'damping', 'rate': 0.3},
+            {'kind': 'joint_friction', 'friction': {'angle2': 0.0}, 'damping': {'angle1': 0.2},
+             'speed': 0.5},
+            {'kind': 'periodic_drive', 'coordinate': 'angle1', 'amplitude': 2.0,
+             'frequency': 1.3},
+            {'kind': 'external_force', 'coordinates': ['angle2'], 'timeout': 10.0}])
+    t = 0.02 * np.arange(31)
+    force = 3.0 * np.sin(9.0 * t)[:, None]
+    log = smoothed('one', t, np.zeros((31, 2)), np.zeros((31, 2)), force, 40.0)
+    late = replace(log, name='two', t=t + 0.4, tau=force[::-1])
+    names = ('mass2', 'damping.rate', 'joint_friction.friction.angle2',
+             'periodic_drive.frequency', DELAY)
+    free = free_scene(scene, names, {DELAY: (0.0, 0.1)}, tmp_path, True)
+    values = np.array([number.start for number in free.numbers])
+    windows = windows_of([log, late], 0.3, True)
+    starts = np.tile([0.5, -0.3, 0.3, -0.2], (len(windows.run), 1))
+
+    def slopes() -> list[np.ndarray]:
+        prediction = Prediction(free, values, windows)
+        return [*prediction.by_starts(starts), prediction.by_numbers(starts)]
+    exact = slopes()
+    assert Prediction(free, values, windows)._run is not None
+    # Windows differ by their forces and by the phase of the drive.
+    assert len(np.unique(exact[0][:, 5, 1])) == len(windows.run) == 4
+    monkeypatch.setattr(Prediction, '_run', None)
+    for one, other in zip(exact, slopes(), strict=True):
+        assert np.isfinite(one).all()
+        # Differences lose two thirds of the digits; one-sided ones, of the friction and the
+        # delay that begin at zero, some more.
+        np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(other).max())
+
+
+@pytest.mark.parametrize('value', [0.0, 1e-9, 0.5, 1.0])
+def test_differences_keep_within_a_range_and_are_of_order_two(value):
+    points = difference(value, 1e-5, 0.0, 1.0)
+    assert all(0.0 <= other <= 1.0 for other, _ in points)
+    # What is cut off is 1e-10 of the third derivative, and rounding some 1e-11.
+    assert sum(weight * np.exp(other) for other, weight in points) == pytest.approx(
+        np.exp(value), rel=1e-9)
+
+
+def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):
+    free = freed(pendulum, tmp_path, length=1.0)
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    starts = np.tile([0.5, 0.1], (len(windows.run), 1))
+    whole = Prediction(free, np.ones(1), windows).by_starts(starts)
+    starts[1] = np.inf
+    for one, other in zip(Prediction(free, np.ones(1), windows).by_starts(starts), whole,
+                          strict=True):
+        assert np.isnan(one[1]).all()
+        assert np.array_equal(np.delete(one, 1, axis=0), np.delete(other, 1, axis=0))
 
 
 def test_what_no_data_tell_has_no_interval(pendulum, tmp_path):

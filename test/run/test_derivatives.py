@@ -8,7 +8,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.run.derivatives import DifferentiableRun
+from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
 from mpmath import mpf
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def derivatives(run: DifferentiableRun, z: np.ndarray, steps: int
     unit = np.eye(z.size)
     # A trajectory for each direction: all in one run.
     run.record(np.tile(z, (z.size, 1)), 1, steps)
-    forward = run.push_forward(unit)[1].T
+    forward = run.push_forward([Change(unit)])[0, 1].T
     backward, _ = run.pull_back(np.stack([np.zeros_like(unit), unit]))
     return forward, backward
 
@@ -64,7 +64,7 @@ def test_product_of_tangent_and_adjoint_is_constant_along_the_run(name: str, mea
     """Hold tangent . adjoint, the pairing whose conservation makes the adjoint symplectic."""
     steps, run, rng = 40, run_of(name, 'tao'), np.random.default_rng(0)
     states = run.record(STATE[None], steps)
-    tangents = run.push_forward(rng.normal(size=(1, 2)))
+    tangents = run.push_forward([Change(rng.normal(size=(1, 2)))])[0]
     last = rng.normal(size=(1, 2))
     products = []
     for n in range(0, steps + 1, 5):

@@ -1,0 +1,124 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What runs depend on beside their states: how H' changes with it, by differences of H'."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.kernels.kernel import Kernel
+import numpy as np
+
+# Differences of order 6, in the middle of a range and at its ends, by offsets in spacings. With
+# this share of a number as the spacing what is cut off is some 1e-15 for powers of the number,
+# and rounding 1e-13, at the ends ten times that.
+_SPACING = 2e-3
+_MIDDLE = {sign * (k + 1): sign * weight for k, weight in enumerate(
+    (3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0)) for sign in (1, -1)}
+_ABOVE = dict(enumerate((-49.0 / 20.0, 6.0, -15.0 / 2.0, 20.0 / 3.0, -15.0 / 4.0, 6.0 / 5.0,
+                         -1.0 / 6.0)))
+_BELOW = {-offset: -weight for offset, weight in _ABOVE.items()}
+
+
+class Dependence(Protocol):
+    """How H' depends on something that is no state, at states one after another, (N,) each."""
+
+    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the gradient by it of the sum of weights, shape (2, N), times (H_q, H_p)."""
+
+    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return how (H_q, H_p) change, shape (2, N), where it changes so."""
+
+
+class OnNumber:
+    """
+    A dependence on a number, by the derivatives of (H_q, H_p) and of rates of damping.
+
+    Parameters
+    ----------
+    slope : callable
+        Returns the derivative of (H_q, H_p) at states (q, p), shape (2, N).
+    rates : np.ndarray, shape (d,), optional
+        How rates of damping around the steps change with it.
+
+    """
+
+    def __init__(self, slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
+                 rates: np.ndarray | None = None):
+        self._slope, self.rates = slope, rates
+
+    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return a number, shape (); see Dependence."""
+        return np.array((weights * self._slope(q, p)).sum())
+
+    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return the change; see Dependence."""
+        return change * self._slope(q, p)
+
+
+def on_number(kernel_of: Callable[[float], Kernel], value: float,
+              rates_of: Callable[[float], np.ndarray] | None = None) -> Dependence:
+    """
+    Return the dependence on a number of H, by differences of H' of order 6.
+
+    They are one-sided where the number is at an end of its range, such as a rate of zero.
+
+    Parameters
+    ----------
+    kernel_of : callable
+        Returns the kernel of H with another value of the number.
+    value : float
+        The number.
+    rates_of : callable, optional
+        Returns the rates of damping around the steps with another value; see ``flow_rates``.
+
+    Raises
+    ------
+    SceneError
+        There is no room for differences on either side.
+
+    """
+    spacing = _SPACING * (abs(value) or 1.0)
+    problem: SceneError | None = None
+    for stencil in (_MIDDLE, _ABOVE, _BELOW):
+        try:
+            values = [(value + offset * spacing, weight / spacing)
+                      for offset, weight in stencil.items()]
+            kernels = [(weight, kernel_of(other)) for other, weight in values]
+            rates = None if rates_of is None else sum(
+                (weight * rates_of(other) for other, weight in values), np.zeros(()))
+        except SceneError as found:
+            problem = problem or found
+            continue
+        return OnNumber(lambda q, p: sum_of(kernels, q, p), rates)
+    assert problem is not None
+    raise problem
+
+
+def sum_of(kernels: Sequence[tuple[float, Kernel]], q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return the sum of weights times (H_q, H_p) of kernels, shape (2, N)."""
+    total = np.zeros((2, q.size))
+    for weight, kernel in kernels:
+        total += weight * gradient_of(kernel, q, p)
+    return total
+
+
+def gradient_of(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return (H_q, H_p), shape (2, N)."""
+    both = np.empty((2, q.size))
+    kernel.gradient(kernel.parameters, q, p, *both)
+    return both
+
+
+def difference(value: float, spacing: float, low: float, high: float
+               ) -> list[tuple[float, float]]:
+    """
+    Return values of a number and their weights, of a difference of order 2 within its range.
+
+    Central where a spacing fits on both sides, else one-sided, to where there is more room.
+    """
+    below, above = value - low, high - value
+    if min(below, above) >= spacing:
+        return [(value - spacing, -0.5 / spacing), (value + spacing, 0.5 / spacing)]
+    step = min(spacing, 0.5 * max(below, above)) * (1.0 if above >= below else -1.0)
+    return [(value, -1.5 / step), (value + step, 2.0 / step), (value + 2.0 * step, -0.5 / step)]
