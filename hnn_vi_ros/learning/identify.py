@@ -24,12 +24,15 @@ from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
 from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
+from hnn_vi_ros.learning.identify_windows import Windows
 from hnn_vi_ros.learning.motion_arrays import ArraysData, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 
+# Residuals of so many times the noise that neighbouring samples tell are not noise alone.
+_POOR = 3.0
 # Names under which velocities stand in arrays.
 _VELOCITIES = 'dq', 'v'
 
@@ -179,8 +182,7 @@ def report_of(found: Identified) -> str:
     length = (windows.there.sum(axis=1).max() - 1) * windows.spacing
     lines = [
         f'{found.free.scene.name} fitted to {found.data}: {int(windows.there.sum())} samples, '
-        f'one every {windows.spacing:.4g} s, in {len(windows.run)} windows of up to '
-        f'{length:.4g} s, each with an initial state of its own', '',
+        f'one every {windows.spacing:.4g} s, in {_counted(windows, length)}', '',
         '| number | value | unit | standard error | 95 % interval |',
         '|---|---:|---|---:|---|', *map(_row, estimates.estimates), '']
     for direction in estimates.unknown:
@@ -188,6 +190,7 @@ def report_of(found: Identified) -> str:
         lines.append(f'Not identifiable: nothing measured shows it if these change together, '
                      f'relatively: {named}' if len(direction) > 1 else
                      f'Not identifiable: nothing measured depends on {next(iter(direction))}')
+    lines += _held_back(found)
     lines += [f'Correlation of {one} and {other}: {r:.3f}; what one gains in error the other '
               'makes up for' for one, other, r in estimates.correlated]
     lines += _noise(found)
@@ -197,10 +200,32 @@ def report_of(found: Identified) -> str:
     lines.append(f'Valid range: the data cover {ranges}')
     lines += [f'Windows of {seconds:.4g} s: residuals {misfit:.3g} of the noise'
               for seconds, misfit in found.stages]
+    if found.stages[-1][1] > _POOR:
+        lines.append('Residuals are much more than noise: the scene lacks something, bounds hold '
+                     'it back, or the data are of something else; intervals do not tell that')
     if len(found.stages) > 1 and found.stages[-1][0] > 1.5 * length:
         lines.append(f'Through longer windows than {length:.4g} s the scene does not follow the '
                      'data as well: it lacks something, or the motion is chaotic')
     return '\n'.join(lines)
+
+
+def _counted(windows: Windows, length: float) -> str:
+    if len(windows.run) == 1:
+        return f'one window of {length:.4g} s, with an initial state of its own'
+    return (f'{len(windows.run)} windows of up to {length:.4g} s, each with an initial state of '
+            'its own')
+
+
+def _held_back(found: Identified) -> list[str]:
+    """Return which numbers ended where their range does."""
+    lines = []
+    for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False):
+        near = max(1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))
+        for end in (number.low, number.high):
+            if one.known and abs(one.value - end) <= near:
+                lines.append(f'{one.name} ended at the end of its range, {end:g} {one.unit}: data '
+                             'may fit better beyond it, and its interval does not know of it')
+    return lines
 
 
 def _row(one: Estimate) -> str:

@@ -18,6 +18,7 @@ import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.learning.evaluation import momentum
+from hnn_vi_ros.learning.identify_noise import first_length, first_noise, least_noise
 from hnn_vi_ros.learning.identify_numbers import FreeScene
 from hnn_vi_ros.learning.identify_windows import Prediction, Windows, windows_of
 from hnn_vi_ros.learning.motions import Motion
@@ -34,9 +35,8 @@ _FAILED = 1e3
 _TOLERANCE, _ROUGH, _EVALUATIONS = 1e-8, 1e-4, 60
 # Windows grow by this factor, as long as residuals do not, by more than this.
 _LONGER, _GROWTH = 3.0, 1.5
-# Least noise, of the range of what is measured: rounding has no smaller one.
-_LEAST_NOISE = 1e-9
-_LEAST_SAMPLES = 10
+# Singular values of unit columns below this are rounding and differences, not data.
+_RANK = 1e-6
 # Changes of the noise, relatively, that are not worth another search.
 _SETTLED = 0.1
 
@@ -111,15 +111,25 @@ class Problem:
         self._key: bytes | None = None
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
-        """Return them at the best initial states, flat."""
-        return np.nan_to_num(self._at_best(values)[1], nan=_FAILED).ravel()
+        """Return them at the best initial states, flat, and n zeros; see ``slopes``."""
+        own = np.nan_to_num(self._at_best(values)[1], nan=_FAILED).ravel()
+        return np.concatenate([own, np.zeros(len(values))])
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
-        """Return their derivatives by the numbers, shape (N, n)."""
+        """
+        Return their derivatives by the numbers, shape (N + n, n).
+
+        The zeros are said to grow along directions of which the data tell nothing. There is
+        rounding alone along those, which would lead the search far away: so it does not move.
+        """
         solution = self.solve(values)
         back = projected(solution, self.weights(solution.residuals))
         self._starts, self._at, self._slope = solution.starts, solution.values, back[1]
-        return back[0].reshape(-1, len(values))
+        own = back[0].reshape(-1, len(values))
+        units = units_of(solution)
+        sizes, rows, told = told_directions(own / units)
+        held = np.where(told[:, None], 0.0, rows) * sizes.max(initial=1e-300)
+        return np.concatenate([own / units @ rows[told].T @ rows[told], held]) * units
 
     def solve(self, values: np.ndarray) -> Solution:
         """Return all that is known at values of the numbers."""
@@ -181,7 +191,8 @@ class Problem:
             matrix = np.einsum('wtci,wtcj->wij', weights * slopes, slopes)
             downhill = -np.einsum('wtci,wtc->wi', weights * slopes, residuals)
             scale = np.sqrt(np.einsum('wii->wi', matrix)) + 1e-300
-            unit = matrix / scale[:, :, None] / scale[:, None, :]
+            with np.errstate(invalid='ignore'):  # of windows that are far from all data
+                unit = matrix / scale[:, :, None] / scale[:, None, :]
             unit += damping[:, None, None] * np.eye(starts.shape[1])
             good = np.isfinite(unit).all(axis=(1, 2)) & np.isfinite(downhill).all(axis=1)
             change = np.zeros_like(starts)
@@ -223,6 +234,32 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
     back = -np.linalg.pinv(left / scale, rcond=1e-10) @ right / scale.swapaxes(1, 2)
     rest = numbers.reshape(w, t * c, -1) + slopes.reshape(w, t * c, n) @ back
     return rest.reshape(w, t, c, -1), back
+
+
+def units_of(solution: Solution) -> np.ndarray:
+    """Return 1 over what change of each number does as much as that of others, shape (n,)."""
+    raw = np.linalg.norm(solution.by_numbers[solution.windows.there].reshape(
+        -1, len(solution.values)), axis=0)
+    return np.where(raw > 0.0, raw, 1.0)
+
+
+def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return which directions of the numbers the data tell.
+
+    Parameters
+    ----------
+    slopes : np.ndarray, shape (N, n)
+        What numbers in their units do, beyond what initial states could.
+
+    Returns
+    -------
+    tuple of np.ndarray, shapes (n,), (n, n) and (n,)
+        Singular values; directions, a row each; and which of those are more than rounding.
+
+    """
+    _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
+    return sizes, rows, sizes > _RANK * max(1.0, sizes.max(initial=0.0))
 
 
 def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: float | None,
@@ -314,8 +351,10 @@ def search(problem: Problem, values: np.ndarray, tolerance: float = _TOLERANCE) 
                         'the values to begin with; give others in the scene, or a shorter '
                         '--horizon')
     low, high = np.array([[number.low, number.high] for number in problem.free.numbers]).T
+    # Not by the slopes that are left: they would make a unit of a direction that is rounding.
+    units = 1.0 / units_of(problem.solve(values))
     found = least_squares(
-        problem.residuals, values, problem.slopes, bounds=(low, high), x_scale='jac',
+        problem.residuals, values, problem.slopes, bounds=(low, high), x_scale=units,
         loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
         xtol=tolerance, gtol=tolerance, max_nfev=_EVALUATIONS)
     return problem.solve(found.x)
@@ -329,30 +368,7 @@ def noise_of(solution: Solution, robust: bool) -> np.ndarray:
     share = math.sqrt(measured / solution.freedom)
     spread = 1.4826 * np.median(np.abs(own), axis=0) if robust else \
         np.sqrt((own**2).mean(axis=0))
-    return np.maximum(share * spread * solution.noise, _floor(solution.windows.measured[there]))
-
-
-def first_noise(motions: Sequence[Motion], velocities: bool) -> np.ndarray:
-    """Return a guess of the noise from third differences, which smooth motion hardly has."""
-    columns = [np.hstack([motion.q, motion.v][:1 + velocities]) for motion in motions]
-    thirds = np.concatenate([np.diff(column, 3, axis=0) for column in columns])
-    return np.maximum(np.sqrt((thirds**2).mean(axis=0) / 20.0), _floor(np.concatenate(columns)))
-
-
-def _floor(measured: np.ndarray) -> np.ndarray:
-    return _LEAST_NOISE * (np.ptp(measured, axis=0) + 1e-300)
-
-
-def first_length(motions: Sequence[Motion], velocities: bool) -> float:
-    """Return a length of windows in which a motion hardly turns: four of its times [s]."""
-    q, v = (np.concatenate([getattr(motion, name) for motion in motions])
-            for name in ('q_smooth', 'v_smooth'))
-    speed = np.sqrt((v**2).mean(axis=0))
-    if not speed.any():
-        raise DataError(f'{motions[0].name}: nothing moves in it, which tells no number')
-    pace = float((q.std(axis=0)[speed > 0.0] / speed[speed > 0.0]).min())
-    least = _LEAST_SAMPLES if velocities else 2 * _LEAST_SAMPLES
-    return max(4.0 * pace, (least - 1) * motions[0].spacing)
+    return np.maximum(share * spread * solution.noise, least_noise(solution.windows.measured[there]))
 
 
 def _starts(free: FreeScene, values: np.ndarray, windows: Windows,

@@ -147,7 +147,8 @@ def _number(name: str, place: str, start: float, unit: str,
             bounds: Mapping[str, tuple[float, float]]) -> Number:
     low, high = bounds.get(name, (-math.inf, math.inf))
     if not low < high:
-        raise ParameterError(f'--bounds {name} {low:g} {high:g}: expected the lower one first')
+        raise ParameterError(f'--bounds {name} {low:g} {high:g}: expected two numbers, '
+                             'the lower one first')
     if not low <= start <= high:
         if name not in bounds or not (math.isfinite(low) and math.isfinite(high)):
             raise ParameterError(f'--bounds {name} {low:g} {high:g}: its value in the scene, '

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.learning.identify_fit import Problem, projected, search, Solution
+from hnn_vi_ros.learning.identify_fit import (
+    Problem, projected, search, Solution, told_directions, units_of)
 from hnn_vi_ros.learning.identify_numbers import FreeScene, STATES
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 import numpy as np
@@ -16,9 +17,8 @@ from scipy.optimize import brentq
 from scipy.stats import t as student
 
 CONFIDENCE = 0.95
-# Singular values of unit columns below this are rounding and differences, not data; and what
-# share of such a direction names a number.
-_RANK, _SHARE = 1e-6, 1e-2
+# What share of a direction in which the data tell nothing names a number.
+_SHARE = 1e-2
 # Standard errors of a correlation beyond which residuals are no white noise.
 _COLOURED = 3.0
 CORRELATED = 0.9
@@ -103,9 +103,10 @@ def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
     their correlations R.
     """
     slopes, back = projected(solution, problem.weights(solution.residuals))
-    inside = solution.windows.there
-    raw = np.linalg.norm(solution.by_numbers[inside].reshape(-1, len(solution.values)), axis=0)
-    inverse, null = _inverse(slopes.reshape(-1, slopes.shape[3]), raw)
+    scale = units_of(solution)
+    sizes, rows, told = told_directions(slopes.reshape(-1, slopes.shape[3]) / scale)
+    inverse = _inverse(scale, sizes[told], rows[told])
+    null = rows[~told].T / scale[:, None]
     coloured, meat = _correlated(solution, slopes)
     covariance = inverse @ meat @ inverse * _robust_factor(problem, solution)
     names = [(number.name, number.unit) for number in free.numbers]
@@ -126,13 +127,11 @@ def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
     return _told(names, np.array(values), covariance, null, solution.freedom, coloured)
 
 
-def _inverse(slopes: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (J^T J)^-1 where the data tell something, and the directions where they do not."""
-    scale = np.where(raw > 0.0, raw, 1.0)
-    _, sizes, rows = np.linalg.svd(slopes / scale, full_matrices=False)
-    told = sizes > _RANK * max(1.0, sizes[0])
-    kept = rows[told] / sizes[told, None]
-    return kept.T @ kept / np.outer(scale, scale), rows[~told].T / scale[:, None]
+def _inverse(scale: np.ndarray, sizes: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return (J^T J)^-1 in some directions, of the singular values of J by units."""
+    kept = rows / sizes[:, None]
+    found: np.ndarray = kept.T @ kept / np.outer(scale, scale)
+    return found
 
 
 def _correlated(solution: Solution, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -190,8 +189,10 @@ def _own_covariance(solution: Solution, problem: Problem, w: int) -> np.ndarray:
     """Return the covariance of the initial state of a window if all numbers were known."""
     n = solution.starts.shape[1]
     slopes = solution.by_starts[w].reshape(-1, n)
-    inverse, _ = _inverse(slopes, np.linalg.norm(slopes, axis=0))
-    return inverse * _robust_factor(problem, solution)
+    raw = np.linalg.norm(slopes, axis=0)
+    scale = np.where(raw > 0.0, raw, 1.0)
+    sizes, rows, told = told_directions(slopes / scale)
+    return _inverse(scale, sizes[told], rows[told]) * _robust_factor(problem, solution)
 
 
 def _first_windows(solution: Solution) -> list[tuple[str, int]]:

@@ -183,6 +183,9 @@ class _Pieces(NamedTuple):
 
 def _pieces(run: MeasuredRun, data: MotionData, bad: Bad) -> _Pieces:
     """Return a run without what is bad in it, or DataError: on_bad is fail, or it is too much."""
+    if not len(run.t):
+        raise DataError(f'{run.where}: no samples, expected at least {MIN_SAMPLES}; record for '
+                        'longer')
     if run.v is not None and not np.isfinite(run.v).any(axis=0).all():
         run = run._replace(v=None)
     bad.note(*run.notes, *['velocities estimated'] * (run.v is None))

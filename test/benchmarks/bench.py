@@ -18,6 +18,7 @@ from hnn_vi_ros.studies.results import commit
 # A group of rows: its module, and about how long it takes [s].
 GROUPS = {
     'gradient': ('benchmarks.gradient', 15.0),
+    'adjoint': ('benchmarks.adjoint', 120.0),
     'euler_step': ('benchmarks.euler_step', 20.0),
     'path_error': ('benchmarks.path_error', 105.0),
     'many': ('benchmarks.many', 180.0),

@@ -170,6 +170,14 @@ def test_what_no_data_tell_has_no_interval(pendulum, tmp_path):
     assert gravity / length == pytest.approx(9.81, rel=0.01)
 
 
+def test_numbers_that_no_data_tell_stay_where_the_search_begins(pendulum, tmp_path):
+    free = freed(pendulum, tmp_path, mass=1.2, length=1.05)
+    solution, *_ = fit(free, [swing(pendulum, 1.0, 4)], True, None, False)
+    # Along the mass there is rounding alone, which once led to some 1e17 kg.
+    assert solution.values[0] == pytest.approx(1.2, rel=1e-6)
+    assert solution.values[1] == pytest.approx(1.0, rel=0.02)
+
+
 def test_delay_and_friction_of_a_driven_pendulum_are_found(tmp_path):
     late, rate, dt = 0.043, 0.3, 0.02
     scene = Scene.build(
@@ -267,6 +275,15 @@ def test_command_writes_numbers_posterior_report_and_scene(log, tmp_path, capsys
     assert hnn_vi_ros.simulate(scene, 0.1).q.shape[1] == 1
 
 
+def test_bounds_that_hold_the_truth_out_are_told(log, capsys):
+    main(['exact_pendulum', '--data', str(log), '--free', 'length', '--bounds', 'length', '1.2',
+          '2', '--horizon', '2'])
+    said = capsys.readouterr().out
+    assert 'in one window of 2 s, with an initial state of its own' in said
+    assert 'length ended at the end of its range, 1.2 m: data may fit better beyond it' in said
+    assert 'Residuals are much more than noise' in said
+
+
 def test_fitted_robot_is_written_beside_its_scene(tmp_path):
     scene = load_scene('two_joint_arm')
     motion = swing(scene, 0.5, 4, None)
@@ -292,6 +309,10 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
     (['length'], {'q': np.zeros((100, 2))}, 'expected numbers of shape (100, 1)'),
     (['length'], {'t': np.arange(5.0), 'q': np.zeros((5, 1))}, '5 samples, expected at least 20'),
     (['length'], {'tau': np.ones((100, 1))}, 'has no effect external_force'),
+    (['length'], {'t': np.arange(0.0), 'q': np.zeros((0, 1))}, 'no samples, expected at least 20'),
+    (['length'], {'q': np.full((100, 1), np.nan)}, '100 lack a number of q'),
+    (['length'], {'q': np.zeros((100, 1))}, 'nothing moves in it'),
+    (['length', '--bounds', 'length', 'nan', '2'], {}, 'two numbers, the lower one first'),
 ])
 def test_what_cannot_be_fitted_is_one_line(free, data, said, tmp_path):
     t = 0.02 * np.arange(100)
