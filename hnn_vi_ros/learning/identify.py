@@ -218,14 +218,11 @@ def _counted(windows: Windows, length: float) -> str:
 
 def _held_back(found: Identified) -> list[str]:
     """Return which numbers ended where their range does."""
-    lines = []
-    for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False):
-        near = max(1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))
-        for end in (number.low, number.high):
-            if one.known and abs(one.value - end) <= near:
-                lines.append(f'{one.name} ended at the end of its range, {end:g} {one.unit}: data '
-                             'may fit better beyond it, and its interval does not know of it')
-    return lines
+    return [f'{one.name} ended at the end of its range, {end:g} {one.unit}: data may fit better '
+            'beyond it, and its interval does not know of it'
+            for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False)
+            for end in (number.low, number.high) if one.known and abs(one.value - end) <= max(
+                1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))]
 
 
 def _row(one: Estimate) -> str:

@@ -368,7 +368,8 @@ def noise_of(solution: Solution, robust: bool) -> np.ndarray:
     share = math.sqrt(measured / solution.freedom)
     spread = 1.4826 * np.median(np.abs(own), axis=0) if robust else \
         np.sqrt((own**2).mean(axis=0))
-    return np.maximum(share * spread * solution.noise, least_noise(solution.windows.measured[there]))
+    least = least_noise(solution.windows.measured[there])
+    return np.maximum(share * spread * solution.noise, least)
 
 
 def _starts(free: FreeScene, values: np.ndarray, windows: Windows,

@@ -17,7 +17,8 @@ def first_noise(motions: Sequence[Motion], velocities: bool) -> np.ndarray:
     """Return a guess of the noise from third differences, which smooth motion hardly has."""
     columns = [np.hstack([motion.q, motion.v][:1 + velocities]) for motion in motions]
     thirds = np.concatenate([np.diff(column, 3, axis=0) for column in columns])
-    return np.maximum(np.sqrt((thirds**2).mean(axis=0) / 20.0), least_noise(np.concatenate(columns)))
+    least = least_noise(np.concatenate(columns))
+    return np.maximum(np.sqrt((thirds**2).mean(axis=0) / 20.0), least)
 
 
 def least_noise(measured: np.ndarray) -> np.ndarray:

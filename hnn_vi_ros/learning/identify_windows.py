@@ -4,7 +4,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 import math
 
 from hnn_vi_ros.effects.base import Effect, Place
@@ -347,7 +347,7 @@ class _OnNumber(OnNumber):
     def __init__(self, others: Sequence[tuple[float, Prediction]], integrator: Integrator):
         kernels = [(weight, System(other.hamiltonian, other._effects, integrator).kernel)
                    for weight, other in others]
-        super().__init__(lambda q, p: sum_of(kernels, q, p), sum(
+        super().__init__(partial(sum_of, kernels), sum(
             (weight * flow_rates(other.hamiltonian, integrator, other._effects)
              for weight, other in others), np.zeros(())))
         self._joined = [(weight, other._joined) for weight, other in others]

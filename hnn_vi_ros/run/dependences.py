@@ -3,6 +3,7 @@
 """What runs depend on beside their states: how H' changes with it, by differences of H'."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
 from hnn_vi_ros.errors import SceneError
@@ -90,7 +91,7 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float,
         except SceneError as found:
             problem = problem or found
             continue
-        return OnNumber(lambda q, p: sum_of(kernels, q, p), rates)
+        return OnNumber(partial(sum_of, kernels), rates)
     assert problem is not None
     raise problem
 

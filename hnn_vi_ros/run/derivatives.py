@@ -3,6 +3,7 @@
 """Runs whose derivatives are known: the exact ones of the steps that were taken."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 import math
 from typing import NamedTuple
 
@@ -193,8 +194,8 @@ class DifferentiableRun:
         for block, kept in self._blocks:
             simulation = self._start(block)
             following = self._acting.padded(np.zeros_like(gradient[block]))
-            for k in kept.backwards(simulation.restore, lambda k: self._advance(
-                    simulation, block, self._segments[k]), simulation.snapshot):
+            again = partial(self._take_again, simulation, block)
+            for k in kept.backwards(simulation.restore, again, simulation.snapshot):
                 segment = self._segments[k]
                 stages, states = self._stages(simulation, segment, block)
                 local = np.zeros((segment.count + 1, *following.shape))
@@ -280,6 +281,10 @@ class DifferentiableRun:
     def _advance(self, simulation: Simulation, block: slice, segment: _Segment) -> np.ndarray:
         """Take a segment's steps; return the states after them, shape (K, m, 2 d)."""
         return self._acting.advance(simulation, block, *segment, self._every)
+
+    def _take_again(self, simulation: Simulation, block: slice, k: int) -> None:
+        """Take the steps of a segment for what follows."""
+        self._advance(simulation, block, self._segments[k])
 
     def _samples_in(self, segment: _Segment) -> tuple[np.ndarray, np.ndarray]:
         """Return which of the states after a segment's steps are samples, and which samples."""
