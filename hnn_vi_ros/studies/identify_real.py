@@ -31,9 +31,10 @@ _FOREVER = 1e9
 # Samples of the swinging arms, of which one is taken.
 _EVERY = 10
 
-# A chain of one or two links that hang down and turn about y; joint angles are relative.
+# A chain of one or two links that hang down and turn about y; joint angles are relative. About
+# other axes nothing turns: those moments leave that about y its range, as some body can have it.
 _LINK = """  <link name="{name}"><inertial><origin xyz="0 0 {centre}"/><mass value="{mass}"/>
-    <inertia ixx="{moment}" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="1e-4"/></inertial></link>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="1"/></inertial></link>
   <joint name="{joint}" type="continuous"><parent link="{parent}"/><child link="{name}"/>
     <origin xyz="0 0 {offset}"/><axis xyz="0 1 0"/>
     <dynamics damping="{damping}" friction="{friction}"/></joint>
