@@ -337,7 +337,8 @@ class Prediction:
     def _beside(self, k: int) -> list[tuple[float, float]]:
         """Return values of a number within its bounds, and weights of a difference by them."""
         number, value = self._free.numbers[k], float(self._values[k])
-        spacing = _SPACING * (abs(value) or abs(number.start) or 1.0)
+        # Not of what is left of a number that has all but vanished: that would be rounding.
+        spacing = _SPACING * (max(abs(value), abs(number.start)) or 1.0)
         return difference(value, spacing, number.low, number.high)
 
 

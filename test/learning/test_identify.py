@@ -148,6 +148,18 @@ def test_differences_keep_within_a_range_and_are_of_order_two(value):
         np.exp(value), rel=1e-9)
 
 
+def test_number_that_has_all_but_vanished_has_the_slope_of_zero(pendulum, tmp_path):
+    scene = pendulum.changed({'effects': [{
+        'kind': 'joint_friction', 'damping': {'angle': 0.1}, 'friction': {'angle': 0.2},
+        'speed': 0.5}]})
+    free = free_scene(scene, ['joint_friction.friction.angle'], {}, tmp_path, False)
+    windows = windows_of([swing(pendulum, 0.2, 4)], 0.2, True)
+    starts = np.tile([0.5, 0.1], (len(windows.run), 1))
+    tiny, zero = (Prediction(free, np.array([value]), windows).by_numbers(starts)
+                  for value in (1e-21, 0.0))
+    np.testing.assert_allclose(tiny, zero, atol=1e-9 * np.abs(zero).max())
+
+
 def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):
     free = freed(pendulum, tmp_path, length=1.0)
     windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
