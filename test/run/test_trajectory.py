@@ -142,9 +142,8 @@ def test_animation_moves_the_mechanism_to_its_samples(run, tmp_path):
     (axes,) = animation._fig.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ('x [m]', 'z [m]')
     bob = axes.patches[-1]
-    center = bob.get_xy() + 0.5 * np.array([bob.get_width(), bob.get_height()])
     # The last picture shows the last sample.
-    assert center == pytest.approx([np.sin(run.q[-1, 0]), -np.cos(run.q[-1, 0])], abs=1e-12)
+    assert bob.center == pytest.approx([np.sin(run.q[-1, 0]), -np.cos(run.q[-1, 0])], abs=1e-12)
 
 
 def test_animation_without_a_mechanism_moves_points_in_the_portraits(tmp_path):
