@@ -114,7 +114,26 @@ def gauss_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return integrals(zero, nodes), weights, integrals(one, 1.0 + nodes)
 
 
-class Gauss(ImplicitIntegrator):
+class Collocation(ImplicitIntegrator):
+    """One equation for s stages at the nodes of Gauss; their number is in the options."""
+
+    stages: ClassVar[int]
+
+    @property
+    def usual_gradients(self) -> int:
+        """Return what its one equation takes, with a gradient for each stage; see Integrator."""
+        return self.stages * super().usual_gradients
+
+    def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
+        """Return the coefficients and the options of the solver."""
+        return Tableau(*gauss_tableau(self.stages), super().options(attempt, dimension))
+
+    def unknowns(self, n: int) -> tuple[int, ...]:
+        """Return the number of unknowns: position and momentum of each stage."""
+        return (2 * self.stages * n,)
+
+
+class Gauss(Collocation):
     """
     The Gauss collocation method of s stages, order 2 s.
 
@@ -134,25 +153,7 @@ class Gauss(ImplicitIntegrator):
     """
 
     requirements = Requirements(symmetric=True, symplectic=True)
-    stages: ClassVar[int]
-
-    @property
-    def kernel_name(self) -> str:
-        """Return one name for all: the number of stages is in the options."""
-        return 'Gauss'
-
-    @property
-    def usual_gradients(self) -> int:
-        """Return what its one equation takes, with a gradient for each stage; see Integrator."""
-        return self.stages * super().usual_gradients
-
-    def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
-        """Return the coefficients and the options of the solver."""
-        return Tableau(*gauss_tableau(self.stages), super().options(attempt, dimension))
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the number of unknowns: q and p of each stage."""
-        return (2 * self.stages * n,)
+    kernel_name = 'Gauss'
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[GaussWork]:
         """Return the workspace of the equation; see Integrator."""

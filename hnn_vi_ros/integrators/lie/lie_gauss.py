@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gauss collocation on a group: variational integrators of any even order for rotations."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
-from hnn_vi_ros.integrators.gauss import gauss_tableau, Tableau
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.gauss import Collocation, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
     add_bend, fill_forces, is_too_far, LARGEST_TURN, move, set_turn_scale)
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
@@ -97,7 +96,7 @@ class _Problem(NamedTuple):
     behind: np.ndarray
 
 
-class LieGauss(ImplicitIntegrator):
+class LieGauss(Collocation):
     """
     Gauss collocation of s stages in the Cayley chart around the attitude of each step, order 2 s.
 
@@ -123,25 +122,7 @@ class LieGauss(ImplicitIntegrator):
 
     requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
     keeps_gradient = True
-    stages: ClassVar[int]
-
-    @property
-    def kernel_name(self) -> str:
-        """Return one name for all: the number of stages is in the options."""
-        return 'LieGauss'
-
-    @property
-    def usual_gradients(self) -> int:
-        """Return what its one equation takes, with a gradient for each stage; see Integrator."""
-        return self.stages * super().usual_gradients
-
-    def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
-        """Return the coefficients and the options of the solver."""
-        return Tableau(*gauss_tableau(self.stages), super().options(attempt, dimension))
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the number of unknowns: x and P of each stage."""
-        return (2 * self.stages * n,)
+    kernel_name = 'LieGauss'
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspace of the equation, and the point of a stage; see Integrator."""
