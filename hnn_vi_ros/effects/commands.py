@@ -82,6 +82,8 @@ Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation
 # What a command can hold, and what that is called.
 NUMBERS, POSITION, VELOCITY, EFFORT, PATH = 'commands', 'position', 'velocity', 'effort', 'path'
 OBSERVATION = 'observation'
+# No number of a command is larger: splines and forces of such are finite, of any unit.
+LARGEST = 1e12
 
 
 def contents(command: Command) -> set[str]:
@@ -197,10 +199,15 @@ class Commanded(ABC):
 def places_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:
     """Return the places among known names of those that are wanted, or raise ValueError."""
     if len(set(names)) < len(names):
-        raise ValueError(f'name = [{", ".join(names)[:80]}] names a joint twice')
+        raise ValueError(f'name = [{told(names)}] names a joint twice: give each once')
     asked = [name for name, one in zip(names, wanted, strict=True) if one]
     for name in asked:
         if name not in known:
             raise ValueError(f'no joint {name[:80]!r} is driven so; valid joints: '
                              f'{", ".join(known)}')
     return np.array([known.index(name) for name in asked], dtype=np.int64)
+
+
+def told(names: Sequence[str]) -> str:
+    """Return the beginning of a list of names that others gave, in characters that print."""
+    return repr(', '.join(names)[:80])[1:-1]

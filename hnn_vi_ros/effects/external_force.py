@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
-    Command, Commanded, EFFORT, JointCommand, NUMBERS, places_of)
+    Command, Commanded, EFFORT, JointCommand, LARGEST, NUMBERS, places_of)
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -85,9 +85,9 @@ class ExternalForce(Force, Commanded):
         if isinstance(command, JointCommand):
             given = ~np.isnan(values)
             places, values = places[places_of(command.names, names, given)], values[given]
-        if values.shape != places.shape or not np.isfinite(values).all():
-            raise ValueError(f'command {values.tolist()}: expected {places.size} finite numbers'
-                             f'{", for " * bool(names)}{", ".join(names)}')
+        if values.shape != places.shape or not (np.abs(values) <= LARGEST).all():
+            raise ValueError(f'command {values.tolist()!s:.80}: expected {places.size} finite '
+                             f'numbers{", for " * bool(names)}{", ".join(names)}, <= {LARGEST:g}')
         return lambda: parameters.hold(places, values, self.timeout)
 
     @staticmethod

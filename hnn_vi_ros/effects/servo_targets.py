@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.commands import (
-    Aim, Command, JointCommand, JointPath, places_of, Reference)
+    Aim, Command, JointCommand, JointPath, LARGEST, places_of, Reference, told)
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
@@ -15,8 +15,6 @@ import numpy as np
 IDLE, AT_POSITION, AT_VELOCITY, ON_PATH = range(4)
 # Knots of a path; each has a row of Reference.knots.
 MOST_KNOTS = 1024
-# Of which splines are finite.
-_LARGEST = 1e12
 # A start further ahead is no simulated time, but one of another clock [s].
 _LONGEST_DELAY = 3600.0
 
@@ -131,8 +129,10 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
     moved = ~(np.isnan(command.position) & np.isnan(command.velocity))
     joints = places_of(command.names, names, moved)
     position, velocity = command.position[moved], command.velocity[moved]
-    if np.isinf(position).any() or np.isinf(velocity).any():
-        raise ValueError('a position or a velocity is infinite')
+    for kind, values in (('position', position), ('velocity', velocity)):
+        for k in np.flatnonzero(np.abs(values) > LARGEST):
+            raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, at most {LARGEST:g} '
+                             'is taken')
 
     def put() -> None:
         reference, places = own.reference, own.places[joints]
@@ -157,11 +157,14 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     if not ahead.any():
         raise ValueError(f'the last point was to be reached {now - times[-1]:.6g} s ago: stamp '
                          'the path with zero, which is now, or with simulated time')
+    t = np.concatenate([[now], times[ahead]])
+    if (np.diff(t) <= 0.0).any():
+        raise ValueError(f'times of points are less than {np.spacing(t[-1]):.3g} s apart, which '
+                         'is one time to the clock now: leave points out, or reset the time')
     start = aim_of(own, names).targets
     start[0] = np.where(np.isnan(start[0]), q[own.places], start[0])
     start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
     order = [list(path.names).index(name) for name in names]
-    t = np.concatenate([[now], times[ahead]])
     points = np.vstack([start[0], path.positions[ahead][:, order]])
     slopes = bends = np.zeros_like(points)
     if path.velocities is not None:
@@ -186,7 +189,7 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
 
 def _check_path(path: JointPath, names: Sequence[str]) -> None:
     if sorted(path.names) != sorted(names):
-        raise ValueError(f'joint_names = [{", ".join(path.names)[:80]}] must be '
+        raise ValueError(f'joint_names = [{told(path.names)}] must be '
                          f'{", ".join(names)}, each once')
     n = len(path.times)
     if not 0 < n < MOST_KNOTS:
@@ -196,11 +199,12 @@ def _check_path(path: JointPath, names: Sequence[str]) -> None:
     for name in ('positions', 'velocities', 'accelerations'):
         values = getattr(path, name)
         if values is not None and not (
-                values.shape == (n, len(names)) and (np.abs(values) <= _LARGEST).all()):
-            raise ValueError(f'{name} must be {len(names)} numbers of at most {_LARGEST:g} in '
+                values.shape == (n, len(names)) and (np.abs(values) <= LARGEST).all()):
+            raise ValueError(f'{name} must be {len(names)} numbers of at most {LARGEST:g} in '
                              'each point')
-    if not np.isfinite(path.times).all() or (np.diff(path.times) <= 0.0).any():
-        raise ValueError('time_from_start must rise from point to point')
+    if not np.isfinite(path.times).all() or (np.diff(path.times) <= 0.0).any() \
+            or path.times[0] < 0.0:
+        raise ValueError('time_from_start must rise from point to point, from 0 on')
     if path.velocities is not None and path.velocities[-1].any():
         raise ValueError('velocities of the last point must be 0: the joints stay there')
     if not path.delay <= _LONGEST_DELAY:

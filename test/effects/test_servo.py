@@ -135,7 +135,9 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
 @pytest.mark.parametrize('given, message', [
     (command('xw', position=1.0), "no joint 'w' is driven so; valid joints: x, y"),
     (command('xx', position=1.0), 'names a joint twice'),
-    (command('x', position=INF), 'infinite'), (command('x'), 'holds no number'),
+    (command('x', position=INF), r'position of x is inf, at most 1e\+12'),
+    (command('yx', velocity=[1.0, -1e13]), r'velocity of x is -1e\+13, at most 1e\+12'),
+    (command('x'), 'holds no number'),
     (command('x', effort=1.0), 'is an external_force of joints: it takes no effort'),
     ([1.0, 2.0], 'it takes no commands'),
     (path([1.0], [0.0]), r'joint_names = \[x\] must be x, y'),
@@ -143,6 +145,8 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     (path(range(MOST_KNOTS), [0.0] * MOST_KNOTS, names='xy'), f'1 to {MOST_KNOTS - 1}'),
     (path([1.0, 1.0], [0.0] * 2, names='xy'), 'must rise'),
     (path([NAN], [0.0], names='xy'), 'must rise'),
+    (path([-1.0, 1.0], [0.0] * 2, names='xy'), 'must rise .* from 0 on'),
+    (path([-1.0, 1.0], [0.0] * 2, names='xy', delay=5.0), 'must rise .* from 0 on'),
     (path([1.0], [INF], names='xy'), 'positions must be 2 numbers'),
     (path([1.0], [1.0], [0.0], [NAN], names='xy'), 'accelerations must be 2 numbers'),
     (path([1.0], [1.0], names='xy')._replace(accelerations=np.zeros((1, 2))), 'no velocities'),
@@ -160,9 +164,29 @@ def test_command_that_cannot_be_used_is_refused_whole(given, message):
     assert np.array_equal(simulation.motors.aim.targets, before)
 
 
+@pytest.mark.parametrize('columns', [1, 2, 3])
+def test_points_that_are_one_to_the_clock_are_refused(columns):
+    """After three years numbers of time are 15 ns apart."""
+    simulation = servo('x')
+    simulation.restart([0.0], [0.0], step=round(1e8 / 0.02))
+    with pytest.raises(ValueError, match='times of points are less than 1.49e-08 s apart'):
+        simulation.set_command(path([1.0, 1.0 + 1e-9, 2.0], *[[0.0, 1.0, 0.0]] * columns))
+    assert not simulation.motors.aim.on_path
+
+
+@pytest.mark.parametrize('given', [
+    path([1.0], [0.0], names=['\x1b[31mred', 'a\nb']),
+    command(['\x1b[31mred', '\x1b[31mred'], position=0.0),
+    command(['\x1b[31mred'], position=0.0)])
+def test_names_of_joints_are_told_in_characters_that_print(given):
+    with pytest.raises(ValueError) as refused:
+        servo('x', 'y').set_command(given)
+    assert str(refused.value).isprintable() and 'red' in str(refused.value)
+
+
 def test_half_of_a_command_that_cannot_be_used_leaves_the_other_half():
     simulation = servo('x', more=[ExternalForce(['x'])])
-    with pytest.raises(ValueError, match='infinite|finite'):
+    with pytest.raises(ValueError, match='expected 1 finite'):
         simulation.set_command(command('x', position=1.0, effort=INF))
     assert np.isnan(simulation.motors.aim.targets[0, 0]) and simulation.dH_dq[0] == 0.0
 
