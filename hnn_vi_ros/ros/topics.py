@@ -41,6 +41,8 @@ from std_msgs.msg import Float64MultiArray, String
 
 # Of what is heard [bytes].
 LARGEST_MESSAGE = 1 << 20
+# Of what is told of a message that is ignored: the names of twelve joints, and what to do.
+LONGEST_REASON = 500
 SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
 # As a robot's state publisher calls it.
 ROBOT_TOPIC: tuple[str, type] = ('robot_description', String)
@@ -197,7 +199,7 @@ class Topics:
                 # RuntimeError: the bytes are no message of this type.
                 self.ignored[topic] += 1
                 self._node.get_logger().error(
-                    f'{topic}: message ignored: {" ".join(str(problem).split())[:200]} '
+                    f'{topic}: message ignored: {" ".join(str(problem).split())[:LONGEST_REASON]} '
                     f'({self.ignored[topic]} so far)', throttle_duration_sec=1.0)
 
         subscription = create_subscription(

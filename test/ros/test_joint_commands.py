@@ -8,12 +8,17 @@ import signal
 from builtin_interfaces.msg import Duration, Time
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.inputs import read_joints, read_path
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.ros.topics import LONGEST_REASON
 from hnn_vi_ros.ros.trajectory_feedback import TrajectoryFeedback
 from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 from peer import peer, SIMULATOR, stamp
@@ -91,6 +96,18 @@ def test_path_of_a_message_begins_now_or_at_its_stamp():
 def test_path_whose_points_do_not_fit_together_is_refused(points, message):
     with pytest.raises(ValueError, match=message):
         read_path(path(*points), 0)
+
+
+@pytest.mark.parametrize('given', [
+    lambda others: read_joints(joints(['j' * 200], position=[1.0]), 0),
+    lambda others: read_path(path((1.0, [0.0] * len(others)), names=others), 0)])
+def test_reason_with_the_names_of_twelve_joints_is_told_to_its_end(given):
+    names = [f'left_arm_of_the_robot_{i}' for i in range(12)]
+    simulation = Simulation(FreeParticle(1.0, names), INTEGRATORS['generalized_leapfrog'](), 0.01,
+                            [0.0] * 12, [0.0] * 12, [Servo(names, 1.0)])
+    with pytest.raises(ValueError, match='left_arm_of_the_robot_11(, each once)?$') as refused:
+        simulation.set_command(given(names[1:]))
+    assert len(str(refused.value)) <= LONGEST_REASON
 
 
 COMMANDS = {
