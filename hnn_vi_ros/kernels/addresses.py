@@ -264,8 +264,15 @@ class _Linked(Part):
             if array.dtype != np.float64 or array.ndim != 1 or not array.flags.c_contiguous:
                 raise ValueError(f'an array of {array.dtype} and shape {array.shape}; expected '
                                  'contiguous ones of float64 and shape (n,)')
-        return memory.entries[k].call(target.words.ctypes.data + 24,
-                                      *(array.ctypes.data for array in arrays), arrays[0].size)
+        return memory.entries[k].call(_address_of(target.words) + 24,
+                                      *map(_address_of, arrays), arrays[0].size)
+
+
+def _address_of(array: np.ndarray) -> int:
+    """Return where an array begins; ``array.ctypes`` makes an object, which takes longer."""
+    if array.size and array.flags.writeable:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array.data))
+    return array.ctypes.data
 
 
 def _linked(function: Callable[..., Any]) -> _Linked:

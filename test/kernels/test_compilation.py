@@ -230,3 +230,15 @@ def test_function_is_named_once_where_two_threads_ask_at_the_same_time(monkeypat
         names = list(pool.map(identify, [dispatcher, dispatcher]))
     assert names[0] == names[1]
     assert names[0].endswith('-digest')
+
+
+def test_functions_by_address_take_arrays_that_are_read_only_and_none_that_have_gaps():
+    pendulum = HAMILTONIANS['pendulum']()
+    q, p = np.array([0.3]), np.array([0.7])
+    expected = [part.tolist() for part in pendulum.gradient(q, p)]
+    q.flags.writeable = p.flags.writeable = False
+    assert [part.tolist() for part in pendulum.gradient(q, p)] == expected
+    assert [part.shape for part in pendulum.gradient(*np.empty((2, 0, 1)))] == [(0, 1)] * 2
+    kernel = by_address(pendulum.kernel)
+    with pytest.raises(ValueError, match='contiguous'):
+        kernel.gradient(kernel.parameters, *np.zeros((4, 6))[:, ::2])
