@@ -11,7 +11,7 @@ from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
-from hnn_vi_ros.ros.topics import LATCHED, SCENE_TOPIC
+from hnn_vi_ros.ros.topics import LATCHED, SCENE_TOPIC, TICKS
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -24,7 +24,7 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
-# What replay publishes these topics with: a machine may stall for more than ten messages.
+# Of samples that nobody may miss: a machine may stall for more than ten messages.
 QUEUE = QoSProfile(depth=10_000)
 # Wall time at which another recorder began [ns].
 EPOCH = 1_700_000_000 * 10**9
@@ -33,12 +33,12 @@ EPOCH = 1_700_000_000 * 10**9
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                change: Callable[[Sample], Sample] = lambda sample: sample, close: bool = True,
                commands: Mapping[int, Sequence[object]] | None = None, begin: int = 0,
-               state: bool = True, **described: object) -> Path:
+               state: bool = True, qos: QoSProfile = TICKS, **described: object) -> Path:
     """
     Record a run; `change` returns what is recorded in place of a sample.
 
     Of each step, `commands` are what is heard before it, numbers or messages; the bag may begin at
-    a later one. It is one of before ~/state without `state`.
+    a later one. It is one of before ~/state without `state`. Replay offers its samples by `qos`.
     """
     simulation = build(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
@@ -50,14 +50,14 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
     for step in range(first, first + ticks * sampler.every):
         if step == first + begin:
             sink = _open(bag, report, sampler, TICK_TOPICS if state else TICK_TOPICS[1:],
-                         state_file(simulation) if begin else None)
+                         state_file(simulation) if begin else None, qos)
         for heard in (commands or {}).get(step, ()):
             message = Float64MultiArray(data=heard) if isinstance(heard, list) else heard
             # Joint states are commands before they are observations.
             one = next(one for one in INPUTS if isinstance(message, one.message_type))
             simulation.set_command(one.read(message, sampler.stamp))
             if sink is not None:
-                sink.write_other(_topic(one.topic, one.message_type), sampler.stamp,
+                sink.write_other(_topic(one.topic, one.message_type, qos), sampler.stamp,
                                  serialize(message))
         simulation.advance(1)
         if simulation.steps % sampler.every == 0 and sink is not None:
@@ -68,16 +68,16 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
 
 
 def _open(bag: Path, report: str, sampler: Sampler, topics: Sequence[tuple[str, type]],
-          state: bytes | None) -> McapSink:
+          state: bytes | None, qos: QoSProfile) -> McapSink:
     attachments = {'scene.yaml': report.encode()} | ({STATE_FILE: state} if state else {})
-    sink = McapSink(bag, [_topic(*topic) for topic in topics], attachments)
-    sink.write_other(_topic(*SCENE_TOPIC), sampler.stamp, serialize(String(data=report)))
+    sink = McapSink(bag, [_topic(*topic, qos) for topic in topics], attachments)
+    sink.write_other(_topic(*SCENE_TOPIC, LATCHED), sampler.stamp, serialize(String(data=report)))
     return sink
 
 
-def _topic(name: str, kind: type) -> Topic:
+def _topic(name: str, kind: type, qos: QoSProfile) -> Topic:
     full = name.replace('~', '/hnn_simulator') if name[0] == '~' else f'/{name}'
-    return describe_topic(full, kind, LATCHED if kind is String else QUEUE)
+    return describe_topic(full, kind, qos)
 
 
 def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: float = 0.004,

@@ -19,6 +19,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 import recorded
 from recorded import as_received, record_run
 
@@ -44,8 +45,8 @@ def calling(monkeypatch):
     """Let runs be recorded under other names than their own."""
     topic = recorded._topic
 
-    def called(name: str, kind: type):
-        found = topic(name, kind)
+    def called(name: str, kind: type, qos: QoSProfile):
+        found = topic(name, kind, qos)
         return replace(found, name=CALLED.get(found.name, found.name))
 
     monkeypatch.setattr(recorded, '_topic', called)

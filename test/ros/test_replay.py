@@ -92,7 +92,8 @@ def listener() -> Iterator[Listener]:
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory) -> Path:
     """Return a bag of two seconds, five messages each 10 ms, and a scene."""
-    return record_run(tmp_path_factory.mktemp('run') / 'bag', load_scene('exact_pendulum'), 200)
+    return record_run(tmp_path_factory.mktemp('run') / 'bag', load_scene('exact_pendulum'), 200,
+                      qos=QUEUE)
 
 
 def recorded_messages(bag: Path) -> dict[str, list[bytes]]:
