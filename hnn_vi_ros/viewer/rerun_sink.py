@@ -12,8 +12,9 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Trail
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_layout as layout
-from hnn_vi_ros.viewer.phase_portrait import ends_of, frames_of, reach_of
+from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
+from hnn_vi_ros.viewer.rerun_portraits import Portraits
 from hnn_vi_ros.viewer.rerun_robot import bounds_of_robot, collisions_of, RobotPicture
 from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
 import numpy as np
@@ -92,10 +93,9 @@ class RerunSink:
         self._pending: list[Sample] = []
         # Stamp, step, microseconds per step (median and p99), real-time factor.
         self._timings: list[tuple[int, int, tuple[float, float], float]] = []
-        # The newest sample, the newest that is to be shown, the newest that was sent.
+        # The newest sample, and the newest that is to be shown.
         self._newest: Sample | None = None
         self._kept: Sample | None = None
-        self._sent: Sample | None = None
         self._reach = 0.0
         # Where trails end, by name.
         self._trails: dict[str, np.ndarray] = {}
@@ -167,7 +167,8 @@ class RerunSink:
         try:
             self._send()
             if not self._stream.live and self._times_shown is not None:
-                # Whoever opens the file finds axes that are fitted to all that is in it.
+                # Whoever opens the file finds frames and axes fitted to all that is in it.
+                self._portraits.fit()
                 self._stream.send_blueprint(self._blueprint(
                     Extent(self._times_shown, self._values_shown)))
         finally:
@@ -183,7 +184,6 @@ class RerunSink:
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
                     box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
         shown = self._portrayed
-        frames = frames_of(hamiltonian, q0, p0, box, len(shown))
         parts, bounds = {}, None
         if self._mechanism is not None:
             ends = ends_of(hamiltonian, q0, p0, box)
@@ -202,8 +202,8 @@ class RerunSink:
         self._stream.send_blueprint(self._blueprint())
         recording = self._stream.recording
         layout.log_series_styles(recording, self._labels | layout.TIMING)
-        for frame in frames:
-            layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
+        self._portraits = Portraits(
+            recording, hamiltonian, q0, p0, box, len(shown), arrangement.side)
         if parts:
             layout.log_mechanism_styles(recording, parts)
         if self._robot is not None:
@@ -251,7 +251,7 @@ class RerunSink:
             values = np.asarray(series[path])
             self._note(path, values)
             self._columns(path, times, _scalars(values))
-        self._send_portraits(times, samples, q, p)
+        self._portraits.send(times, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, q)
         if self._picture is not None:
@@ -259,7 +259,6 @@ class RerunSink:
             self._picture.send(times, q, np.array([
                 np.zeros(q.shape[1]) if s.motors is None else s.motors for s in samples])
                 if driven else None)
-        self._sent = samples[-1]
 
     def _send_events(self) -> None:
         events, self._events = self._events, []
@@ -284,19 +283,6 @@ class RerunSink:
             low, high = self._values_shown.get(path, (np.inf, -np.inf))
             self._values_shown[path] = (min(low, float(finite.min())),
                                         max(high, float(finite.max())))
-
-    def _send_portraits(self, times: list[rr.TimeColumn], samples: list[Sample], q: np.ndarray,
-                        p: np.ndarray) -> None:
-        """Add to each trail the segments that lead to the new points."""
-        if not self._portrayed:
-            return
-        before = self._sent or samples[0]
-        points = np.stack([np.vstack([before.q, q]), np.vstack([before.p, p])], axis=-1)
-        for axis, coordinate in enumerate(self._portrayed):
-            path = layout.phase_path(coordinate)
-            segments = np.stack([points[:-1, axis], points[1:, axis]], axis=1)
-            self._columns(f'{path}/trail', times, rr.LineStrips2D.columns(strips=segments))
-            self._columns(f'{path}/state', times, rr.Points2D.columns(positions=points[1:, axis]))
 
     def _send_mechanism(self, times: list[rr.TimeColumn], q: np.ndarray) -> None:
         for name, part in self._mechanism(q, self._reach).items():
