@@ -76,22 +76,35 @@ class Arrangement:
     @property
     def columns(self) -> int:
         """Portraits beside each other."""
-        if self.tabbed or self.portraits == 1:
+        if self.tabbed or self.portraits <= 1:
             return 1
         return 1 if self.portraits == 2 and self.bounds is None else 2
 
     @property
+    def quarters(self) -> bool:
+        """Whether the mechanism is beside the first of three portraits."""
+        return self.bounds is not None and self.portraits == 3
+
+    @property
     def world_share(self) -> float:
-        """Share of the height that the mechanism has."""
-        if self.bounds is None:
+        """Share of the height that the mechanism has to itself."""
+        if self.bounds is None or self.quarters:
             return 0.0
         # Two portraits beside each other are half as high as one; four are in two rows of such.
-        return {2: 0.55, 3: 0.25, 4: 0.25}.get(self.portraits, 0.32)
+        return {0: 1.0, 1: 0.32, 2: 0.55, 4: 0.25}.get(self.portraits, 0.45)
+
+    @property
+    def world_aspect(self) -> float:
+        """Width of the view of the mechanism over its height."""
+        width, height = (0.5, 0.5) if self.quarters else (1.0, self.world_share)
+        return width * COLUMN[0] / (height * COLUMN[1] - BAR)
 
     @property
     def side(self) -> float:
-        """Return width and height of a portrait's frame, in points."""
-        rows = 1 if self.tabbed else max(1, -(-self.portraits // self.columns))
+        """Return width and height of a portrait's frame, in points; 0 where there is none."""
+        if not self.portraits:
+            return 0.0
+        rows = 1 if self.tabbed else -(-self.portraits // self.columns)
         left, right, top, bottom = MARGINS
         height = COLUMN[1] * (1.0 - self.world_share) / rows - BAR
         return min(COLUMN[0] / self.columns - left - right, height - top - bottom)
@@ -128,14 +141,10 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     if extent is not None:
         trail = max(trail, 1e-9 * _TRAIL_SHARE * (extent.times[1] - extent.times[0]))
     views = [_phase_view(coordinate, trail, arrangement.side) for coordinate in coordinates]
-    left: rrb.Container = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
-        *views, grid_columns=arrangement.columns)
-    share = arrangement.world_share
-    if arrangement.bounds is not None:
-        world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR),
-                            {part_path(name): _recent(trail) for name in trails},
-                            arrangement.hidden)
-        left = rrb.Vertical(world, left, row_shares=[share, 1.0 - share])
+    world = None if arrangement.bounds is None else _world_view(
+        arrangement.bounds, arrangement.world_aspect,
+        {part_path(name): _recent(trail) for name in trails}, arrangement.hidden)
+    left = _left_column(world, views, arrangement)
     energies = [path for path in labels if path in ENERGIES]
     invariants = [('Invariants', [INVARIANTS])] if INVARIANTS in labels else []
     q_paths, p_paths = ([path, band] if band in labels else [path]
@@ -148,10 +157,25 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
-        if views or arrangement.bounds is not None else right,
+        if left is not None else right,
         rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
         rrb.TimePanel(state='collapsed', timeline='sim_time', play_state='following'),
         auto_views=False)
+
+
+def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement: Arrangement
+                 ) -> rrb.Container | rrb.View | None:
+    """Put mechanism and portraits where there are such, with no place for what there is not."""
+    if not views:
+        return world
+    if arrangement.quarters:
+        return rrb.Grid(world, *views, grid_columns=2)
+    portraits = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
+        *views, grid_columns=arrangement.columns)
+    if world is None:
+        return portraits
+    share = arrangement.world_share
+    return rrb.Vertical(world, portraits, row_shares=[share, 1.0 - share])
 
 
 def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]],

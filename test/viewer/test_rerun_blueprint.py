@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The views fit into the window, whatever there is to show."""
 
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_blueprint import (
-    Arrangement, BAR, COLUMN, eye_of, MARGINS, VIEW_ANGLE, with_ticks)
-from hnn_vi_ros.viewer.rerun_layout import raised
+    _left_column, Arrangement, BAR, COLUMN, eye_of, make_blueprint, MARGINS, VIEW_ANGLE, with_ticks)
+from hnn_vi_ros.viewer.rerun_layout import raised, series_labels
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 BOUNDS = np.array([[-1.0, -0.5, 0.0], [2.0, 0.5, 1.0]])
 
@@ -19,11 +21,37 @@ def test_portraits_and_their_labels_fit_into_the_column(portraits: int, bounds):
     left, right, top, bottom = MARGINS
     width = arrangement.columns * (arrangement.side + left + right)
     height = rows * (BAR + arrangement.side + top + bottom)
+    # Three portraits and the mechanism fill two rows of two.
+    assert arrangement.quarters == (portraits == 3 and bounds is not None)
     # Sums and differences of some hundred points, rounded to 1e-13.
     assert width <= COLUMN[0] + 1e-9
     assert height <= COLUMN[1] * (1.0 - arrangement.world_share) + 1e-9
     # Five ticks with their labels of about 35 points each.
     assert arrangement.side >= 175.0
+
+
+def test_every_pane_of_the_left_column_holds_a_view():
+    coordinates = [Coordinate(f'x{k}', 'm', 'kg m/s') for k in range(8)]
+    for portraits in range(9):
+        for bounds in (None, BOUNDS):
+            views = [rrb.Spatial2DView() for _ in range(portraits)]
+            world = None if bounds is None else rrb.Spatial3DView()
+            left = _left_column(world, views, Arrangement(portraits, bounds))
+            assert views_in(left) == portraits + (bounds is not None)
+            assert make_blueprint(coordinates[:portraits], series_labels(
+                coordinates, True, True, False), Arrangement(portraits, bounds), 1)
+    # What has no portraits has the whole column.
+    assert Arrangement(0, BOUNDS).world_aspect == COLUMN[0] / (COLUMN[1] - BAR)
+
+
+def views_in(part) -> int:
+    """Count the views, and find no container without any."""
+    if part is None:
+        return 0
+    if not isinstance(part, rrb.Container):
+        return 1
+    assert part.contents
+    return sum(views_in(child) for child in part.contents)
 
 
 @pytest.mark.parametrize('bounds', [
