@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_layout import (
-    BACKGROUND, BANDS, part_path, phase_path, TIMING)
+    BACKGROUND, BANDS, PALETTE, part_path, phase_path, TIMING, without_unit)
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -25,6 +25,9 @@ ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
 INVARIANTS = '/invariants'
 # Of the time axis, what is left free at its end for a legend, and for the last label alone.
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
+# Width of a plot, of a letter of a legend and of what is beside them, height of a line of a legend
+# and of what else a plot has below its bar, and the least of a view, in points.
+_PLOT, _LETTER, _LEGEND_EDGES, _LINE, _MARGIN, _LEAST_HEIGHT = 775.0, 7.6, 42.0, 23.0, 40.0, 120.0
 # Of a run whose end is known, the least that a trail shows.
 _TRAIL_SHARE = 0.2
 # Gaps between ticks of the height of a plot.
@@ -91,7 +94,7 @@ class Arrangement:
         if self.bounds is None or self.quarters:
             return 0.0
         # Two portraits beside each other are half as high as one; four are in two rows of such.
-        return {0: 1.0, 1: 0.32, 2: 0.55, 4: 0.25}.get(self.portraits, 0.45)
+        return {0: 1.0, 1: 0.32, 2: 0.55, 4: 0.25}.get(self.portraits, 0.5)
 
     @property
     def world_aspect(self) -> float:
@@ -151,9 +154,10 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
                         for path, band in zip(('/state/q', '/state/p'), BANDS, strict=True))
     plots = [('Coordinates', q_paths), ('Momenta', p_paths), ('Energy', energies),
              ('Energy error', ['/energy/error']), *invariants]
+    heights = [height_for(names_of(paths, labels)[0]) for _, paths in plots]
     motion = rrb.Vertical(
         *(_series_view(title, paths, labels, extent) for title, paths in plots), _events_view(),
-        row_shares=[1.0] * len(plots) + [0.6], name='Motion')
+        row_shares=[*heights, 0.6 * _LEAST_HEIGHT], name='Motion')
     right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
@@ -183,16 +187,14 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
                  ) -> rrb.TimeSeriesView:
     """Plot some series; a single one is named in the title, where no legend hides data."""
     axis_y = None if least is None else rrb.ScalarAxis(range=least)
-    names = [name for path in paths for name in labels[path]]
-    if len(names) == 1:
-        title = f'{title} {names[0]}'
+    names, unit = names_of(paths, labels)
+    title += f' {names[0]}' if len(names) == 1 else unit
     many = len(names) > 1
     axis_x = None
     if extent is not None:
         # A legend has the place after the last sample.
         begin, end = extent.times
-        room = _LEGEND_ROOM if many else _END_ROOM
-        last = end + round(room * max(end - begin, 1))
+        last = end + round(room_after(names) * max(end - begin, 1))
         axis_x = rrb.TimeAxis(view_range=rr.TimeRange(
             start=rrb.TimeRangeBoundary.absolute(seconds=begin * 1e-9),
             end=rrb.TimeRangeBoundary.absolute(seconds=last * 1e-9)))
@@ -203,6 +205,25 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
     return rrb.TimeSeriesView(
         name=title, origin='/', contents=paths, axis_x=axis_x, axis_y=axis_y,
         plot_legend=rrb.PlotLegend(corner='RightTop', visible=many))
+
+
+def names_of(paths: Sequence[str], labels: Mapping[str, Sequence[str]]) -> tuple[list[str], str]:
+    """Return what a legend shows of the series in a view, and the unit for its title."""
+    found = [without_unit(labels[path]) for path in paths]
+    return [name for names, _ in found for name in names], found[0][1]
+
+
+def room_after(names: Sequence[str]) -> float:
+    """Return the share of the times that is left free after them, for a legend of these names."""
+    if len(names) < 2:
+        return _END_ROOM
+    share = min((_LEGEND_EDGES + _LETTER * max(map(len, names))) / _PLOT, 0.5)
+    return max(_LEGEND_ROOM, share / (1.0 - share))
+
+
+def height_for(names: Sequence[str]) -> float:
+    """Return the height of a view, in points, in which a legend shows up to eight names."""
+    return max(_LEAST_HEIGHT, BAR + _MARGIN + _LINE * min(len(names), len(PALETTE)))
 
 
 def with_ticks(low: float, high: float) -> tuple[float, float]:

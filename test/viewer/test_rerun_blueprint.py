@@ -4,8 +4,8 @@
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_blueprint import (
-    _left_column, Arrangement, BAR, COLUMN, eye_of, make_blueprint, MARGINS, VIEW_ANGLE, with_ticks)
-from hnn_vi_ros.viewer.rerun_layout import raised, series_labels
+    _left_column, Arrangement, BAR, COLUMN, eye_of, make_blueprint, MARGINS, VIEW_ANGLE, height_for, room_after, with_ticks)
+from hnn_vi_ros.viewer.rerun_layout import raised, series_labels, without_unit
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
@@ -93,3 +93,27 @@ def test_axis_has_two_ticks_with_labels_and_holds_the_values(low: float, high: f
     ('kg m2/s', 'kg m²/s'), ('m', 'm'), ('1', '1'), ('kg m2/s2', 'kg m²/s²'), ('s-1', 's⁻¹')])
 def test_exponents_of_units_are_superscripts(unit: str, expected: str):
     assert raised(unit) == expected
+
+
+@pytest.mark.parametrize('names, shown, title', [
+    (['a [rad]', 'b_1 [rad]'], ['a', 'b_1'], ' [rad]'),
+    # Of several units each stays with its name, and so does that of a single one.
+    (['a [rad]', 'b [m]'], ['a [rad]', 'b [m]'], ''), (['a [m]'], ['a [m]'], ''),
+    (['spin', 'a [m]'], ['spin', 'a [m]'], ''), (['spin', 'lift'], ['spin', 'lift'], '')])
+def test_names_have_no_unit_that_the_title_has(names: list[str], shown: list[str], title: str):
+    assert without_unit(names) == (shown, title)
+
+
+def test_a_legend_has_room_for_its_names():
+    six, two = [f'p_shoulder_{k}' for k in range(6)], ['x', 'y']
+    # Of the plot's 775 points: letters of 7 points, and some 40 for its mark and edges.
+    for names in (six, two):
+        free = room_after(names) / (1.0 + room_after(names))
+        assert 775.0 * free >= 40.0 + 7.0 * max(map(len, names))
+    assert room_after(['H [J]']) < room_after(two)
+    # A line is 23 points high, the bar above a plot 28 and the times below it 20.
+    rows = np.array([height_for(names) for names in (six, six, two[:1], two[:1])])
+    height = COLUMN[1] * rows / (rows.sum() + 0.6 * height_for(two))
+    assert height[0] >= 6 * 23.0 + BAR + 20.0
+    # The others keep a plot of 60 points.
+    assert height[2] >= BAR + 20.0 + 60.0
