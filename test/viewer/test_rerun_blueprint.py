@@ -4,7 +4,8 @@
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_blueprint import (
-    _left_column, Arrangement, BAR, COLUMN, eye_of, make_blueprint, MARGINS, VIEW_ANGLE, height_for, room_after, with_ticks)
+    _left_column, Arrangement, BAR, COLUMN, eye_of, height_for, make_blueprint, MARGINS,
+    room_after, VIEW_ANGLE, with_ticks)
 from hnn_vi_ros.viewer.rerun_layout import raised, series_labels, without_unit
 import numpy as np
 import pytest

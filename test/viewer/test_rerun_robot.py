@@ -115,7 +115,8 @@ def test_bounds_of_a_path_hold_where_the_links_were():
     both = bounds_of_path(robot.robot, names, np.array([[0.0, 0.0], [np.pi, 0.0]]))
     # The elbow is 0.4 m below the shoulder, and above it after half a turn about y.
     assert down[0, 2] < -0.4 and up[1, 2] > 0.4
-    assert (both[0] <= np.minimum(down, up)[0]).all() and (both[1] >= np.maximum(down, up)[1]).all()
+    assert (both[0] <= np.minimum(down[0], up[0])).all()
+    assert (both[1] >= np.maximum(down[1], up[1])).all()
     # Nearer than the sphere that holds every path.
     assert np.ptp(both, axis=0).prod() < 0.5 * (2.0 * np.linalg.norm(
         bounds_of_robot(robot.robot)[1])) ** 3
