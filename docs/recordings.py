@@ -4,11 +4,12 @@
 Pictures of recordings in the rerun viewer: `docs/recordings.py` makes them anew.
 
 On a screen, or without one, where the pointer then stands beside the window:
-`xvfb-run -a -s '-screen 0 6000x4000x24' python docs/recordings.py`, some 30 s for each. No other
-viewer may run: it would show the recordings.
+`xvfb-run -a -s '-screen 0 6000x4000x24' python docs/recordings.py`, some 30 s for each.
+Each viewer has a port of its own: else one that runs would show the recording.
 """
 
 from pathlib import Path
+import socket
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
@@ -19,7 +20,7 @@ from PIL import Image
 FOLDER = Path(__file__).resolve().parent / 'recordings'
 # Scene, and simulated time [s].
 SCENES = {'harmonic_oscillator': 20.0, 'double_pendulum': 10.0, 'kepler': 20.0,
-          'henon_heiles': 100.0, 'fput_chain': 100.0, 'spherical_pendulum': 10.0,
+          'henon_heiles': 100.0, 'fput_chain': 60.0, 'spherical_pendulum': 10.0,
           'heavy_top': 10.0, 'six_joint_arm': 3.0}
 _WINDOW, _WIDTH, _COLOURS = '1400x900', 1400, 128
 
@@ -29,8 +30,11 @@ def write_screenshot(name: str, duration: float, path: Path) -> None:
     with TemporaryDirectory() as folder:
         recording, shot = Path(folder) / f'{name}.rrd', Path(folder) / 'shot.png'
         simulate(name, duration).to_rerun(recording)
+        with socket.socket() as probe:
+            probe.bind(('', 0))
+            port = str(probe.getsockname()[1])
         subprocess.run([sys.executable, '-m', 'rerun_cli', recording, '--window-size', _WINDOW,
-                        '--screenshot-to', shot], check=True, timeout=120.0)
+                        '--screenshot-to', shot, '--port', port], check=True, timeout=120.0)
         picture = Image.open(shot).convert('RGB')
         picture.thumbnail((_WIDTH, _WIDTH), Image.Resampling.LANCZOS)
         picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)

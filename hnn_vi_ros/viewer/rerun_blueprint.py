@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_layout import (
-    BACKGROUND, BANDS, part_path, phase_path, TIMING)
+    BACKGROUND, BANDS, PALETTE, part_path, phase_path, TIMING, without_unit)
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -25,6 +25,9 @@ ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
 INVARIANTS = '/invariants'
 # Of the time axis, what is left free at its end for a legend, and for the last label alone.
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
+# Width of a plot, of a letter of a legend and of what is beside them, height of a line of a legend
+# and of what else a plot has below its bar, and the least of a view, in points.
+_PLOT, _LETTER, _LEGEND_EDGES, _LINE, _MARGIN, _LEAST_HEIGHT = 775.0, 7.6, 42.0, 23.0, 40.0, 120.0
 # Of a run whose end is known, the least that a trail shows.
 _TRAIL_SHARE = 0.2
 # Gaps between ticks of the height of a plot.
@@ -76,22 +79,35 @@ class Arrangement:
     @property
     def columns(self) -> int:
         """Portraits beside each other."""
-        if self.tabbed or self.portraits == 1:
+        if self.tabbed or self.portraits <= 1:
             return 1
         return 1 if self.portraits == 2 and self.bounds is None else 2
 
     @property
+    def quarters(self) -> bool:
+        """Whether the mechanism is beside the first of three portraits."""
+        return self.bounds is not None and self.portraits == 3
+
+    @property
     def world_share(self) -> float:
-        """Share of the height that the mechanism has."""
-        if self.bounds is None:
+        """Share of the height that the mechanism has to itself."""
+        if self.bounds is None or self.quarters:
             return 0.0
         # Two portraits beside each other are half as high as one; four are in two rows of such.
-        return {2: 0.55, 3: 0.25, 4: 0.25}.get(self.portraits, 0.32)
+        return {0: 1.0, 1: 0.32, 2: 0.55, 4: 0.25}.get(self.portraits, 0.5)
+
+    @property
+    def world_aspect(self) -> float:
+        """Width of the view of the mechanism over its height."""
+        width, height = (0.5, 0.5) if self.quarters else (1.0, self.world_share)
+        return width * COLUMN[0] / (height * COLUMN[1] - BAR)
 
     @property
     def side(self) -> float:
-        """Return width and height of a portrait's frame, in points."""
-        rows = 1 if self.tabbed else max(1, -(-self.portraits // self.columns))
+        """Return width and height of a portrait's frame, in points; 0 where there is none."""
+        if not self.portraits:
+            return 0.0
+        rows = 1 if self.tabbed else -(-self.portraits // self.columns)
         left, right, top, bottom = MARGINS
         height = COLUMN[1] * (1.0 - self.world_share) / rows - BAR
         return min(COLUMN[0] / self.columns - left - right, height - top - bottom)
@@ -128,30 +144,42 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     if extent is not None:
         trail = max(trail, 1e-9 * _TRAIL_SHARE * (extent.times[1] - extent.times[0]))
     views = [_phase_view(coordinate, trail, arrangement.side) for coordinate in coordinates]
-    left: rrb.Container = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
-        *views, grid_columns=arrangement.columns)
-    share = arrangement.world_share
-    if arrangement.bounds is not None:
-        world = _world_view(arrangement.bounds, COLUMN[0] / (share * COLUMN[1] - BAR),
-                            {part_path(name): _recent(trail) for name in trails},
-                            arrangement.hidden)
-        left = rrb.Vertical(world, left, row_shares=[share, 1.0 - share])
+    world = None if arrangement.bounds is None else _world_view(
+        arrangement.bounds, arrangement.world_aspect,
+        {part_path(name): _recent(trail) for name in trails}, arrangement.hidden)
+    left = _left_column(world, views, arrangement)
     energies = [path for path in labels if path in ENERGIES]
     invariants = [('Invariants', [INVARIANTS])] if INVARIANTS in labels else []
     q_paths, p_paths = ([path, band] if band in labels else [path]
                         for path, band in zip(('/state/q', '/state/p'), BANDS, strict=True))
     plots = [('Coordinates', q_paths), ('Momenta', p_paths), ('Energy', energies),
              ('Energy error', ['/energy/error']), *invariants]
+    heights = [height_for(names_of(paths, labels)[0]) for _, paths in plots]
     motion = rrb.Vertical(
         *(_series_view(title, paths, labels, extent) for title, paths in plots), _events_view(),
-        row_shares=[1.0] * len(plots) + [0.6], name='Motion')
+        row_shares=[*heights, 0.6 * _LEAST_HEIGHT], name='Motion')
     right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
-        if views or arrangement.bounds is not None else right,
+        if left is not None else right,
         rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
         rrb.TimePanel(state='collapsed', timeline='sim_time', play_state='following'),
         auto_views=False)
+
+
+def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement: Arrangement
+                 ) -> rrb.Container | rrb.View | None:
+    """Put mechanism and portraits where there are such, with no place for what there is not."""
+    if not views:
+        return world
+    if arrangement.quarters:
+        return rrb.Grid(world, *views, grid_columns=2)
+    portraits = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
+        *views, grid_columns=arrangement.columns)
+    if world is None:
+        return portraits
+    share = arrangement.world_share
+    return rrb.Vertical(world, portraits, row_shares=[share, 1.0 - share])
 
 
 def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]],
@@ -159,16 +187,14 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
                  ) -> rrb.TimeSeriesView:
     """Plot some series; a single one is named in the title, where no legend hides data."""
     axis_y = None if least is None else rrb.ScalarAxis(range=least)
-    names = [name for path in paths for name in labels[path]]
-    if len(names) == 1:
-        title = f'{title} {names[0]}'
+    names, unit = names_of(paths, labels)
+    title += f' {names[0]}' if len(names) == 1 else unit
     many = len(names) > 1
     axis_x = None
     if extent is not None:
         # A legend has the place after the last sample.
         begin, end = extent.times
-        room = _LEGEND_ROOM if many else _END_ROOM
-        last = end + round(room * max(end - begin, 1))
+        last = end + round(room_after(names) * max(end - begin, 1))
         axis_x = rrb.TimeAxis(view_range=rr.TimeRange(
             start=rrb.TimeRangeBoundary.absolute(seconds=begin * 1e-9),
             end=rrb.TimeRangeBoundary.absolute(seconds=last * 1e-9)))
@@ -179,6 +205,25 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
     return rrb.TimeSeriesView(
         name=title, origin='/', contents=paths, axis_x=axis_x, axis_y=axis_y,
         plot_legend=rrb.PlotLegend(corner='RightTop', visible=many))
+
+
+def names_of(paths: Sequence[str], labels: Mapping[str, Sequence[str]]) -> tuple[list[str], str]:
+    """Return what a legend shows of the series in a view, and the unit for its title."""
+    found = [without_unit(labels[path]) for path in paths]
+    return [name for names, _ in found for name in names], found[0][1]
+
+
+def room_after(names: Sequence[str]) -> float:
+    """Return the share of the times that is left free after them, for a legend of these names."""
+    if len(names) < 2:
+        return _END_ROOM
+    share = min((_LEGEND_EDGES + _LETTER * max(map(len, names))) / _PLOT, 0.5)
+    return max(_LEGEND_ROOM, share / (1.0 - share))
+
+
+def height_for(names: Sequence[str]) -> float:
+    """Return the height of a view, in points, in which a legend shows up to eight names."""
+    return max(_LEAST_HEIGHT, BAR + _MARGIN + _LINE * min(len(names), len(PALETTE)))
 
 
 def with_ticks(low: float, high: float) -> tuple[float, float]:

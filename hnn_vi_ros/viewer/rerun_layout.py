@@ -81,6 +81,15 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
     }
 
 
+def without_unit(names: Sequence[str]) -> tuple[list[str], str]:
+    """Return several names without the unit that all of them have, and ' [it]' for a title."""
+    parts = [name.rpartition(' [') for name in names]
+    unit = parts[0][2]
+    if len(names) < 2 or not parts[0][1] or any(part[1:] != (' [', unit) for part in parts):
+        return list(names), ''
+    return [name for name, _, _ in parts], f' [{unit}'
+
+
 def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[str]]) -> None:
     """Name and colour every series."""
     first = {'/energy/modified': 2, '/energy/work': 1, '/energy/error': 5, '/invariants': 4,
@@ -91,7 +100,7 @@ def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[
         thin = path in BANDS
         count = len(names) // 2 if thin else len(names)
         colors = [PALETTE[(start + i % count) % len(PALETTE)] for i in range(len(names))]
-        style = rr.SeriesLines(colors=colors, names=names,
+        style = rr.SeriesLines(colors=colors, names=without_unit(names)[0],
                                widths=[0.7 if thin else 2.0] * len(names))
         stream.log(path, style, static=True, strict=True)
 

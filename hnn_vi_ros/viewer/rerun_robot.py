@@ -11,6 +11,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 import numpy as np
 import rerun as rr
 from rerun.urdf import UrdfTree
+from scipy.spatial.transform import Rotation
 
 # The entity whose frame the root of the robot stands in, and those that its joints move by.
 _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
@@ -118,6 +119,46 @@ def bounds_of_robot(robot: Robot) -> np.ndarray:
     """
     half = _reach_of(robot) / np.sqrt(3.0)
     return np.array([[-half] * 3, [half] * 3])
+
+
+def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """
+    Return two corners of what a robot fills on a path, shape (2, 3) [m].
+
+    They hold the origins of its links and, twice as far from that as its centre of mass, about
+    where one without joints ends, and a twentieth of the largest edge on each side: links are not
+    thin.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its links; a joint that is no coordinate is where it is held, or at zero.
+    coordinates : sequence of str
+        The joints that move, in the order of q.
+    q : np.ndarray, shape (n, d)
+        The path [rad], [m].
+
+    """
+    points, still = [], (np.zeros((len(q), 3)), Rotation.identity(len(q)))
+    waiting = [(robot.root, *still)]
+    while waiting:
+        name, place, turn = waiting.pop()
+        link = robot.links[name]
+        points.append(place)
+        if link.inertial is not None and not link.joints:
+            points.append(place + turn.apply(2.0 * link.inertial.centre))
+        for joint in link.joints:
+            value = (q[:, list(coordinates).index(joint.name)] if joint.name in coordinates
+                     else np.full(len(q), robot.locked.get(joint.name, 0.0)))
+            origin = place + turn.apply(joint.origin)
+            frame = turn * Rotation.from_matrix(joint.rotation)
+            motion = value[:, None] * joint.axis
+            waiting.append((joint.child, origin + frame.apply(motion), frame)
+                           if joint.kind == SLIDING else
+                           (joint.child, origin, frame * Rotation.from_rotvec(motion)))
+    corners = np.array([np.min(points, axis=(0, 1)), np.max(points, axis=(0, 1))])
+    margin = 0.05 * (np.ptp(corners, axis=0).max() or 1.0)
+    return corners + margin * np.array([[-1.0], [1.0]])
 
 
 def _reach_of(robot: Robot) -> float:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show samples in the rerun viewer: to a file, to a running viewer, or as a server."""
 
+from dataclasses import replace
 from functools import partial
 import time
 from typing import final
@@ -12,9 +13,11 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Trail
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_layout as layout
-from hnn_vi_ros.viewer.phase_portrait import ends_of, frames_of, reach_of
+from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
-from hnn_vi_ros.viewer.rerun_robot import bounds_of_robot, collisions_of, RobotPicture
+from hnn_vi_ros.viewer.rerun_portraits import Portraits
+from hnn_vi_ros.viewer.rerun_robot import (
+    bounds_of_path, bounds_of_robot, collisions_of, RobotPicture)
 from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
 import numpy as np
 import rerun as rr
@@ -92,10 +95,9 @@ class RerunSink:
         self._pending: list[Sample] = []
         # Stamp, step, microseconds per step (median and p99), real-time factor.
         self._timings: list[tuple[int, int, tuple[float, float], float]] = []
-        # The newest sample, the newest that is to be shown, the newest that was sent.
+        # The newest sample, and the newest that is to be shown.
         self._newest: Sample | None = None
         self._kept: Sample | None = None
-        self._sent: Sample | None = None
         self._reach = 0.0
         # Where trails end, by name.
         self._trails: dict[str, np.ndarray] = {}
@@ -104,6 +106,8 @@ class RerunSink:
         # What was sent: first and last stamp [ns], least and greatest values by entity.
         self._times_shown: tuple[int, int] | None = None
         self._values_shown: dict[str, tuple[float, float]] = {}
+        # Around all that was drawn [m].
+        self._bounds_shown: np.ndarray | None = None
         self._closed = False
         self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
@@ -167,9 +171,12 @@ class RerunSink:
         try:
             self._send()
             if not self._stream.live and self._times_shown is not None:
-                # Whoever opens the file finds axes that are fitted to all that is in it.
+                # Whoever opens the file finds frames, axes and the eye fitted to what is in it.
+                self._portraits.fit()
                 self._stream.send_blueprint(self._blueprint(
-                    Extent(self._times_shown, self._values_shown)))
+                    self._arrangement if self._bounds_shown is None else
+                    replace(self._arrangement, bounds=self._bounds_shown),
+                    extent=Extent(self._times_shown, self._values_shown)))
         finally:
             self._stream.close()
 
@@ -183,7 +190,6 @@ class RerunSink:
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
                     box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
         shown = self._portrayed
-        frames = frames_of(hamiltonian, q0, p0, box, len(shown))
         parts, bounds = {}, None
         if self._mechanism is not None:
             ends = ends_of(hamiltonian, q0, p0, box)
@@ -193,17 +199,16 @@ class RerunSink:
         hidden = ''
         if self._robot is not None:
             own, hidden = bounds_of_robot(self._robot), collisions_of(self._robot)
-            bounds = own if bounds is None else np.array([
-                np.minimum(own[0], bounds[0]), np.maximum(own[1], bounds[1])])
-        arrangement = Arrangement(len(shown), bounds, hidden)
+            bounds = _around(own, bounds)
+        self._arrangement = Arrangement(len(shown), bounds, hidden)
         self._blueprint = partial(
-            make_blueprint, shown, self._labels, arrangement, self._interval, pace,
-            [name for name, part in parts.items() if isinstance(part, Trail)])
-        self._stream.send_blueprint(self._blueprint())
+            make_blueprint, shown, self._labels, interval=self._interval, pace=pace,
+            trails=[name for name, part in parts.items() if isinstance(part, Trail)])
+        self._stream.send_blueprint(self._blueprint(self._arrangement))
         recording = self._stream.recording
         layout.log_series_styles(recording, self._labels | layout.TIMING)
-        for frame in frames:
-            layout.log_phase_portrait(recording, hamiltonian, frame, q0, p0, arrangement.side)
+        self._portraits = Portraits(
+            recording, hamiltonian, q0, p0, box, len(shown), self._arrangement.side)
         if parts:
             layout.log_mechanism_styles(recording, parts)
         if self._robot is not None:
@@ -251,15 +256,16 @@ class RerunSink:
             values = np.asarray(series[path])
             self._note(path, values)
             self._columns(path, times, _scalars(values))
-        self._send_portraits(times, samples, q, p)
+        self._portraits.send(times, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, q)
+        if self._robot is not None:
+            self._show(bounds_of_path(self._robot, [c.name for c in self._coordinates], q))
         if self._picture is not None:
             driven = any(s.motors is not None for s in samples)
             self._picture.send(times, q, np.array([
                 np.zeros(q.shape[1]) if s.motors is None else s.motors for s in samples])
                 if driven else None)
-        self._sent = samples[-1]
 
     def _send_events(self) -> None:
         events, self._events = self._events, []
@@ -285,21 +291,15 @@ class RerunSink:
             self._values_shown[path] = (min(low, float(finite.min())),
                                         max(high, float(finite.max())))
 
-    def _send_portraits(self, times: list[rr.TimeColumn], samples: list[Sample], q: np.ndarray,
-                        p: np.ndarray) -> None:
-        """Add to each trail the segments that lead to the new points."""
-        if not self._portrayed:
-            return
-        before = self._sent or samples[0]
-        points = np.stack([np.vstack([before.q, q]), np.vstack([before.p, p])], axis=-1)
-        for axis, coordinate in enumerate(self._portrayed):
-            path = layout.phase_path(coordinate)
-            segments = np.stack([points[:-1, axis], points[1:, axis]], axis=1)
-            self._columns(f'{path}/trail', times, rr.LineStrips2D.columns(strips=segments))
-            self._columns(f'{path}/state', times, rr.Points2D.columns(positions=points[1:, axis]))
+    def _show(self, bounds: np.ndarray) -> None:
+        """Widen what is known of what was drawn; a run that ends in no number ends nowhere."""
+        if np.isfinite(bounds).all():
+            self._bounds_shown = _around(bounds, self._bounds_shown)
 
     def _send_mechanism(self, times: list[rr.TimeColumn], q: np.ndarray) -> None:
-        for name, part in self._mechanism(q, self._reach).items():
+        parts = self._mechanism(q, self._reach)
+        self._show(bounds_of(parts))
+        for name, part in parts.items():
             if isinstance(part, Trail):
                 # The segments that lead to the new points.
                 before = self._trails.get(name, part.point[0])
@@ -320,6 +320,13 @@ class RerunSink:
     def _columns(self, path: str, times: list[rr.TimeColumn], columns: rr.ComponentColumnList
                  ) -> None:
         self._stream.recording.send_columns(path, times, columns, strict=True)
+
+
+def _around(one: np.ndarray, other: np.ndarray | None) -> np.ndarray:
+    """Return the corners around what two pairs of corners hold, of shape (2, 3) each."""
+    if other is None:
+        return one
+    return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
 
 
 def _moved(part: Line | Box | Ball) -> rr.ComponentColumnList:

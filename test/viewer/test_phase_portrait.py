@@ -3,8 +3,12 @@
 """Contours lie on level sets of H; frames and ticks fit what they frame."""
 
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
+from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.viewer.phase_portrait import contours, Frame, frame_of, GRID, ticks
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.viewer.phase_portrait import (
+    contours, fitted, Frame, frame_of, frames_of, GRID, ticks)
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -75,3 +79,37 @@ def test_ticks_are_few_ordered_and_inside(low: float, width: float):
     assert values == sorted(set(values))
     # A tick may lie outside by the 1e-9 of a spacing that ticks() forgives.
     assert low - 1e-8 * width <= values[0] and values[-1] <= low + width + 1e-8 * width
+
+
+@pytest.mark.parametrize('scene, most', [
+    # Of a circle of 1 m, 1 J of kinetic energy and what is lost from z = -0.8 m to -1 m.
+    ('spherical_pendulum', {'q': 1.6, 'p': 4.0}),
+    # Of r = 2 m, which E = -1/2 J bounds, twice a quarter more.
+    ('kepler', {'q': 2.6, 'p': 4.0}), ('henon_heiles', {'q': 1.0, 'p': 1.0}),
+    # More than half a turn each way says nothing new.
+    ('six_joint_arm', {'q': 4.0, 'p': 100.0})])
+def test_frame_without_a_box_is_of_the_scale_of_the_energy(scene: str, most: dict[str, float]):
+    run = build(load_scene(scene))
+    for frame in frames_of(run.hamiltonian, run.q, run.p, None, len(run.q)):
+        for name, start in (('q', run.q), ('p', run.p)):
+            low, high = getattr(frame, name)
+            assert low < start[frame.axis] < high
+            assert 1e-2 < high - low < 2.0 * most[name]
+
+
+@pytest.mark.parametrize('size', [1e-2, 1e-3, 1e-4])
+def test_frame_without_a_box_has_the_energy_of_the_others_too(size: float):
+    # Where the one coordinate is at rest in its lowest place, the other lends it all.
+    q0 = np.array([size, 0.0])
+    for frame in frames_of(HenonHeiles(), q0, np.zeros(2), None, 2):
+        # Within a step of 2 %, and the cubic term, which is a hundredth at most.
+        assert np.abs([*frame.q, *frame.p]) == pytest.approx(1.25 * size, rel=0.05)
+
+
+def test_frame_of_a_recorded_path_is_fitted_to_it():
+    live, path = Frame(0, (-2.0, 2.0), (-4.0, 4.0)), np.array([[-1.0, 3.0], [-8.0, 8.0]])
+    assert fitted(live, path, False) == Frame(0, (-1.5, 3.5), (-10.0, 10.0))
+    # The box of the training data is shown in any case, and widened by a twentieth.
+    assert fitted(live, path, True) == Frame(0, (-2.0, 3.2), (-8.4, 8.4))
+    # What stays does not fill its axis with its rounding.
+    assert fitted(live, np.array([[1.0, 1.0 + 1e-9], [4.0, 4.0]]), False) == live

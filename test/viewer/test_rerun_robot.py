@@ -9,7 +9,7 @@ import sys
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.viewer.rerun_robot import bounds_of_robot, collisions_of
+from hnn_vi_ros.viewer.rerun_robot import bounds_of_path, bounds_of_robot, collisions_of
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
 import pytest
@@ -105,3 +105,18 @@ def test_bounds_of_a_robot_hold_all_of_it():
     low, high = bounds_of_robot(parse_urdf(chain([1.0, 1.0], [0.7, 0.5]).encode(), 'chain'))
     # Its links weigh at their ends, and may go on as far beyond.
     assert (high == -low).all() and 1.2 <= np.linalg.norm(high) <= 2.4
+
+
+def test_bounds_of_a_path_hold_where_the_links_were():
+    robot = RigidBodyTree(str(ARM))
+    names = [joint.name for joint in robot.joints]
+    down, up = (bounds_of_path(robot.robot, names, np.array([[angle, 0.0]]))
+                for angle in (0.0, np.pi))
+    both = bounds_of_path(robot.robot, names, np.array([[0.0, 0.0], [np.pi, 0.0]]))
+    # The elbow is 0.4 m below the shoulder, and above it after half a turn about y.
+    assert down[0, 2] < -0.4 and up[1, 2] > 0.4
+    assert (both[0] <= np.minimum(down[0], up[0])).all()
+    assert (both[1] >= np.maximum(down[1], up[1])).all()
+    # Nearer than the sphere that holds every path.
+    assert np.ptp(both, axis=0).prod() < 0.5 * (2.0 * np.linalg.norm(
+        bounds_of_robot(robot.robot)[1])) ** 3

@@ -81,6 +81,23 @@ def test_recording_holds_every_entity_and_a_blueprint(tmp_path: Path):
     assert len(RrdReader(path).blueprints()) == 2
 
 
+def test_frame_in_a_closed_recording_holds_the_path(tmp_path: Path):
+    path = tmp_path / 'recording.rrd'
+    sink = RerunSink('test', path, HarmonicOscillator(), np.array([1.0]), np.array([0.0]),
+                     interval=0)
+    for sample in oscillate(3):
+        # Farther than its energy lets it: something drives it.
+        sink.write(replace(sample, q=sample.q * 5.0, p=np.array([0.1 * sample.step])))
+    sink.close()
+    scales = [row for chunk in RrdReader(path).stream()
+              if chunk.is_static and chunk.entity_path == '/phase/x'
+              for row in chunk.to_record_batch().column('Transform3D:scale').to_pylist()]
+    before, after = (1.0 / np.array(scale[0])[:2] for scale in scales)
+    assert before == pytest.approx([1.25, -1.25], rel=0.03)
+    # p went from 0 to 0.2, an eighth of which is free on each side; stored as float32.
+    assert after[1] == pytest.approx(-0.125, rel=1e-6)
+
+
 def test_recording_without_a_mechanism_has_no_world(tmp_path: Path):
     path = tmp_path / 'recording.rrd'
     record(path, 5)
