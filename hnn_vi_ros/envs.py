@@ -26,7 +26,7 @@ __all__ = ['SceneEnv', 'SceneVectorEnv', 'Transition', 'check_action']
 
 class Transition(NamedTuple):
     """
-    What came of one action.
+    Result of one action.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
 
 class Motion(NamedTuple):
     """
-    What ``simulate`` returns.
+    Result of ``simulate``.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _prepared(scene: Scene, parameters: Mapping[str, torch.Tensor],
 
 
 class _How(NamedTuple):
-    """How many samples are taken, steps from one to the next, and most snapshots."""
+    """Number of samples, steps from one to the next, and most snapshots."""
 
     samples: int
     every: int

@@ -200,6 +200,18 @@ def test_file_is_short_licensed_and_free_of_machine_paths(path):
     assert not re.search(r'["\'\s]/(?:home|root|Users|work|tmp)/', text)
 
 
+@pytest.mark.parametrize('path', MODULES, ids=relative)
+def test_docstrings_begin_with_a_verb_or_the_thing(path):
+    tree = ast.parse(path.read_text())
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    documented = [(node, text) for node in ast.walk(tree) if isinstance(node, kinds)
+                  and (text := ast.get_docstring(node))]
+    wrong = [f'{getattr(node, "name", "the module")}: {text.splitlines()[0]}'
+             for node, text in documented if re.match(
+                 r'(What|How|Whether|Where|Which|Who|Why|When|Tell)\b', text)]
+    assert not wrong, f'{relative(path)}: name the thing, or begin with a verb: {wrong}'
+
+
 @pytest.mark.parametrize('path', TEST_FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_test_file_asserts_something(path):
     tree = ast.parse(path.read_text())

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 
 class Chosen(NamedTuple):
-    """What the integrator auto was asked for, its energy scale known now, and what it chose."""
+    """Question put to the integrator auto, its energy scale known now, and the choice it made."""
 
     tolerance: Tolerance
     choice: Choice
@@ -73,7 +73,7 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
 
 
 def _names_code(scene: Scene) -> bool:
-    """Tell whether the motion depends on Python code of the user's."""
+    """Return whether the motion depends on Python code of the user's."""
     try:
         # As of a bag, for which none is run.
         Scene.model_validate(scene.model_dump(exclude={'invariants'}))

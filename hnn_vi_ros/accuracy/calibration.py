@@ -45,7 +45,7 @@ _FORMAT = 2
 @dataclass(frozen=True)
 class Choice:
     """
-    What a calibration found.
+    Result of a calibration.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How good samples and steps are: energy error and drift, modified energy, defects, order."""
+"""Quality of samples and steps: energy error and drift, modified energy, defects, order."""
 
 from collections.abc import Callable, Sequence
 

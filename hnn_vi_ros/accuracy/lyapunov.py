@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast neighbouring motions part: whether a motion is chaotic is measured, not guessed."""
+"""Rate at which neighbouring motions part: chaos is measured, not guessed."""
 
 from collections.abc import Sequence
 import math

@@ -34,7 +34,7 @@ _CHAOS_STEPS = 2 ** 14
 @dataclass(frozen=True)
 class Instants:
     """
-    When paths are compared: each so many bases, or so many times a base.
+    Times at which paths are compared: each so many bases, or so many times a base.
 
     Parameters
     ----------

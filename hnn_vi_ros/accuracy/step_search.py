@@ -22,7 +22,7 @@ _RESOLVED, _FLAT, _SMALL = 0.5, 0.25, 1e-7
 @dataclass
 class StepSearch:
     """
-    What trials of a method have shown.
+    Findings of the trials of a method.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ class StepSearch:
         return (_SEEN if seen else _CARRIED) * judge.tolerance.error - judge.known
 
     def holds(self, trial: Trial, judge: Judge) -> bool:
-        """Tell whether a trial held the tolerance."""
+        """Return whether a trial held the tolerance."""
         return trial.complete and trial.error <= self.allowed(trial, judge)
 
     def dear(self, parts: int, judge: Judge, bound: float) -> bool:
         """
-        Tell whether a trial, and all with smaller steps, cost more than another method does.
+        Return whether a trial, and all with smaller steps, cost more than another method does.
 
         Where steps are so long that their equations are hard to solve, smaller ones cost less.
         """
@@ -71,7 +71,7 @@ class StepSearch:
 
     def at_floor(self) -> bool:
         """
-        Tell whether smaller steps no longer help: round-off is what is left.
+        Return whether smaller steps no longer help: round-off is what is left.
 
         That is shown by two steps in a row, each at most two thirds as long as the one before,
         over which the error falls by less than a quarter of the method's order says; of errors

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a path is like, all of it: how short steps must be, how strong forces and energies are."""
+"""Survey of a whole path: how short steps must be, how strong forces and energies are."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

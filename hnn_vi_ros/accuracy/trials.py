@@ -84,7 +84,7 @@ class Method:
 @dataclass(frozen=True)
 class InitialValueProblem:
     """
-    What is simulated: H, effects, and the initial state of shape (d,).
+    Problem to simulate: H, effects, and the initial state of shape (d,).
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ FAILED = Trial(math.inf, 0.0, math.inf, False)
 
 class Judge(Protocol):
     """
-    What takes a simulation up to a horizon and says how large its error is.
+    Judge of a simulation: takes it up to a horizon and says how large its error is.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which files a bag consists of, and how each is opened."""
+"""Files that a bag consists of, and how each is opened."""
 
 from itertools import pairwise
 import os

@@ -25,7 +25,7 @@ DEFINITIONS = 'definitions'
 @dataclass(frozen=True)
 class Topic:
     """
-    What a reader must know of a recorded topic to decode it and to publish it again.
+    Recorded topic, as a reader must know it to decode it and to publish it again.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Topic:
 
 class BagTopics(NamedTuple):
     """
-    What a bag holds from its start on.
+    Topics that a bag holds from its start on.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class BagTopics(NamedTuple):
 
 class Extent(NamedTuple):
     """
-    What a file of a bag holds.
+    Extent of a file of a bag.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class JointStates(NamedTuple):
 
 @final
 class _Cursor:
-    """Where decoding stands; what goes beyond the end raises ValueError."""
+    """Place where decoding stands; reading beyond the end raises ValueError."""
 
     def __init__(self, data: bytes):
         if len(data) < _PREFIX or data[0] != 0 or data[1] not in _ORDERS:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is missing among stamps that come evenly."""
+"""Gaps among stamps that come evenly."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -21,7 +21,7 @@ _CRC = struct.Struct('<I')
 
 def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
     """
-    Tell whether an MCAP file is finished, and nothing damaged in it that we would find elsewhere.
+    Return whether an MCAP file is finished, and undamaged where nothing else would tell.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
 
 
 def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
-    """Tell whether the data are as they were written, header and metadata too, where known."""
+    """Return whether the data are as they were written, header and metadata too, where known."""
     stream.seek(survey.end)
     data_end = decode(Opcode.DATA_END, stream.read(_CRC.size))
     return isinstance(data_end, DataEnd) and data_end.data_section_crc in (
@@ -49,7 +49,7 @@ def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
 
 
 def _framed(stream: BinaryIO) -> bool:
-    """Tell whether records follow one another between two magics, with nothing else."""
+    """Return whether records follow one another between two magics, with nothing else."""
     size, end = os.fstat(stream.fileno()).st_size, len(MAGIC)
     for frame in walk(stream, size):
         if isinstance(frame, Gap):
@@ -65,7 +65,7 @@ def _framed(stream: BinaryIO) -> bool:
 
 
 def _counts(survey: Survey) -> bool:
-    """Tell whether the statistics count what there is."""
+    """Return whether the statistics count what there is."""
     statistics = survey.statistics
     return (statistics.chunk_count, statistics.attachment_count, statistics.metadata_count) == (
         len(survey.chunks), len(survey.attachments), len(survey.metadata))
@@ -89,7 +89,7 @@ def _crc(stream: BinaryIO, start: int, end: int) -> int:
 
 
 def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:
-    """Tell whether the times and the indexes of a chunk are those of its messages."""
+    """Return whether the times and the indexes of a chunk are those of its messages."""
     content = read_content(stream, indexed.chunk)
     head, messages = chunk_head(content), _messages(unpack(content, True)[0])
     times = [time for some in messages.values() for time, _ in some]

@@ -30,7 +30,7 @@ _PER_BYTE, _AT_LEAST = 4, 2**20
 
 
 class _Kind(IntEnum):
-    """What a piece is: messages outside of chunks, a chunk, or what there is of one."""
+    """Kind of a piece: messages outside of chunks, a chunk, or what there is of one."""
 
     MESSAGES = 0
     CHUNK = 1

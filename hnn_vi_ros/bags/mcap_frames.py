@@ -83,7 +83,7 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Frame | Gap]:
 
 
 class _Finder:
-    """Tell whether a record begins at a place, and where the next one does."""
+    """Return whether a record begins at a place, and where the next one does."""
 
     def __init__(self, stream: BinaryIO, size: int):
         self._stream, self._size = stream, size
@@ -141,7 +141,7 @@ class _Finder:
         return self._size
 
     def breaks_off(self, place: int) -> bool:
-        """Tell whether the stream may end within a record that begins at a place."""
+        """Return whether the stream may end within a record that begins at a place."""
         head = self._read(place, PREFIX.size)
         if not head or head[0] not in _KINDS:
             return False
@@ -149,7 +149,7 @@ class _Finder:
             head)[1] < self._size + LARGEST
 
     def ends_at(self, place: int) -> bool:
-        """Tell whether only the closing magic is left, or what there is of it."""
+        """Return whether only the closing magic is left, or what there is of it."""
         left = self._read(place, len(MAGIC) + 1)
         return left == MAGIC[:len(left)]
 
@@ -162,7 +162,7 @@ class _Finder:
         return content
 
     def _fits(self, frame: Frame, head: bytes) -> bool:
-        """Tell whether a record is there, and its fields are as long as it is."""
+        """Return whether a record is there, and its fields are as long as it is."""
         opcode, length = frame.opcode, frame.length
         if opcode == Opcode.CHUNK or frame.end > self._size:
             return False
@@ -197,7 +197,7 @@ class _Finder:
         return head is not None and head.crc != 0 and unpack(content, True)[1]
 
     def _follows(self, place: int) -> bool:
-        """Tell whether a place is where a record begins, or the end."""
+        """Return whether a place is where a record begins, or the end."""
         return place == self._size or self.ends_at(place) or self.breaks_off(place) \
             or self.at(place, alone=True) is not None
 
@@ -209,6 +209,6 @@ def _chunk_length(head: bytes) -> int | None:
 
 
 def _is_chunk(head: bytes) -> bool:
-    """Tell whether a chunk begins here, by its opcode and all its lengths."""
+    """Return whether a chunk begins here, by its opcode and all its lengths."""
     own = _chunk_length(head)
     return own is not None and PREFIX.unpack_from(head) == (Opcode.CHUNK, own)

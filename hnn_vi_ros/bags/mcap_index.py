@@ -18,7 +18,7 @@ class _Record(bytes):
 
 
 class _Records(list[_Record]):
-    """Where a writer notes its chunks."""
+    """Notes of a writer on its chunks."""
 
     def append(self, index: ChunkIndex) -> None:
         """Note a chunk."""

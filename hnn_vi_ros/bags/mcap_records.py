@@ -69,7 +69,7 @@ class Frame(NamedTuple):
 
 class ChunkHead(NamedTuple):
     """
-    What a chunk says of itself before its data.
+    Head of a chunk: what it says of itself before its data.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def unpack_zstd(data: bytes, most: int) -> bytes:
 
 
 def _in_order(data: bytes, most: int) -> bool:
-    """Tell whether unpacked records follow one another up to the end, and are not too many."""
+    """Return whether unpacked records follow one another up to the end, and are not too many."""
     place, size = 0, len(data)
     while place + PREFIX.size <= size and most:
         most -= 1

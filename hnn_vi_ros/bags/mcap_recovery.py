@@ -28,7 +28,7 @@ from hnn_vi_ros.files.regular_file import open_file
 @dataclass
 class Recovery:
     """
-    What a file holds once it is whole, and what is lost.
+    Content of a file once it is whole, and what is lost.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Recovery:
 
     @property
     def lost(self) -> bool:
-        """Tell whether something that was recorded is not kept."""
+        """Return whether something that was recorded is not kept."""
         return bool(self.damaged or self.altered or self.fewer or self.gaps)
 
     @property
@@ -234,7 +234,7 @@ def _keep(path: Path) -> Path:
 
 
 def _is_bag(path: Path) -> bool:
-    """Tell whether a file is a bag by itself: not one of many, nor one that lies anywhere."""
+    """Return whether a file is a bag by itself: not one of many, nor one that lies anywhere."""
     folder = path.parent
     try:
         return path.name == f'{folder.absolute().name}_0.mcap' and bag_files(folder) == [path]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an MCAP file holds and where, found without opening its chunks."""
+"""Content of an MCAP file and its places, found without opening its chunks."""
 
 from dataclasses import dataclass, field
 import os
@@ -78,12 +78,12 @@ class Survey:
 
     @property
     def is_mcap(self) -> bool:
-        """Tell whether this is an MCAP file, by its magic or by what no other file holds."""
+        """Return whether this is an MCAP file, by its magic or by what no other file holds."""
         return bool(self.begins or self.header or self.chunks or self.attachments)
 
     @property
     def complete(self) -> bool:
-        """Tell whether all is there that the statistics count, messages in chunks aside."""
+        """Return whether all is there that the statistics count, messages in chunks aside."""
         count = self.statistics
         if count is None or (count.chunk_count, count.attachment_count, count.metadata_count) != (
                 len(self.chunks), len(self.attachments), len(self.metadata)):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What ~/state tells: a whole sample in one stamped message, a list of named numbers."""
+"""Message of ~/state: a whole sample with one stamp, a list of named numbers."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

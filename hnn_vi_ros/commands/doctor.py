@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tell what is installed here, and what does not work and why."""
+"""Report of what is installed here, and what does not work and why."""
 
 from collections.abc import Iterator
 from importlib import metadata
@@ -28,7 +28,7 @@ _OPTIONAL = {'rerun': ('rerun-sdk', 'the viewer'), 'matplotlib': ('matplotlib', 
 
 
 class Finding(NamedTuple):
-    """What was looked at, how it is (``ok``, ``absent`` or ``wrong``), and what there is."""
+    """Finding on one item: how it is (``ok``, ``absent`` or ``wrong``), and what there is."""
 
     what: str
     state: str

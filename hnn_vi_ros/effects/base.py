@@ -18,7 +18,7 @@ import numpy as np
 
 class Place(IntEnum):
     """
-    Where an effect acts, from the inside of a step to its outside.
+    Place of an effect, from the inside of a step to its outside.
 
     It joins H; is a force at the method's own nodes; acts between the two halves of the step; or
     before and after the step; keeps the state that then results on a manifold; or acts around
@@ -35,7 +35,7 @@ class Place(IntEnum):
 
 class EffectState(NamedTuple):
     """
-    What the effects of one simulation share, and keep from step to step.
+    State that the effects of one simulation share, and keep from step to step.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class Effect(ABC):
         return self.acts
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether a method can take the effect without losing what it claims."""
+        """Return whether a method can take the effect without losing what it claims."""
         return integrator.requirements.hamiltonian
 
     @abstractmethod
@@ -265,7 +265,7 @@ class Force(Effect):
         return 0.0, 0.0
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method takes forces at its nodes, and such that depend on p."""
+        """Return whether the method takes forces at its nodes, and such that depend on p."""
         return integrator.requirements.take_force(self.depends_on_momentum)
 
 
@@ -297,7 +297,7 @@ class StepEffect(Effect):
         return integrator.halves if cls.acts is Place.MIDDLE else integrator.step
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method has what the effect takes of it."""
+        """Return whether the method has what the effect takes of it."""
         return super().accepts(integrator) and self.inner_step(integrator) is not None
 
     @staticmethod
@@ -307,7 +307,7 @@ class StepEffect(Effect):
 
 
 class Wrapping(Protocol):
-    """What Wrapped puts around a step: a StepEffect, or what acts like one; see there."""
+    """Layer that Wrapped puts around a step: a StepEffect, or what acts like one; see there."""
 
     @staticmethod
     def inner_step(integrator: Integrator, /) -> Any:
@@ -342,7 +342,7 @@ class Together(Protocol):
 
 
 class Constraint(Effect):
-    """What keeps the state on a manifold; all constraints of a kind are solved together."""
+    """Condition that keeps the state on a manifold; all of a kind are solved together."""
 
     acts = Place.MANIFOLD
     conservative = True

@@ -57,7 +57,7 @@ class BodySpring(Potential):
         self._stiffness, self._rest_length = stiffness, rest_length
 
     def applies(self, coordinates: Sequence[Coordinate]) -> bool:
-        """Tell whether an end is on a body, or said to be."""
+        """Return whether an end is on a body, or said to be."""
         point, other, _ = self._ends
         return any(place is not None for place in self._in_body) or any(
             _is_body(coordinates, names) for names in (point, other or ()))

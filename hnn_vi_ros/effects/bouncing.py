@@ -29,13 +29,13 @@ HELD, PUSHES, STALLED = 8.0, 30, 1e-9
 
 
 class Bouncing(StepEffect):
-    """What turns velocities where coordinates meet something rigid."""
+    """Step effect that turns velocities where coordinates meet something rigid."""
 
     acts, repeats, lockstep = Place.OUTSIDE, True, False
     excludes = {Place.MANIFOLD: 'off which its impulses would lead'}
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method's energy does not drift from impact to impact: order >= 2."""
+        """Return whether the method's energy does not drift from impact to impact: order >= 2."""
         needs = integrator.requirements
         return needs.hamiltonian and integrator.order >= 2 and needs.from_state
 
@@ -47,7 +47,7 @@ class Bouncing(StepEffect):
 
 class Wall(NamedTuple):
     """
-    What the step with impacts takes; see Impact.
+    Parameters of the step with impacts; see Impact.
 
     Parameters
     ----------

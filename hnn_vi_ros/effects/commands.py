@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulation is told while it runs, and what servos keep of it."""
+"""Commands to a simulation while it runs, and what servos keep of them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 class JointCommand(NamedTuple):
     """
-    What some joints are to do from now on.
+    Command to some joints, from now on.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class JointPath(NamedTuple):
 
 class Observation(NamedTuple):
     """
-    What is seen of the machine that a simulation is the twin of.
+    Observation of the machine that a simulation is the twin of.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def contents(command: Command) -> set[str]:
 
 class Reference(NamedTuple):
     """
-    What servos follow.
+    Reference that servos follow.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Reference(NamedTuple):
 
 class Aim(NamedTuple):
     """
-    What a servo follows.
+    Aim that a servo follows.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What holonomic constraints g(q) = 0 are made of: distances, planes, functions of the user's."""
+"""Parts of holonomic constraints g(q) = 0: distances, planes, functions of the user's."""
 
 from collections.abc import Callable, Sequence
 from functools import cache

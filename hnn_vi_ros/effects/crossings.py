@@ -23,7 +23,7 @@ _SHORTEST = 1e-10
 
 class Search(NamedTuple):
     """
-    What is known of a distance g(t) within a step, at the ends of intervals that are not clear.
+    Bounds on a distance g(t) within a step, at the ends of intervals that are not clear.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class Damping(Force, StepEffect):
         return Place.AROUND if splits else Place.NODES
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method takes the flow, or the force."""
+        """Return whether the method takes the flow, or the force."""
         return integrator.requirements.hamiltonian and (
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 

@@ -25,7 +25,7 @@ class FrictionNetwork(NamedTuple):
 
 class LearnedFrictionParameters(NamedTuple):
     """
-    What the compiled function of learned friction takes.
+    Parameters of the compiled function of learned friction.
 
     Parameters
     ----------

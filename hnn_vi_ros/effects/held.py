@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several stops do together: the impulses by which they hold what rests on them."""
+"""Impulses by which several stops together hold what rests on them."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ OFF, ON, _LEFT = 0, 1, 2
 
 class Stops(NamedTuple):
     """
-    What the step with W stops takes; see JointLimits.
+    Parameters of the step with W stops; see JointLimits.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class StopsWork(NamedTuple):
 
 @inlined
 def is_in(resting: float, k: int) -> bool:
-    """Tell whether stop k is among those of a number: the sum of 2^k."""
+    """Return whether stop k is among those of a number: the sum of 2^k."""
     return (int(resting) >> k) & 1 == 1
 
 

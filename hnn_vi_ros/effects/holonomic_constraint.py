@@ -67,7 +67,7 @@ class HolonomicConstraint(Constraint):
         self._function = function_equation(self._given['factory']) if form == 'python' else None
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method is symmetric and of order 2, which RATTLE keeps."""
+        """Return whether the method is symmetric and of order 2, which RATTLE keeps."""
         keeps = integrator.requirements
         return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 

@@ -35,7 +35,7 @@ def load_map(model: str) -> Checkpoint:
 
 
 def has_map(model: Checkpoint) -> bool:
-    """Tell whether a model has learned what its motors do."""
+    """Return whether a model has learned what its motors do."""
     mechanical = model.card.mechanical
     return 'input_map' in model.networks or (
         mechanical is not None and mechanical.input_map is not None)
@@ -49,7 +49,7 @@ class Places(NamedTuple):
 
 class Axes(NamedTuple):
     """
-    What each number of a command acts on, of coordinates some of which turn.
+    Axes that each number of a command acts on, of coordinates some of which turn.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class InputMatrix(NamedTuple):
 
 class InputParameters(NamedTuple):
     """
-    What the compiled function of an external force takes.
+    Parameters of the compiled function of an external force.
 
     Parameters
     ----------

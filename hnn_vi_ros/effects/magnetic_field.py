@@ -55,7 +55,7 @@ class MagneticField(Joined):
         self.plane, self.strength = plane, charge * field
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether the method takes an H that does not separate."""
+        """Return whether the method takes an H that does not separate."""
         needs = integrator.requirements
         return needs.hamiltonian and not needs.separable
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What momenta mean: the mass matrix and the vector potential, for effects that act on them."""
+"""Meaning of momenta: the mass matrix and the vector potential, for effects that act on them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is observed of a machine: checked, and kept for the steps to come."""
+"""Observations of a machine: checked, and kept for the steps to come."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -17,7 +17,7 @@ _LEAST = 1e-9
 
 class ObserverParameters(NamedTuple):
     """
-    What the compiled flow of an observer of n coordinates takes.
+    Parameters of the compiled flow of an observer of n coordinates.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What draws a simulation towards the machine that it is the twin of."""
+"""Observer that draws a simulation towards the machine that it is the twin of."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -62,7 +62,7 @@ class Observer(StepEffect, Commanded):
         self.timeout = float(timeout)
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Tell whether splitting leaves the method its order."""
+        """Return whether splitting leaves the method its order."""
         own = integrator.requirements
         return own.from_state and integrator.order <= 2 and super().accepts(integrator)
 

@@ -26,7 +26,7 @@ _VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
 
 class Multipliers(NamedTuple):
     """
-    What the next step starts from.
+    Multipliers that the next step starts from.
 
     Parameters
     ----------

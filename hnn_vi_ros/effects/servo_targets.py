@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a servo's joints are to be: at a position, at a velocity, or along a path of splines."""
+"""Targets of a servo's joints: a position, a velocity, or a path of splines."""
 
 from collections.abc import Callable, Sequence
 import math
@@ -21,7 +21,7 @@ _LONGEST_DELAY = 3600.0
 
 class ServoParameters(NamedTuple):
     """
-    What the compiled function of a servo of n joints takes.
+    Parameters of the compiled function of a servo of n joints.
 
     Parameters
     ----------

@@ -265,7 +265,7 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
 
 @called
 def _is_short(speed: float, pull: float, left: float, h: float, rounding: float) -> bool:
-    """Tell whether a flight is lower than rounding, or too short to be followed."""
+    """Return whether a flight is lower than rounding, or too short to be followed."""
     if not pull > 0.0:
         return False
     flight = 2.0 * speed / pull

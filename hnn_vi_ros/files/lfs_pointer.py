@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tell the short text that git-LFS leaves in the place of a file that was not fetched."""
+"""Short text that git-LFS leaves in the place of a file that was not fetched."""
 
 from hnn_vi_ros.errors import HnnViRosError
 

@@ -40,6 +40,6 @@ def shipped_file(kind: str, name: str) -> Path:
 
 
 def is_path(kind: str, name: str) -> bool:
-    """Tell a path from a shipped name: a path has a separator or the kind's suffix."""
+    """Return whether a name is a path: it has a separator or the kind's suffix."""
     suffixes = (_FOLDERS[kind][1], '.yml') if kind != 'model' else (_FOLDERS[kind][1],)
     return '/' in name or name.endswith(suffixes)

@@ -44,7 +44,7 @@ _DIRECTIVE = re.compile('(?:\\A|[\n\r\x85\u2028\u2029])\ufeff?%')
 @dataclass(frozen=True)
 class KeyPlaces:
     """
-    Where the keys of a YAML text stand in it.
+    Places of the keys of a YAML text.
 
     Parameters
     ----------

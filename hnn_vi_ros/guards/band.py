@@ -9,7 +9,7 @@ from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
 
 
 class BandGuard(Guard):
-    """What guards share: the range of the accounted energy, or of another value, so far."""
+    """Base of guards: the range of the accounted energy, or of another value, so far."""
 
     def __init__(self) -> None:
         self.raised = False

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the energy is kept well enough to tell on which side of a barrier the motion is."""
+"""Guard of a barrier: the energy is kept well enough to know on which side the motion is."""
 
 import math
 

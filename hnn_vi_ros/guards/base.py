@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Observed(Protocol):
-    """What guards look at; a Sample is one."""
+    """State that guards look at; a Sample is one."""
 
     @property
     def step(self) -> int: ...
@@ -52,7 +52,7 @@ class Look(NamedTuple):
 
 class Alarm(NamedTuple):
     """
-    What a guard found.
+    Finding of a guard.
 
     Parameters
     ----------

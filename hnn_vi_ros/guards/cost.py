@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the costliest step has taken as a bound."""
+"""Time that the costliest step has taken, as a bound."""
 
 from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 from hnn_vi_ros.simulation import Simulation

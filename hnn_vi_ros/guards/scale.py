@@ -19,7 +19,7 @@ _EARLY = 20.0
 
 class SampledScale:
     """
-    What the guards of a run measure its energies by: one scale for all of them.
+    Energy scale by which the guards of a run measure: one for all of them.
 
     It is the EnergyScale of the samples so far, but no less than what rounding makes of H, as
     for a system at rest. As long as energy has not been turned over, the first n steps may have

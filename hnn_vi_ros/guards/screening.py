@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which of many trajectories guards need not look at one by one: no guard can find anything."""
+"""Screening of many trajectories: those that no guard need look at one by one."""
 
 from hnn_vi_ros.accuracy.energy_scale import EnergyScale
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT
@@ -12,7 +12,7 @@ import numpy as np
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
              energy: np.ndarray, modified: np.ndarray) -> np.ndarray:
     """
-    Tell which trajectories may raise an alarm.
+    Return which trajectories may raise an alarm.
 
     The bounds are those of the guards, with the whole band of a trajectory against the least
     energy scale along it: who is within them raises no alarm at any sample.

@@ -53,7 +53,7 @@ class Hamiltonian(ABC):
 
     @property
     def smooth(self) -> bool:
-        """Tell whether the gradient of H is continuous, as every method's order supposes."""
+        """Return whether the gradient of H is continuous, as every method's order supposes."""
         return True
 
     @property

@@ -46,7 +46,7 @@ def largest(x: np.ndarray) -> float:
 
 @inlined
 def all_finite(x: np.ndarray) -> bool:
-    """Tell whether x of shape (n,) holds finite numbers only."""
+    """Return whether x of shape (n,) holds finite numbers only."""
     for i in range(x.size):  # noqa: SIM110  compiled, a loop is faster
         if not math.isfinite(x[i]):
             return False
@@ -55,7 +55,7 @@ def all_finite(x: np.ndarray) -> bool:
 
 @inlined
 def is_finite(z: Point) -> bool:
-    """Tell whether a state and its gradient hold finite numbers only."""
+    """Return whether a state and its gradient hold finite numbers only."""
     return (all_finite(z.q) and all_finite(z.p)
             and all_finite(z.dH_dq) and all_finite(z.dH_dp))
 

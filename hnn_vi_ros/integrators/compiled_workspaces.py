@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What workspaces need of the compiler; apart, since a scene is read without one."""
+"""Compiler's part of workspaces; apart, since a scene is read without one."""
 
 from collections.abc import Callable
 from typing import Any

@@ -19,7 +19,7 @@ LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 class Known(NamedTuple):
     """
-    What an equation x = base + factor H_x(...) starts from; each array of shape (n,).
+    Start of an equation x = base + factor H_x(...); each array of shape (n,).
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Known(NamedTuple):
 
 class Sought(NamedTuple):
     """
-    What an equation fills; each array of shape (n,).
+    Result of an equation; each array of shape (n,).
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class Tableau(NamedTuple):
 
 class StageSlopes(NamedTuple):
     """
-    What the next step starts from.
+    Slopes that the next step starts from.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the methods that solve an equation in each step have in common."""
+"""Common part of the methods that solve an equation in each step."""
 
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.continuation import continuation

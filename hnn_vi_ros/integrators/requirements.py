@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a method needs of a system, and what it keeps of its motion, in one declaration."""
+"""Declaration of what a method needs of a system, and what it keeps of its motion."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 @dataclass(frozen=True)
 class Requirements:
     """
-    What a method needs and keeps; every refusal of a system or an effect derives from it.
+    Needs and claims of a method; every refusal of a system or an effect derives from it.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Requirements:
     from_state: bool = True
 
     def take_force(self, depends_on_momentum: bool) -> bool:
-        """Tell whether the method takes a force at its nodes."""
+        """Return whether the method takes a force at its nodes."""
         return self.hamiltonian and self.forces and not (depends_on_momentum and self.separable)
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:

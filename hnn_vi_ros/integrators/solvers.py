@@ -43,7 +43,7 @@ COMMON, OWN, BACK = 0, 1, 2
 
 class SolverOptions(NamedTuple):
     """
-    How an implicit equation is solved.
+    Options by which an implicit equation is solved.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
 def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarray,
                 iterations: int, d: int) -> bool:
     """
-    Tell whether a solution of d coupled unknowns may not be the one that is connected to h = 0.
+    Return whether a solution of d coupled unknowns may not be the one that is connected to h = 0.
 
     Two solutions are apart by a place where G' has an eigenvalue of 1: to come over it, or close
     to it, takes iterations, more than where solutions follow each other smoothly, or the first
@@ -243,7 +243,7 @@ def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
 
 @inlined
 def _is_hopeless(k: int, residual: float, previous: float) -> bool:
-    """Tell when there is no contraction to speak of, so that Newton's method will be cheaper."""
+    """Return whether there is no contraction to speak of: Newton's method will be cheaper."""
     return k > 5 and residual > 0.5 * previous and residual > 1e-8
 
 

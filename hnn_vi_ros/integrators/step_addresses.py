@@ -43,7 +43,7 @@ _compiling = Lock()
 
 class StepsByAddress(NamedTuple):
     """
-    What a step finds in its options of the steps inside of it.
+    Addresses, in the options of a step, of the steps inside of it.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ _MOST_STEPS = 100_000
 
 class Ahead(NamedTuple):
     """
-    What the next step of the clock goes on from.
+    State that the next step of the clock goes on from.
 
     Parameters
     ----------

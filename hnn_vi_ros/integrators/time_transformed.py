@@ -65,7 +65,7 @@ class GradientWork(NamedTuple):
 
 class TransformedParameters(NamedTuple):
     """
-    What the functions of K take first.
+    Parameters of the functions of K, their first argument.
 
     Parameters
     ----------

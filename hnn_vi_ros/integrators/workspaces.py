@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What steps work on: named arrays, allocated once.
+Workspaces of steps: named arrays, allocated once.
 
 The memory of a method is a tuple of workspaces, each a NamedTuple of arrays or of groups of them:
 one for each implicit equation, and one for what is composed of steps, or wrapped around them,
@@ -85,7 +85,7 @@ class History(NamedTuple):
 
 class Iterates(NamedTuple):
     """
-    What every solver of N unknowns works on.
+    Arrays that every solver of N unknowns works on.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class AndersonWork(NamedTuple):
 
 class NewtonWork(NamedTuple):
     """
-    What Newton's method works on, of N unknowns: with a Jacobian, or without one in m directions.
+    Arrays of Newton's method for N unknowns: with a Jacobian, or without one in m directions.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class NewtonWork(NamedTuple):
 
 class SolverWork(NamedTuple):
     """
-    What the solvers of one equation work on: any of them, for a step may take one after another.
+    Arrays of all solvers of one equation: a step may take one after another.
 
     Parameters
     ----------

@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What numba compiles, and how it is linked."""
+"""Functions that numba compiles, and their linking."""

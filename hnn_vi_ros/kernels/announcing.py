@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tell what numba is about to compile, and for about how long."""
+"""Announcement of what numba is about to compile, and for about how long."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,7 +27,7 @@ class _Announcer(Listener):
         self._tell, self._depth = tell, 0
 
     def on_start(self, event: Event) -> None:
-        """Tell of it, if it takes long; what is found on disk comes here not at all."""
+        """Announce it, if it takes long; what is found on disk comes here not at all."""
         self._depth += 1
         function = event.data['dispatcher'].py_func
         seconds = _SECONDS * sum(len(part.__code__.co_code) for part in reached(
@@ -44,7 +44,7 @@ class _Announcer(Listener):
 @contextmanager
 def announced(tell: Callable[[str], None]) -> Iterator[None]:
     """
-    Tell of each function that is compiled meanwhile, before that is begun.
+    Announce each function that is compiled meanwhile, before that is begun.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..
 
 
 def is_compiled(function: Callable[..., Any], *arguments: object) -> bool:
-    """Tell whether a loop is compiled for arguments of these types, in this process or on disk."""
+    """Return whether a loop is compiled for these argument types, in this process or on disk."""
     return find(function, tuple(numba.typeof(argument) for argument in arguments))
 
 

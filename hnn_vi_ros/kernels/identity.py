@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the last bits of a run depend on: the processor, and the versions of the libraries."""
+"""Identity of what the last bits of a run depend on: processor, and versions of libraries."""
 
 from functools import cache
 from hashlib import sha256

@@ -54,7 +54,7 @@ class _Library(JITCodeLibrary):
         self._finalized = True
 
     def defines(self, variable: str) -> bool:
-        """Tell whether the code itself holds a global variable."""
+        """Return whether the code itself holds a global variable."""
         try:
             self._final_module.get_global_variable(variable)
         except NameError:

@@ -66,5 +66,5 @@ def _register_waiting() -> None:
 
 
 def is_own(module: str | None) -> bool:
-    """Tell whether a module, None for none, belongs to this package, whose changes are noticed."""
+    """Return whether a module (None for none) is of this package, whose changes are noticed."""
     return module is not None and module.startswith(f'{_PACKAGE}.')

@@ -23,7 +23,7 @@ _DISAGREEMENT = 0.01
 
 class Signal(NamedTuple):
     """
-    What a topic tells over time.
+    Values of a topic over time.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class SignalReader:
         return self._schema(self._channels(topic)[0])
 
     def has_topic(self, topic: str) -> bool:
-        """Tell whether the bag holds exactly this topic."""
+        """Return whether the bag holds exactly this topic."""
         return any(channel.topic == topic for channel in self._reader.channels.values())
 
     def state_topic(self) -> str | None:
@@ -98,7 +98,7 @@ class SignalReader:
         return found[0] if len(found) == 1 else None
 
     def is_state(self, topic: str) -> bool:
-        """Tell whether a topic is a ~/state of the simulator, with the joints."""
+        """Return whether a topic is a ~/state of the simulator, with the joints."""
         channels = self._channels(topic)
         first = next(self._reader.messages([channel.id for channel in channels]), None)
         if first is None or self._schema(channels[0]) != JOINT_STATE:
@@ -143,7 +143,7 @@ class SignalReader:
                 '(data.p: state); data.stamps: log takes those times as they are')
 
     def has(self, topic: str, field: str) -> bool:
-        """Tell whether the first message of a topic of joint states fills a field."""
+        """Return whether the first message of a topic of joint states fills a field."""
         numbers = [channel.id for channel in self._channels(topic)]
         first = next(self._reader.messages(numbers), None)
         return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a model can be trusted: simulated freely from measured states, and compared."""
+"""Evaluation of a model: simulated freely from measured states, and compared."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Fan(NamedTuple):
 @dataclass(frozen=True)
 class Scores:
     """
-    How a prediction compares with measured motions.
+    Scores of a prediction against measured motions.
 
     Parameters
     ----------

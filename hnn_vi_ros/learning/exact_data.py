@@ -45,7 +45,7 @@ class ExactHamiltonian(StrictModel):
 
 
 class EvenTimes(StrictModel):
-    """What is kept of a motion: its states at even times, from 0 to the duration."""
+    """Sampling of a motion: its states at even times, from 0 to the duration."""
 
     duration: float = Field(gt=0.0, description='of each motion [s]')
     spacing: float = Field(gt=0.0, description='from one state to the next [s]')
@@ -247,7 +247,7 @@ def _momenta(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, drawn: np
 
 def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray
                ) -> np.ndarray:
-    """Tell which states are within the bounds of radius and energy."""
+    """Return which states are within the bounds of radius and energy."""
     within = np.ones(len(q), dtype=bool)
     if data.radius is not None:
         low, high = data.radius

@@ -71,7 +71,7 @@ class Equations(NamedTuple):
 
 class Told(NamedTuple):
     """
-    What the data tell of the inertial parameters at x, with those of rotors and offsets.
+    Information of the data on the inertial parameters at x, with rotors and offsets.
 
     Parameters
     ----------

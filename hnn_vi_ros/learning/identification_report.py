@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was identified of a robot, for people: in the report of a training run."""
+"""Summary of what was identified of a robot, in the report of a training run."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

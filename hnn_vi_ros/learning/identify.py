@@ -38,7 +38,7 @@ _VELOCITIES = 'dq', 'v'
 
 
 class Identified(NamedTuple):
-    """What came of a fit: all that is told of it."""
+    """Result of a fit: all that is told of it."""
 
     free: FreeScene
     solution: Solution

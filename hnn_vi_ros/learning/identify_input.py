@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What drives measured motions: their forces in the steps of a scene, and its clock."""
+"""Input of measured motions: their forces in the steps of a scene, and its clock."""
 
 from collections.abc import Sequence
 import math

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What measured motions tell by themselves: their noise, and how fast they turn."""
+"""Noise of measured motions, and how fast they turn, from the data alone."""
 
 from collections.abc import Sequence
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an identification leaves: a page with its table, and pictures."""
+"""Report of an identification: a page with its table, and pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path

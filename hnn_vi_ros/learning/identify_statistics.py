@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How sure numbers are that were fitted to measured motions, and which the data do not tell."""
+"""Statistics of numbers fitted to measured motions: intervals, and what the data do not tell."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ CORRELATED = 0.9
 @dataclass(frozen=True)
 class Estimate:
     """
-    What is known of a number.
+    Estimate of a number.
 
     Parameters
     ----------
@@ -49,14 +49,14 @@ class Estimate:
 
     @property
     def known(self) -> bool:
-        """Tell whether the data tell it."""
+        """Return whether the data tell it."""
         return self.standard_error is not None
 
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
     """
-    What is known of all numbers.
+    Estimates of all numbers.
 
     Parameters
     ----------

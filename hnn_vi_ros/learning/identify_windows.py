@@ -107,7 +107,7 @@ def windows_of(motions: Sequence[Motion], horizon: float, velocities: bool) -> W
 
 class Prediction:
     """
-    What a scene with certain values of its free numbers predicts in windows.
+    Prediction in windows by a scene with certain values of its free numbers.
 
     Parameters
     ----------

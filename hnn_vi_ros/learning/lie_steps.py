@@ -36,7 +36,7 @@ class Held(Protocol):
 
 
 class Body(Protocol):
-    """What is simulated; k is 3 for a rotation, 6 for a pose."""
+    """Body that is simulated; k is 3 for a rotation, 6 for a pose."""
 
     velocity_unit: torch.Tensor
     momentum_unit: torch.Tensor

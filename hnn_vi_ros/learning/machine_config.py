@@ -71,7 +71,7 @@ MachineData = Annotated[MachineArrays | MachineBags | MachineLog | MachineExcita
 
 
 class FrictionChoice(StrictModel):
-    """What friction there is; all that is named adds up."""
+    """Friction of a machine; all that is named adds up."""
 
     viscous: bool = Field(True, description='-b v')
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a network of a machine is fitted by: samples of motions, and losses at them."""
+"""Losses by which a network of a machine is fitted, at samples of motions."""
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count, islice
@@ -21,7 +21,7 @@ _STEP = 0.01
 
 
 class Network(Protocol):
-    """What is fitted."""
+    """Network that is fitted."""
 
     scales: MotionScales
     has_masses: bool
@@ -34,7 +34,7 @@ class Network(Protocol):
 
 
 class Mechanics(Network, Protocol):
-    """What is fitted where it has masses."""
+    """Network that is fitted where it has masses."""
 
     def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
         """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""

@@ -26,7 +26,7 @@ _SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
 
 
 class Columns(Protocol):
-    """How the rows of a log are read."""
+    """Columns of a log, and how its rows are read."""
 
     columns: Names
     delimiter: str

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which samples of a measured run are those of one motion: by their times and their numbers."""
+"""Samples of a measured run that belong to one motion: by their times and their numbers."""
 
 from collections.abc import Iterator
 

@@ -35,7 +35,7 @@ _ALIKE = 0.01
 
 
 class MotionData(StrictModel):
-    """What is done with measured motions, wherever they come from."""
+    """Options of measured motions, wherever they come from."""
 
     smoothing: float = Field(40.0, gt=0.0, description=(
         'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]; '
@@ -89,7 +89,7 @@ class MeasuredRun(NamedTuple):
 
 @dataclass
 class Bad:
-    """How many samples could not be used, by the reason, and where motions were cut."""
+    """Number of samples that could not be used, by the reason, and where motions were cut."""
 
     lacking: int = 0
     late: int = 0

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a plain network learns of a machine, with no mechanics in it: a baseline."""
+"""Plain network of a machine, with no mechanics in it: a baseline."""
 
 from collections.abc import Sequence
 

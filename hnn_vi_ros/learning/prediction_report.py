@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an evaluation leaves: a page with its table, a picture, and a recording."""
+"""Report of an evaluation: a page with its table, a picture, and a recording."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -20,7 +20,7 @@ PAIRS = 256  # of states, for the preference for a linear field
 
 class Comparison(NamedTuple):
     """
-    What a model says of held-out data, beside what they are.
+    Predictions of a model for held-out data, beside what they are.
 
     Parameters
     ----------

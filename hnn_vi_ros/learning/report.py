@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a training run leaves beside its model: pictures, curves, and a page about it."""
+"""Report of a training run, beside its model: pictures, curves, and a page about it."""
 
 from pathlib import Path
 import platform

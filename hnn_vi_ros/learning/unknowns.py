@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is identified of a robot: numbers, of which any are those of some robot."""
+"""Unknowns of a robot that is identified: numbers, of which any are those of some robot."""
 
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
@@ -12,7 +12,7 @@ import torch
 
 class Unknowns:
     """
-    What is identified: x = (log-Cholesky, rotors, offsets, viscous, Coulomb), of which some rest.
+    Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb), of which some rest.
 
     Parameters
     ----------

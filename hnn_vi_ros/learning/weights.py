@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How H of a trained model depends on the weights of its networks."""
+"""Derivatives of H of a trained model by the weights of its networks."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -28,7 +28,7 @@ _CHEAP, _ENOUGH, _MOST = 2, 1e-6, 40
 
 
 class Machine(Protocol):
-    """What is simulated."""
+    """Machine that is simulated."""
 
     scales: MotionScales
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a lockstep ensemble is computed on."""
+"""Device that a lockstep ensemble is computed on."""
 
 from collections.abc import Callable
 from typing import Any

@@ -23,7 +23,7 @@ import torch
 
 class Counts(NamedTuple):
     """
-    What is counted of each of m trajectories, as ``Simulation`` does.
+    Counts of each of m trajectories, as of ``Simulation``.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Counts(NamedTuple):
 
 class Recorded(NamedTuple):
     """
-    What came of m trajectories.
+    Results of m trajectories.
 
     Parameters
     ----------

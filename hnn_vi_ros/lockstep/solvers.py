@@ -42,7 +42,7 @@ def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 class Scales(NamedTuple):
     """
-    What residuals are relative to, shape (N, m).
+    Scales of residuals, shape (N, m).
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Scales(NamedTuple):
 
 class Solved(NamedTuple):
     """
-    What came of the equations of m trajectories.
+    Solutions of the equations of m trajectories.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Solved(NamedTuple):
 
 
 class Iteration(ABC):
-    """How the next iterate is made of the last ones; of the trajectories that are left."""
+    """Rule that makes the next iterate of the last ones; of the trajectories that are left."""
 
     patient = False
 
@@ -204,7 +204,7 @@ class Anderson(Iteration):
 
 
 class _Judged(NamedTuple):
-    """What is found of iterates: outcomes, or GO_ON with what the next ones are made of."""
+    """Judgement of iterates: outcomes, or GO_ON with what the next ones are made of."""
 
     outcome: torch.Tensor
     value: torch.Tensor

@@ -51,7 +51,7 @@ class State(NamedTuple):
 
 class Stepped(NamedTuple):
     """
-    What came of a step.
+    Result of a step.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Stepped(NamedTuple):
 
 class System(NamedTuple):
     """
-    What is simulated, and how.
+    System that is simulated, and its method.
 
     Parameters
     ----------

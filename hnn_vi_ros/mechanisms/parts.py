@@ -34,7 +34,7 @@ class Line:
 
     @property
     def moves(self) -> bool:
-        """Whether the part has a place for each q, rather than one for all."""
+        """Return whether the part has a place for each q, rather than one for all."""
         return self.points.ndim > 2
 
 
@@ -60,7 +60,7 @@ class Box:
 
     @property
     def moves(self) -> bool:
-        """Whether the part has a place for each q, rather than one for all."""
+        """Return whether the part has a place for each q, rather than one for all."""
         return self.center.ndim > 1
 
 
@@ -86,7 +86,7 @@ class Ball:
 
     @property
     def moves(self) -> bool:
-        """Whether the part has a place for each q, rather than one for all."""
+        """Return whether the part has a place for each q, rather than one for all."""
         return self.center.ndim > 1
 
 
@@ -112,7 +112,7 @@ class Trail:
 
     @property
     def moves(self) -> bool:
-        """Whether the part has a place for each q, rather than one for all."""
+        """Return whether the part has a place for each q, rather than one for all."""
         return self.point.ndim > 1
 
 

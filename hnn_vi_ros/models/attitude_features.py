@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What networks see of a body that turns: (x, R row by row, pi), with pi = (R^T p, L).
+Features of a body that turns: (x, R row by row, pi), with pi = (R^T p, L).
 
 x and p are those of its position, if it has one; R is its attitude, of a quaternion (x, y, z, w),
 and quadratic in it; L is its angular momentum in its own frame.

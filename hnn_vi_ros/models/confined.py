@@ -23,7 +23,7 @@ _SAMPLES = 64
 
 class ConfinedParameters(NamedTuple):
     """
-    What the functions of a confined Hamiltonian take first.
+    Parameters of the functions of a confined Hamiltonian, their first argument.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class ConfinedHamiltonian(Hamiltonian):
 
     @property
     def smooth(self) -> bool:
-        """Tell whether the gradient of the base is continuous."""
+        """Return whether the gradient of the base is continuous."""
         return self.base.smooth
 
     @property

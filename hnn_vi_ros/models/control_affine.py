@@ -17,7 +17,7 @@ import numpy as np
 
 class ControlAffineParameters(NamedTuple):
     """
-    What the functions of a control-affine network take first; ``_v`` marks changes.
+    Parameters of the functions of a control-affine network; ``_v`` marks changes.
 
     Parameters
     ----------

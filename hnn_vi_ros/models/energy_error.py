@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a learned energy is from the true one, over a box, and how well that is known."""
+"""Error of a learned energy against the true one, over a box, and its interval."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal

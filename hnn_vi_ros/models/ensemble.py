@@ -18,7 +18,7 @@ import numpy as np
 
 class MeanParameters(NamedTuple):
     """
-    What the functions of a mean take first.
+    Parameters of the functions of a mean, their first argument.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def exact_systems() -> list[str]:
 
 
 def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
-    """Tell whether H_p is linear in p, at random states."""
+    """Return whether H_p is linear in p, at random states."""
     if hamiltonian.gauge is not None or not hamiltonian.canonical or hamiltonian.rotations:
         return False
     _, gradient, _ = functions_of(hamiltonian)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an exact system adds to a learned M and V, compiled: its kernel by address."""
+"""Terms of an exact system beside a learned M and V, compiled: its kernel by address."""
 
 from typing import NamedTuple
 

@@ -28,7 +28,7 @@ class Network(NamedTuple):
 @dataclass(frozen=True)
 class Family:
     """
-    What a family is, wherever that is asked for.
+    Family of models, wherever it is asked for.
 
     Its classes are named, and imported when they are first needed: who reads a card needs no
     compiler, who simulates no torch.

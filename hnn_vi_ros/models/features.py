@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a network sees of the coordinates: linear combinations y = F q, or their sine and cosine.
+Features of the coordinates: linear combinations y = F q, or their sine and cosine.
 
 Each row of F gives one input y_k, or the two inputs (sin y_k, cos y_k) if it is periodic. Inputs
 are padded with zeros to an even number n, since the loops of perceptron.py take two halves.
@@ -17,7 +17,7 @@ import numpy as np
 
 class Features(NamedTuple):
     """
-    What the functions here take first.
+    Parameters of the functions here, their first argument.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _HOLD, _STOP = 1e-4, 1e-15
 
 class LagrangianParameters(NamedTuple):
     """
-    What the functions of a Legendre transform take first.
+    Parameters of the functions of a Legendre transform, their first argument.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all trained models have in common as Hamiltonians."""
+"""Common part of all trained models, as Hamiltonians."""
 
 from abc import abstractmethod
 from functools import cached_property
@@ -47,7 +47,7 @@ class LearnedHamiltonian(Hamiltonian):
 
     @property
     def smooth(self) -> bool:
-        """Tell whether the gradient of H is continuous."""
+        """Return whether the gradient of H is continuous."""
         return ACTIVATIONS[self.checkpoint.card.activation].smooth
 
     @property

@@ -63,7 +63,7 @@ class LieGroupWork(NamedTuple):
 
 class LieGroupParameters(NamedTuple):
     """
-    What the functions of such a body take first.
+    Parameters of the functions of such a body, their first argument.
 
     Parameters
     ----------

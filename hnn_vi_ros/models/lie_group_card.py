@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model of the family lie_group is, beside its networks."""
+"""Card of a model of the family lie_group, beside its networks."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class LieGroupCard(StrictModel):
-    """What the networks of a body that turns see of its state (g, p), with pi = (R^T p, L)."""
+    """Features that the networks of a body that turns see of (g, p), with pi = (R^T p, L)."""
 
     kind: Literal['rotation', 'pose'] = Field(description='of the coordinate')
     mass_scale: list[Positive] = Field(description=(

@@ -93,7 +93,7 @@ class MechanicalWork(NamedTuple):
 
 
 class MechanicalParameters(NamedTuple):
-    """What the functions of a mechanism take first: M, V, what a prior adds, and space."""
+    """Parameters of the functions of a mechanism: M, V, what a prior adds, and space."""
 
     mass: MassNetwork
     potential: PotentialNetwork

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model of the family mechanical is, beside its networks."""
+"""Card of a model of the family mechanical, beside its networks."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -104,7 +104,7 @@ class PriorCard(StrictModel):
 
 
 def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
-    """Tell whether a network sees the sine and cosine of a combination of coordinates."""
+    """Return whether a network sees the sine and cosine of a combination of coordinates."""
     return any(x and kind == 'continuous' for x, kind in zip(row, kinds, strict=True))
 
 
@@ -136,7 +136,7 @@ def check_prior(kind: str, kinds: Sequence[Kind], features: Sequence[Sequence[fl
 
 
 class MechanicalCard(StrictModel):
-    """How the networks of M, of V and of friction see the coordinates."""
+    """Features that the networks of M, of V and of friction see of the coordinates."""
 
     kinds: list[Kind] = Field(description='of each coordinate')
     features: list[list[float]] = Field(min_length=1, description=(
@@ -220,7 +220,7 @@ class MechanicalCard(StrictModel):
         return found
 
     def is_periodic(self, row: list[float]) -> bool:
-        """Tell whether a network sees the sine and cosine of a combination of coordinates."""
+        """Return whether a network sees the sine and cosine of a combination of coordinates."""
         return is_periodic(self.kinds, row)
 
     def inputs(self, features: list[list[float]]) -> int:

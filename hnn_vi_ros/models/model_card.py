@@ -60,7 +60,7 @@ class Units(StrictModel):
 
 
 class PredictionError(StrictModel):
-    """How far simulations from measured states that were held out are from what was measured."""
+    """Error of simulations from measured states that were held out."""
 
     horizons: dict[str, list[float | None]] = Field(description=(
         'root mean square of the error of each coordinate at the end of each horizon [s]; null '
@@ -75,7 +75,7 @@ class PredictionError(StrictModel):
 
 
 class ModelCard(StrictModel):
-    """What a model is, what it was learned from, and how well."""
+    """Card of a model: what it is, what it was learned from, and how well."""
 
     format_version: Literal[1] = 1
     name: str = Field(min_length=1, max_length=255)

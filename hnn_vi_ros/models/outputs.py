@@ -19,7 +19,7 @@ import numpy as np
 
 class PackedOutputs(NamedTuple):
     """
-    What the functions here take first: a network of k outputs.
+    Parameters of the functions here, their first argument: a network of k outputs.
 
     Parameters
     ----------

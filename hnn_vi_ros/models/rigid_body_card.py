@@ -97,7 +97,7 @@ class BaseParameter(StrictModel):
 
 
 class Identification(StrictModel):
-    """What the data tell of the parameters of a robot."""
+    """Information of the data on the parameters of a robot."""
 
     base_parameters: list[BaseParameter]
     weak: list[BaseParameter] = Field([], description=(

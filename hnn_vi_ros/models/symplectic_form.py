@@ -153,7 +153,7 @@ def _pfaffian(matrix: np.ndarray) -> float:
 
 class FormParameters(NamedTuple):
     """
-    What the functions of a symplectic form take first.
+    Parameters of the functions of a symplectic form, their first argument.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What stands between the layers of a network: its value, its slope and its curvature.
+Functions between the layers of a network: their value, slope and curvature.
 
 Each class of PackedPerceptron stands for an activation. By it the compiler chooses among the loops
 below, so that a network of one activation holds nothing of the others. tanh needs no memory of

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the compiled loops of perceptron.py find the weights, and where they work."""
+"""Memory of the compiled loops of perceptron.py: the weights, and their scratch."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ MAX_STATES = 32
 
 class PackedPerceptron(NamedTuple):
     """
-    What the functions of perceptron.py take first: a network of K hidden layers, and scratch.
+    Parameters of the functions of perceptron.py: a network of K hidden layers, and scratch.
 
     The activation between its layers is in the type, by which compiled code knows it: a network
     is one of the classes below.

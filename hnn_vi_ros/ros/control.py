@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a run goes on: start, halt, pause, steps by number, reset; all between two steps."""
+"""Control of when a run goes on: start, halt, pause, steps by number, reset."""
 
 from collections.abc import Callable
 import gc
@@ -24,7 +24,7 @@ _DIAGNOSTICS_PERIOD = 1.0
 
 class Answer(NamedTuple):
     """
-    What came of a request, as std_srvs tell it.
+    Result of a request, in the terms of std_srvs.
 
     The message of one that moved the run ends in a JSON object: where the run stands by it.
     """
@@ -72,7 +72,7 @@ class Control:
 
     @property
     def running(self) -> bool:
-        """Tell whether simulated time goes on by itself."""
+        """Return whether simulated time goes on by itself."""
         return self.active and not self.paused
 
     def activate(self) -> None:

@@ -17,7 +17,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 class Status(NamedTuple):
     """
-    How one component does.
+    Status of one component.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ COMPONENT = 'event'
 
 class EventTopic:
     """
-    Tell of events: each is one message with one status, stamped with its own time.
+    Topic of events: each is one message with one status, stamped with its own time.
 
     The status' message is the event in words; its values are the condition, the direction, the
     time, q and p by their names, and H, with all their digits.

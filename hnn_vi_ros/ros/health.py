@@ -55,7 +55,7 @@ class Health:
         self._due: dict[str, float] = {}
 
     def add(self, alarm: Alarm, stamp: int) -> None:
-        """Tell an alarm that belongs to a sample, the newest one, of that stamp [ns]."""
+        """Publish an alarm that belongs to a sample, the newest one, of that stamp [ns]."""
         self._alarms.pop(alarm.kind, None)
         self._alarms[alarm.kind] = alarm
         self._raised[alarm.kind] = alarm.step
@@ -71,7 +71,7 @@ class Health:
             self._log(f't = {self._time(alarm.step)} s: {alarm.message}', word)
 
     def add_failure(self, failure: StepFailure, step: int, stamp: int) -> None:
-        """Tell that the step after this one failed, after the sample of that stamp [ns]."""
+        """Publish that the step after this one failed, after the sample of that stamp [ns]."""
         self.add(Alarm(STEP_FAILED, step, failure.relative_residual, math.nan, str(failure), '1'),
                  stamp)
 

@@ -9,7 +9,7 @@ from hnn_vi_ros.ros.parameters import parameter, specifications, START
 
 @dataclass(frozen=True)
 class HoverSettings:
-    """Where the quadrotor is to be held."""
+    """Point where the quadrotor is to be held."""
 
     x: float = parameter(1.0, 'of the place that it is led to', 'm', -1e3, 1e3)
     y: float = parameter(-1.0, 'the same', 'm', -1e3, 1e3)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files describe: one node, and each of its parameters as an argument."""
+"""Description of the launch files: one node, and each of its parameters as an argument."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -64,7 +64,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
 
     @property
     def busy(self) -> bool:
-        """Tell whether a thread of ``in_thread`` is at work."""
+        """Return whether a thread of ``in_thread`` is at work."""
         return any(thread.is_alive() for thread in self._threads)
 
     def wait(self, seconds: float) -> None:

@@ -236,7 +236,7 @@ class Player(threading.Thread):
                 return True
 
     def _show_clock(self, stamp: int) -> None:
-        """Tell the bag's time, at most once for each 10 ms of it."""
+        """Publish the bag's time, at most once for each 10 ms of it."""
         if self._tell_time is not None and stamp >= self._clock_due:
             self._tell_time(stamp)
             self._clock_due = (stamp // CLOCK_PERIOD + 1) * CLOCK_PERIOD

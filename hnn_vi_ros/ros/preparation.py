@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What takes long before a run can begin, for a thread beside the one that serves."""
+"""Preparation of a run, which takes long: for a thread beside the one that serves."""
 
 from collections.abc import Callable, Sequence
 import time
@@ -38,7 +38,7 @@ _LONGEST_WAIT = 1e6
 
 class Prepared(NamedTuple):
     """
-    What was prepared.
+    Result of the preparation.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _MOST, _LONGEST = 2**31 - 1, 2**63 - 1
 
 class Endpoint(NamedTuple):
     """
-    What a node publishes or subscribes to.
+    Publisher or subscription of a node.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What is used of rclpy that it keeps to itself; nothing public of it does the same.
+Internals of rclpy that are used; nothing public of it does the same.
 
 Its errors RCLError and UnknownROSArgsError have no public name, and neither has the type of a
 node's logger. A managed node's own handler of ``change_state`` lets the error of an illegal

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag tells of the run that it was recorded from: its scene, its states, its last one."""
+"""Run that a bag was recorded from: its scene, its states, its last one."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -181,7 +181,7 @@ class RecordedRun:
 
     @property
     def stamped(self) -> bool:
-        """Tell whether log times are stamps of the simulator, as they are in its own bags."""
+        """Return whether log times are stamps of the simulator, as they are in its own bags."""
         return all(self.state(message).stamp == message.time
                    for message in self.reader.messages(self.states))
 
@@ -204,7 +204,7 @@ class RecordedRun:
 
     @property
     def own(self) -> bool:
-        """Tell whether the simulator recorded the bag: then it holds all samples of the run."""
+        """Return whether the simulator recorded the bag: then it holds all samples of the run."""
         try:
             return bool(self.reader.attachment('scene.yaml'))
         except RecordingError:

@@ -24,7 +24,7 @@ import numpy as np
 
 class Recording:
     """
-    Where the samples of a run go besides ROS: a list of sinks, such as a bag and a picture.
+    Sinks of the samples of a run besides ROS, such as a bag and a picture.
 
     A sink that fails is given up with an error in the log; the simulation goes on, and
     ``close`` says that something is missing.

@@ -31,7 +31,7 @@ _BATCH = 10**5
 
 
 class Verdict(NamedTuple):
-    """What a comparison found: in one line, and whether the log is confirmed."""
+    """Verdict of a comparison: in one line, and whether the log is confirmed."""
 
     text: str
     good: bool

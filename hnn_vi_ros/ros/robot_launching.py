@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What robot.launch.py describes: a simulated robot, and what drives and shows it in ROS."""
+"""Description of robot.launch.py: a simulated robot, and what drives and shows it in ROS."""
 
 from collections.abc import Sequence
 from pathlib import Path

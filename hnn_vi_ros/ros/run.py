@@ -39,7 +39,7 @@ from rclpy.node import Node
 
 class Run:
     """
-    What is simulated and where it goes; when it goes on is up to Control.
+    Run of a scene and its sinks; when it goes on is up to Control.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Run:
             self.recording.event(text, level)
 
     def watch(self, sample: Sample | None = None) -> None:
-        """Tell what the guards find in a sample, or the state; stop if that was asked for."""
+        """Publish what the guards find in a sample, or the state; stop if that was asked for."""
         sample = sample or self.sampler.sample()
         for alarm in self._monitor.watch(sample):
             self._health.add(alarm, sample.stamp)
@@ -169,7 +169,7 @@ class Run:
 
     @property
     def at_sample(self) -> bool:
-        """Tell whether the next step is the first after a sample."""
+        """Return whether the next step is the first after a sample."""
         return self.simulation.steps % self.sampler.every == 0
 
     def step(self, most: float = math.inf) -> int:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a run does, component by component, in plain words and figures."""
+"""Status of a run, component by component, in plain words and figures."""
 
 import math
 
@@ -16,7 +16,7 @@ from hnn_vi_ros.simulation.sample import Sample
 
 class RunStatus:
     """
-    Tell the statuses of timing, integrator, energy, recorder, model and health.
+    Statuses of timing, integrator, energy, recorder, model and health.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What services need of the node that they act on."""
+"""Interface of the node that services act on."""
 
 from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 
 class Simulator(Protocol):
-    """What the services need of the node; the refusal says why there is no run."""
+    """Node as the services need it; the refusal says why there is no run."""
 
     run: Run | None
     control: Control | None

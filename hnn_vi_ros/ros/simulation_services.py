@@ -101,14 +101,14 @@ class SimulationServices:
                                 for feature in INTERFACES[name] if hasattr(kinds, feature))
 
     def get_simulator_features(self, request: Any, response: Any) -> Any:
-        """Tell what is supported."""
+        """Return what is supported."""
         response.features.features = self._features
         response.features.custom_info = (
             f'hnn_vi_ros {__version__}: worlds and spawnables are scenes, one at a time')
         return response
 
     def get_simulation_state(self, request: Any, response: Any) -> Any:
-        """Tell whether simulated time goes on, and whether there is a world at all."""
+        """Return whether simulated time goes on, and whether there is a world at all."""
         response.state.state = self._now()
         return self._fill(response, self._result.RESULT_OK)
 

@@ -23,7 +23,7 @@ SPREAD_TOPIC: tuple[str, type] = ('~/uncertainty', JointState)
 
 class SpreadTopic:
     """
-    Tell how far the members of an ensemble come apart.
+    Topic on how far the members of an ensemble come apart.
 
     The positions of ~/uncertainty are the half-widths of the bands around q and p, by the names
     that ~/state gives these.

@@ -67,7 +67,7 @@ ENDPOINTS = (
 
 class Topics:
     """
-    What the simulator publishes and hears.
+    Topics that the simulator publishes and hears.
 
     The topics of every tick and the scene's are there at once, so that other nodes discover them
     while the kernel is being compiled; ``open`` adds those that depend on the scene.

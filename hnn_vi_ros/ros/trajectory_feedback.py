@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well joints follow the path that they were given."""
+"""Feedback on how well joints follow the path that they were given."""
 
 from array import array
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well the simulation follows a machine: ~/prediction_error, the bag and /diagnostics."""
+"""Topic ~/prediction_error of a twin, with its part in the bag and in /diagnostics."""
 
 from array import array
 from collections.abc import Callable

@@ -48,7 +48,7 @@ class WorldServices:
         return self._fill(response, 'RESULT_OK', '; '.join(problems))
 
     def get_current_world(self, request: Any, response: Any) -> Any:
-        """Tell which scene is loaded."""
+        """Return which scene is loaded."""
         if self._simulator.run is None:
             return self._fill(response, 'NO_WORLD_LOADED', self._simulator.refusal)
         world = world_of(self._simulator.run.scene)
@@ -129,7 +129,7 @@ class WorldServices:
 
 
 def _matches(wanted: Any, tags: tuple[str, ...]) -> bool:
-    """Tell whether a world's tags are what a TagsFilter asks for."""
+    """Return whether a world's tags are what a TagsFilter asks for."""
     if not wanted.tags:
         return True
     enough = all if wanted.filter_mode == type(wanted).FILTER_MODE_ALL else any

@@ -192,7 +192,7 @@ def _check(effect: Effect, integrator: Integrator) -> None:
 
 
 def _is_known(kind: type) -> bool:
-    """Tell whether a force is a function of time, state and a command of numbers alone."""
+    """Return whether a force is a function of time, state and a command of numbers alone."""
     return issubclass(kind, Force) and kind is not EFFECTS['servo'] and kind.knots == 0
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which snapshots of a run are kept to go through it backwards, when memory is for a few alone."""
+"""Choice of the snapshots kept to go through a run backwards, when memory is for a few alone."""
 
 from collections.abc import Callable, Iterator
 import math

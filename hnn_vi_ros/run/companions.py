@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Companion(Protocol):
-    """What goes along with a simulation, and never disturbs it: it raises nothing."""
+    """Companion of a simulation, which never disturbs it: it raises nothing."""
 
     def advance(self, n: int) -> None:
         """Take as many steps as the simulation did."""

@@ -25,7 +25,7 @@ _MOST = 8
 @dataclass(frozen=True)
 class CompiledScene:
     """
-    What became of a scene.
+    Result of compiling a scene.
 
     Parameters
     ----------

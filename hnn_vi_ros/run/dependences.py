@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What runs depend on beside their states: how H' changes with it, by differences of H'."""
+"""Dependences of runs on more than their states: how H' changes, by differences of H'."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,7 +22,7 @@ _BELOW = {-offset: -weight for offset, weight in _ABOVE.items()}
 
 
 class Dependence(Protocol):
-    """How H' depends on something that is no state, at states one after another, (N,) each."""
+    """Dependence of H' on something that is no state, at states one after another, (N,) each."""
 
     def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return the gradient by it of the sum of weights, shape (2, N), times (H_q, H_p)."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each effect of a scene adds to the time of a step, measured on this machine."""
+"""Cost of each effect of a scene in the time of a step, measured on this machine."""
 
 from dataclasses import dataclass
 import math

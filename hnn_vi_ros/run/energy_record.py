@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the energy of a run has done so far, in a fixed amount of memory."""
+"""Record of the energy of a run so far, in a fixed amount of memory."""
 
 import math
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the first moments of a run tell beforehand: where it goes, and what a step costs."""
+"""Look ahead at the first moments of a run: where it goes, and what a step costs."""
 
 import time
 from typing import NamedTuple
@@ -17,7 +17,7 @@ _MARGIN = 0.1
 
 class LookAhead(NamedTuple):
     """
-    What was found.
+    Findings of a look ahead.
 
     Parameters
     ----------

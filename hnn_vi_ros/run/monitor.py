@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured and watched of a run: its timing, its energy, its tolerance, guards."""
+"""Monitor of a run: its timing, its energy, its tolerance, guards."""
 
 from collections.abc import Callable, Iterable
 import math

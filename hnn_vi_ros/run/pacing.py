@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How many ticks of simulated time a run owes to the wall clock, and when it cannot pay them."""
+"""Pace of a run: how many ticks it owes to the wall clock, and when it cannot pay them."""
 
 from collections.abc import Callable
 import time
@@ -59,7 +59,7 @@ class Pacer:
 
     @property
     def paced(self) -> bool:
-        """Tell whether the wall clock sets the pace."""
+        """Return whether the wall clock sets the pace."""
         return self._wall_per_tick > 0.0
 
     @property
@@ -68,7 +68,7 @@ class Pacer:
         return self._origin + (self._done + 1) * self._wall_per_tick - self._now()
 
     def due(self) -> bool:
-        """Tell whether one more tick is due; if so, it counts as taken."""
+        """Return whether one more tick is due; if so, it counts as taken."""
         if self._wall_per_tick:
             owed = (self._now() - self._origin) / self._wall_per_tick - self._done
             if owed < 1.0:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What takes the samples of one trajectory: at whole steps, at given times, with commands."""
+"""Recorders of the samples of one trajectory: at whole steps, at given times, with commands."""
 
 from collections.abc import Callable, Sequence
 

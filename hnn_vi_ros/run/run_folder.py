@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a run puts its files; nothing that exists is ever overwritten."""
+"""Folder of a run's files; nothing that exists is ever overwritten."""
 
 from contextlib import suppress
 from datetime import datetime, UTC

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is reported of the scene that is simulated."""
+"""Report on the scene that is simulated."""
 
 from dataclasses import asdict
 import math

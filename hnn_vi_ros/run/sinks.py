@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What takes the samples of a run besides ROS: the protocol of a bag, a picture and others."""
+"""Protocol of what takes the samples of a run besides ROS: a bag, a picture and others."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from hnn_vi_ros.simulation.sample import Sample
 
 class Beginning(NamedTuple):
     """
-    Where a sink begins.
+    Beginning of a sink's recording.
 
     Parameters
     ----------

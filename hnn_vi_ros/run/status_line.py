@@ -11,7 +11,7 @@ from hnn_vi_ros.simulation.sample import Sample
 
 
 class Logger(Protocol):
-    """What is needed of a ROS logger."""
+    """Logger as far as it is needed: that of ROS is one."""
 
     def info(self, message: str) -> None:
         """Log a line."""

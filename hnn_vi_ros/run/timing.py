@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What steps and samples cost while a run goes on, and what pace this machine could hold."""
+"""Time of steps and samples while a run goes on, and the pace this machine could hold."""
 
 from collections import deque
 from collections.abc import Callable
@@ -18,7 +18,7 @@ _PERIOD = 0.25
 
 class Figures(NamedTuple):
     """
-    What was measured lately; NaN where nothing was yet.
+    Figures measured lately; NaN where nothing was yet.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrajectoryData:
-    """What a Trajectory holds, see there; what draws it takes this."""
+    """Data of a Trajectory, see there; what draws it takes this."""
 
     t: np.ndarray
     q: np.ndarray

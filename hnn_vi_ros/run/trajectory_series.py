@@ -17,7 +17,7 @@ _WIDTH, _HEIGHT, _AROUND = 8.0, 1.7, 0.8
 
 
 class _Panel(NamedTuple):
-    """What shares an axis: its label, and curves by name."""
+    """Curves that share an axis, by name, and its label."""
 
     label: str
     curves: list[tuple[str, np.ndarray]]

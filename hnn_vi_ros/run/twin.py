@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well a simulation follows the machine that it is the twin of, while both run."""
+"""Comparison of a simulation with the machine that it is the twin of, while both run."""
 
 from collections import deque
 from typing import NamedTuple
@@ -28,7 +28,7 @@ _SAME = 1e-9
 
 class Report(NamedTuple):
     """
-    What an observation tells.
+    Report on an observation.
 
     Parameters
     ----------

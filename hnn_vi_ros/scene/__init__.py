@@ -38,7 +38,7 @@ _EXACT: dict[str, type] = {**HAMILTONIANS, **ROBOTS}
 
 
 class Scene(StrictModel):
-    """What is simulated: a Hamiltonian, effects, an integrator, a step size, an initial state."""
+    """Simulated scene: a Hamiltonian, effects, an integrator, a step size, an initial state."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     hamiltonian: choices(  # type: ignore[valid-type]

@@ -40,7 +40,7 @@ class LearnedChoice(StrictModel):
 
 
 class UncertaintyChoice(StrictModel):
-    """What is told of how far the members of an ensemble come apart."""
+    """Options on how far the members of an ensemble come apart."""
 
     limit: float = Field(0.1, gt=0.0, description=(
         'spread of a coordinate or momentum, in half-widths of its training interval, beyond '

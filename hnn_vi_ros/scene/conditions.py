@@ -143,6 +143,6 @@ class Condition:
 
 
 def _names_in(node: ast.AST) -> bool:
-    """Tell whether an expression has quantities of a system in it."""
+    """Return whether an expression has quantities of a system in it."""
     return any(isinstance(part, ast.Name) and part.id not in ('pi', *_FUNCTIONS)
                for part in ast.walk(node))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a motion conserves beside H: the known ones of a system, and the user's own functions."""
+"""Invariants of a motion beside H: the known ones of a system, and the user's own functions."""
 
 from collections.abc import Callable, Sequence
 import math

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a scene comes from, and with that what it finds: its models, and Python code beside it."""
+"""Origin of a scene, and what it finds by it: its models, and Python code beside it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What Python callers give for a scene, as the plain data that its YAML would hold."""
+"""Plain data of a scene, as its YAML would hold them, from what Python callers give."""
 
 from collections.abc import Mapping
 import os

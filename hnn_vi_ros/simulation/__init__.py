@@ -166,7 +166,7 @@ class Simulation:
 
     @property
     def connected(self) -> bool:
-        """Whether there may be several solutions of which the one connected to h = 0 is taken."""
+        """Return whether, of several solutions, the one connected to h = 0 has to be chosen."""
         return self._system.integrator.no_solution != '' and not self.hamiltonian.separable
 
     @property

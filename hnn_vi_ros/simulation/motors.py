@@ -13,7 +13,7 @@ import numpy as np
 
 class Motors:
     """
-    What drives a system as it is commanded.
+    Motors that drive a system as it is commanded.
 
     Parameters
     ----------

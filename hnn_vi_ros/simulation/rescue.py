@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is done about steps that fail, or that an explicit method cannot take."""
+"""Rescue of steps that fail, or that an explicit method cannot take."""
 
 from collections.abc import Callable
 from functools import cache
@@ -176,7 +176,7 @@ class Rescue:
 
 class Taken(NamedTuple):
     """
-    What came of a step that was taken anew.
+    Result of a step that was taken anew.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class Taken(NamedTuple):
 
 class Watched(NamedTuple):
     """
-    What a watch keeps of the steps so far.
+    Record that a watch keeps of the steps so far.
 
     Parameters
     ----------

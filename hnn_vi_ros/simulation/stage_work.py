@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the derivatives of steps are worked out in, and what effects do to these steps."""
+"""Workspace of the derivatives of steps, and what effects do to these steps."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 
 class StageWork(NamedTuple):
     """
-    What one step's derivatives are worked out in, of s stages of d coordinates.
+    Workspace of one step's derivatives, of s stages of d coordinates.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class StageWork(NamedTuple):
 
 class Acting(NamedTuple):
     """
-    What effects that do work are told of K steps, and what they do around each.
+    Input of effects that do work in K steps, and what they do around each.
 
     Parameters
     ----------

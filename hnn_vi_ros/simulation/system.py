@@ -64,7 +64,7 @@ class JoinedHamiltonian(Hamiltonian):
 
     @property
     def smooth(self) -> bool:
-        """Tell whether the gradient of the base is continuous."""
+        """Return whether the gradient of the base is continuous."""
         return self.base.smooth
 
     @property
@@ -92,7 +92,7 @@ class JoinedHamiltonian(Hamiltonian):
 
 class System:
     """
-    What a simulation of some effects compiles; without effects, H and the method themselves.
+    Compiled parts of a simulation with effects; without them, H and the method themselves.
 
     Parameters
     ----------
@@ -161,12 +161,12 @@ class System:
 
     @property
     def lockstep(self) -> bool:
-        """Whether several trajectories can step together."""
+        """Return whether several trajectories can step together."""
         return not self._single_file
 
     @property
     def cuts(self) -> int:
-        """How often walls have cut a step so far, in trials as well; the path has kinks there."""
+        """Return how many steps walls have cut, trials included; the path has kinks there."""
         # An effect that cuts steps counts in its parameters how often it does.
         counts = (getattr(self._parameters[i], 'cuts', None) for i in self._in(Place.OUTSIDE))
         return sum(int(count[0]) for count in counts if count is not None)

@@ -57,7 +57,7 @@ def run_dissipation(job: Job) -> Measured:
 
 
 def _is_identical_without(job: Job, steps: int = 2000) -> bool:
-    """Tell whether damping of rate zero leaves every bit as it is without the effect."""
+    """Return whether damping of rate zero leaves every bit as it is without the effect."""
     hamiltonian, integrator, _ = job.parts()
     paths = []
     for effects in ([], [Damping(0.0)]):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run of a hard case must pass: the gates G1 to G5, and how a limit is derived."""
+"""Gates G1 to G5 that a run of a hard case must pass, and how a limit is derived."""
 
 from dataclasses import dataclass, field
 import math
@@ -19,7 +19,7 @@ _MANTISSAS = (1, 2, 4, 5, 8, 10)
 @dataclass
 class Measured:
     """
-    What was measured of one run; a figure that there is none for is NaN.
+    Measurements of one run; a figure that there is none for is NaN.
 
     Parameters
     ----------

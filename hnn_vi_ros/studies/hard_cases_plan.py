@@ -36,7 +36,7 @@ class Guards(StrictModel):
 
 
 class Methods(StrictModel):
-    """Which methods run, where a set-up does not say otherwise."""
+    """Methods that run, where a set-up does not say otherwise."""
 
     exact: list[str]
     learned: list[str]
@@ -97,7 +97,7 @@ class Plan(StrictModel):
 @dataclass(frozen=True)
 class Job:
     """
-    What one row of the table is measured from.
+    Job that one row of the table is measured by.
 
     Parameters
     ----------

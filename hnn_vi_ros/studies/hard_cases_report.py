@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the hard cases came out as: Markdown, CSV and pictures, and the page of the docs."""
+"""Report on the hard cases: Markdown, CSV and pictures, and the pages of the docs."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

@@ -102,7 +102,7 @@ class CaseRow:
 
 
 class Expectation(NamedTuple):
-    """What is committed for one row: its verdict, what it says first, limits by name."""
+    """Expectation of one row: its verdict, what it says first, limits by name."""
 
     verdict: str
     alarm: str

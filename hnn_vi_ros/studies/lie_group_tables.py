@@ -35,7 +35,7 @@ INTERVAL, _RTOL, _ATOL = 0.05, 1e-7, 1e-9
 
 
 class LongRun(NamedTuple):
-    """What became of H [J], and the norm of R^T R - 1, at times [s]."""
+    """Course of H [J], and of the norm of R^T R - 1, at times [s]."""
 
     t: np.ndarray
     energy_error: np.ndarray

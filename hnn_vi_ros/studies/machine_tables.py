@@ -48,7 +48,7 @@ Measure = Callable[[Predict, Sequence[Motion], Path], Measures]
 
 
 class CaseMotions(NamedTuple):
-    """What to learn from, what to judge by, and what they are."""
+    """Motions to learn from, motions to judge by, and what they are."""
 
     train: list[Motion]
     test: list[Motion]

@@ -26,7 +26,7 @@ OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
 @dataclass(frozen=True)
 class StudyRow:
     """
-    What was measured; a figure that there is none for is NaN.
+    Measurements of one row; a figure that there is none for is NaN.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ class StudyRow:
 
     @property
     def finished(self) -> bool:
-        """Tell whether the run came to its end."""
+        """Return whether the run came to its end."""
         return self.status.startswith((OK, ENERGY_ONLY))
 
     @property
     def failed(self) -> bool:
-        """Tell whether the run was begun and did not come to its end."""
+        """Return whether the run was begun and did not come to its end."""
         return not self.finished and not self.status.startswith(TOO_LONG)
 
 

@@ -20,7 +20,7 @@ _CHUNK = 100
 
 
 class TrueSystem(Protocol):
-    """What a measure asks of the true system; see published_data."""
+    """True system as the measures need it; see published_data."""
 
     def follow(self, starts: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Return the true orbits."""
@@ -35,7 +35,7 @@ class TrueSystem(Protocol):
 @dataclass(frozen=True)
 class OrbitErrors:
     """
-    How far simulated orbits are from the true ones, over all instants and orbits.
+    Distances of simulated orbits from the true ones, over all instants and orbits.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ _BLOCK = 5.0
 
 
 class Training(StrictModel):
-    """How one model of the tables is trained; what it leaves open is as in any training."""
+    """Training of one model of the tables; what it leaves open is as in any training."""
 
     seeds: list[int] = Field(min_length=1, description='of data, split and initial weights')
     hidden: list[int] = Field([64, 64], min_length=1, description='widths of the hidden layers')

@@ -52,7 +52,7 @@ _COLUMNS = [field.name for field in fields(Result)]
 
 class ResultTable:
     """
-    What was measured, to be looked up.
+    Table of results, to be looked up.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def spread(values: np.ndarray) -> str:
 
 
 def is_reached(values: np.ndarray, published: float) -> tuple[bool, bool]:
-    """Tell whether the value of seed 0 and the mean are at or below a number, to its digits."""
+    """Return whether the value of seed 0 and the mean are at or below a number, to its digits."""
     return tuple(float(f'{value:.2e}') <= published for value in (values[0], np.mean(values)))
 
 

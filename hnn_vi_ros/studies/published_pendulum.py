@@ -26,7 +26,7 @@ _STRENGTH = 2.4
 @dataclass(frozen=True)
 class Swing:
     """
-    What is left of the log for the test: instants t, shape (n,) [s], and states, shape (n, 2).
+    Rest of the log for the test: instants t, shape (n,) [s], and states, shape (n, 2).
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ Measures = Iterator[tuple[str, float]]
 
 
 class Plan(StrictModel):
-    """What is trained, by table and system; the schema of config/studies/published_tables.yaml."""
+    """Trainings by table and system; the schema of config/studies/published_tables.yaml."""
 
     hnn: dict[str, Training] = Field(description='Greydanus et al. 2019')
     dgnet: dict[str, Training] = Field(description='Matsubara et al. 2020')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/learning.md says around its tables."""
+"""Text of docs/learning.md around its tables."""
 
 QUICK_TEXT = """
 **From a quick run, which only shows that everything runs: its numbers mean nothing.**

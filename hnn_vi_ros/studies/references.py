@@ -35,7 +35,7 @@ _SEPARATRIX = 1e-9
 @dataclass(frozen=True)
 class Reference:
     """
-    Where a motion is at the instants T/10, 2T/10, ..., T.
+    Reference motion at the instants T/10, 2T/10, ..., T.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ class Reference:
 
     @property
     def verified(self) -> bool:
-        """Tell whether errors can be measured against the path."""
+        """Return whether errors can be measured against the path."""
         return self.accuracy <= VERIFIED * np.abs(self.path).max(initial=1e-300)
 
 
 @dataclass(frozen=True)
 class ModelDiscrepancy:
     """
-    What a learned H is off by, whatever integrates it.
+    Error of a learned H, whatever integrates it.
 
     Parameters
     ----------

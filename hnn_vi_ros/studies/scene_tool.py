@@ -136,7 +136,7 @@ def explain(scene: Scene) -> Iterator[str]:
 
 
 def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
-    """Tell the coordinates and where they start, of what turns column by column."""
+    """Describe the coordinates and where they start, of what turns column by column."""
     q, p = (zip(names, units, values, strict=True) for names, units, values in zip(
         columns(coordinates), column_units(coordinates),
         (scene.initial_state.q, scene.initial_state.p), strict=True))

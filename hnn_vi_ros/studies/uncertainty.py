@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the spread of ensembles tells: ``python -m hnn_vi_ros.studies.uncertainty CONFIG MODEL ...``.
+Study of ensemble spread: ``python -m hnn_vi_ros.studies.uncertainty CONFIG MODEL ...``.
 
 Pairs of a training configuration of exact data and the ensemble that it made. The coverage of the
 bands is counted on motions that neither training nor calibration has seen. States outside of the

@@ -94,7 +94,7 @@ def create(method: MethodLabel, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, 
 
 
 def applicable(method: MethodLabel, hamiltonian: Hamiltonian) -> bool:
-    """Tell whether a method can be built for a Hamiltonian."""
+    """Return whether a method can be built for a Hamiltonian."""
     try:
         create(method, hamiltonian)
     except HnnViRosError:

@@ -80,7 +80,7 @@ def _timed_runs(study: Study, horizon: float) -> int:
 
 
 def _is_settled(study: Study, horizon: float, i: int) -> bool:
-    """Tell whether a row is there; one that was too long is tried under another limit."""
+    """Return whether a row is there; one that was too long is tried under another limit."""
     setting = study.settings[i]
     row = study.results.find(_key(setting, horizon))
     return row is not None and not (

@@ -56,7 +56,7 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 class Panel(NamedTuple):
-    """What a panel shows: two columns of StudyRow, and what they are called."""
+    """Panel of a figure: two columns of StudyRow, and what they are called."""
 
     x: str
     y: str
@@ -93,7 +93,7 @@ def panels_of(rows: Iterable[StudyRow]) -> tuple[Panel, Panel]:
 
 
 def is_peer(name: str) -> bool:
-    """Tell a peer's line from one of ours, whose names have no spaces."""
+    """Return whether a line is a peer's, not one of ours, whose names have no spaces."""
     return ' ' in name
 
 

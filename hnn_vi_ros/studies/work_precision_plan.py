@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a work-precision study will measure: its grid, checked before any time is spent."""
+"""Plan of a work-precision study: its grid, checked before any time is spent."""
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +35,7 @@ Positive = Annotated[float, Field(gt=0.0, lt=1e12)]
 
 
 class Grid(StrictModel):
-    """What is measured; the schema of config/studies/work_precision.yaml."""
+    """Grid of measurements; the schema of config/studies/work_precision.yaml."""
 
     methods: list[str] = Field(min_length=1)
     horizons: list[Positive] = Field(min_length=1, description='[s]')

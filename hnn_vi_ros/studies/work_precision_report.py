@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a work-precision study found, as Markdown, pictures and a rerun recording."""
+"""Report on a work-precision study, as Markdown, pictures and a rerun recording."""
 
 from collections.abc import Iterable, Sequence
 import math
@@ -207,7 +207,7 @@ def _cells(row: StudyRow | None, among: Sequence[StudyRow]) -> list[str]:
 
 
 def was_run(row: StudyRow) -> bool:
-    """Tell whether a row was measured, failed runs included, and not left for its time."""
+    """Return whether a row was measured, failed runs included, and not left for its time."""
     return not row.status.startswith(TOO_LONG)
 
 

@@ -33,7 +33,7 @@ class ValuesChoice(StrictModel):
 
 
 class _Ranges(StrictModel):
-    """What lies between bounds of several keys."""
+    """Ranges of several keys."""
 
     keys: Keys
     low: Numbers = Field(description='the lower bound of each key')
@@ -126,7 +126,7 @@ class Reduction(StrictModel):
 
 
 class Sweep(StrictModel):
-    """What is simulated: a scene, for each combination of what varies."""
+    """Sweep of a scene, simulated for each combination of what varies."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     scene: str = Field(min_length=1, max_length=4096, description=(

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of a trajectory in place of its samples."""
+"""Measures of a trajectory, in place of its samples."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ import numpy as np
 
 
 class Parts(NamedTuple):
-    """What a scene is made of; joined is H with the potentials and fields among its effects."""
+    """Parts of a scene; joined is H with the potentials and fields among its effects."""
 
     scene: Scene
     hamiltonian: Hamiltonian

@@ -113,7 +113,7 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.A
 
 
 def is_shard(path: Path, digest: str, shard: int) -> bool:
-    """Tell whether a file is a shard of a sweep, whole."""
+    """Return whether a file is a shard of a sweep, whole."""
     try:
         metadata = pq.read_metadata(path).metadata or {}
     except (OSError, pa.ArrowInvalid):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an identification found of the numbers of a model: values and their covariance."""
+"""Posterior of an identification: values of the numbers of a model, and their covariance."""
 
 from collections.abc import Mapping
 from hashlib import sha256

@@ -34,7 +34,7 @@ _State = tuple[np.ndarray, np.ndarray]
 
 class Rows(NamedTuple):
     """
-    What became of some trajectories.
+    Rows of some trajectories.
 
     Parameters
     ----------

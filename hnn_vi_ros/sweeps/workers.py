@@ -28,7 +28,7 @@ _MOST_LOSSES = 3
 @dataclass(frozen=True)
 class ShardJob:
     """
-    What another process needs to make shards of a sweep.
+    Job of another process that makes shards of a sweep.
 
     Parameters
     ----------

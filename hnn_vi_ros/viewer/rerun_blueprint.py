@@ -54,7 +54,7 @@ class Extent(NamedTuple):
 @dataclass(frozen=True)
 class Arrangement:
     """
-    How the views share the left column.
+    Arrangement of the views that share the left column.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Arrangement:
 
     @property
     def tabbed(self) -> bool:
-        """Whether the portraits lie on top of each other, since there are too many."""
+        """Return whether the portraits lie on top of each other, since there are too many."""
         return self.portraits > 4
 
     @property
@@ -85,7 +85,7 @@ class Arrangement:
 
     @property
     def quarters(self) -> bool:
-        """Whether the mechanism is beside the first of three portraits."""
+        """Return whether the mechanism is beside the first of three portraits."""
         return self.bounds is not None and self.portraits == 3
 
     @property

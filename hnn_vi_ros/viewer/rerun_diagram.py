@@ -28,7 +28,7 @@ class Curve:
 @dataclass(frozen=True)
 class Diagram:
     """
-    What is drawn at one horizon.
+    Diagram of one horizon.
 
     Parameters
     ----------

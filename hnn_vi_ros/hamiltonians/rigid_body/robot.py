@@ -16,7 +16,7 @@ KINDS = (*TURNING, SLIDING, RIGID)
 @dataclass(frozen=True, eq=False)
 class Inertial:
     """
-    What a link weighs.
+    Inertia of a link.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Inertial:
 @dataclass(frozen=True)
 class Limits:
     """
-    What a joint is limited to; None where the file does not say.
+    Limits of a joint; None where the file does not say.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a coordinate."""
+        """Return whether it has a coordinate."""
         return self.kind in (*TURNING, SLIDING)
 
     @property

@@ -125,7 +125,7 @@ class Work(NamedTuple):
 
 
 class TreeParameters(NamedTuple):
-    """What the functions of a tree take first: the bodies, and space."""
+    """Parameters of the functions of a tree, their first argument: the bodies, and space."""
 
     bodies: Bodies
     work: Work

@@ -154,7 +154,7 @@ def _check_inertial(inertial: Inertial, place: str) -> None:
 
 
 class _Body:
-    """What is rigid together: a row of Bodies in the making."""
+    """Links that are rigid together: a row of Bodies in the making."""
 
     def __init__(self, parent: int, slides: bool, rotation: np.ndarray, origin: np.ndarray):
         self.parent, self.slides = parent, slides

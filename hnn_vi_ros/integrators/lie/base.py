@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the methods on a group have in common."""
+"""Common part of the methods on a group."""
 
 from typing import Any
 

@@ -29,7 +29,7 @@ LARGEST_TURN = 3.0
 
 class LieOptions(NamedTuple):
     """
-    How a step on a group is made.
+    Options of a step on a group.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class _Problem(NamedTuple):
 
 @inlined
 def is_rotation(kernel: Kernel, i: int, passed: int) -> bool:
-    """Tell whether a quaternion begins in column i of q, after some that were passed."""
+    """Return whether a quaternion begins in column i of q, after some that were passed."""
     return passed < len(kernel.rotations) and i == kernel.rotations[passed]
 
 
@@ -189,7 +189,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
 
 @called
 def is_too_far(kernel: Kernel, x: np.ndarray) -> bool:
-    """Tell whether an angular velocity times h is too large for one step."""
+    """Return whether an angular velocity times h is too large for one step."""
     for start in range(0, x.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k

@@ -26,7 +26,7 @@ _FURTHEST = float((2.0 * np.tan(0.5 * LARGEST_TURN)) ** 2)
 
 class GaussSlopes(NamedTuple):
     """
-    What the next step starts from.
+    Slopes that the next step starts from.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ LIE_GAUSS_METHODS = {f'lie_gauss{2 * stages}': _lie_gauss(stages) for stages in 
 
 @called
 def _is_beyond(kernel: Kernel, x: np.ndarray) -> bool:
-    """Tell whether the Cayley map of some x turns by LARGEST_TURN or more."""
+    """Return whether the Cayley map of some x turns by LARGEST_TURN or more."""
     for start in range(0, x.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             # Not a number is beyond as well.

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every family offers to the training loop and to the model file."""
+"""Interface of a family to the training loop and to the model file."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ import torch
 @dataclass(frozen=True)
 class Scales:
     """
-    Where the data lie and how fast they change, each array of shape (d,).
+    Scales of the data: where they lie and how fast they change, each array of shape (d,).
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ _FIRST, _UNIT_ROOT = 0.1, 0.54
 @dataclass(frozen=True)
 class BodyScales:
     """
-    How large the motions of a body are.
+    Scales of the motions of a body.
 
     Parameters
     ----------

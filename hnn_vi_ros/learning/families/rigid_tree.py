@@ -20,7 +20,7 @@ _ROWS, _COLUMNS = np.tril_indices(3)
 
 class Swept(NamedTuple):
     """
-    What a tree does in N states, each body i in its own frame, of motions (angular, linear).
+    Motions of a tree in N states, each body i in its own frame: (angular, linear).
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a network sees of the coordinates, in torch: models/features.py, for training."""
+"""Features of the coordinates that a network sees, in torch: models/features.py, for training."""
 
 from collections.abc import Sequence
 import math

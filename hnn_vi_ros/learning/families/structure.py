@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a network of a machine is made for: what it sees, and how large its motions are."""
+"""Structure of a network of a machine: what it sees, and how large its motions are."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Structure:
     """
-    What the networks see, and what friction there is.
+    Structure of the networks: what they see, and what friction there is.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Structure:
 @dataclass(frozen=True)
 class MotionScales:
     """
-    How large what the data hold is, each array of shape (d,) unless it says otherwise.
+    Scales of what the data hold, each array of shape (d,) unless it says otherwise.
 
     Parameters
     ----------
