@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/accuracy-and-cost.md: what it says of the methods is computed from the rows."""
+"""Page docs/accuracy-and-cost.md: what it says of the methods is computed from the rows."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -11,6 +11,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.models.energy_error import EnergyError
+from hnn_vi_ros.studies.accuracy_scenes import picture_name, scene_page, shown, title
 from hnn_vi_ros.studies.arguments import SCENES
 from hnn_vi_ros.studies.explore_page import (
     FLOORS, read_floors, rows_of, write_explorer, write_floors)
@@ -19,14 +20,12 @@ from hnn_vi_ros.studies.references import ModelDiscrepancy, Reference
 from hnn_vi_ros.studies.results import CSV, Results
 from hnn_vi_ros.studies.work_precision_figure import draw
 from hnn_vi_ros.studies.work_precision_report import (
-    best_table, cheapest, circumstances, drift_table, horizons_of, none_of, of_horizon, ours,
-    peers, ratio, was_run)
+    cheapest, circumstances, horizons_of, none_of, of_horizon, ours, peers, ratio)
 import numpy as np
 
 PAGE, FOLDER = 'accuracy-and-cost.md', 'accuracy'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
 _PEER_ERRORS = tuple(10.0 ** -k for k in range(3, 11))
-_DRIFT_STEPS = 3
 _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
 _TEXT = """\
 # What accuracy costs in time
@@ -70,7 +69,7 @@ What it does keep is the energy, for as long as it runs:
 Take it to see the paper's results, and where a bounded energy at few gradients a second is all
 that is asked for.
 
-## Where RK4 dies
+## Where RK4 drifts
 
 RK4 is cheap and of order 4, but neither symplectic nor symmetric: its energy drifts, and a longer
 horizon makes that worse, while a symplectic method's band stays what it is:
@@ -85,13 +84,18 @@ horizon makes that worse, while a symplectic method's band stays what it is:
 
 {learned}
 
-## Steps that are not solved, gradients that are rounded
+## Scene by scene
 
-`gauss8@1e-4` stops its equations at a residual of 1e-4, `gauss8@float32` takes its gradient in
-single precision. Neither is a method of the simulator, which solves every step to round-off.
+Pictures, conditions, the cheapest methods at every error, and the energy of steps that are not
+solved to round-off:
 
-{drift}
+{scenes}
 
+```{{toctree}}
+:hidden:
+
+{toctree}
+```
 """
 
 
@@ -120,12 +124,12 @@ def write_page(folder: Path, docs: Path) -> list[Path]:
         results[scene] = Results(folder / scene)
     try:
         (docs / FOLDER).mkdir(parents=True, exist_ok=True)
-        pictures = [path for scene in SCENES for path in _copy(docs / FOLDER, scene,
-                                                               results[scene])]
+        written = [path for scene in SCENES for path in _write_scene(docs / FOLDER, scene,
+                                                                     results[scene])]
         (docs / PAGE).write_text(as_page(results), encoding='utf-8')
         floors = write_floors(docs / FOLDER / FLOORS, results, {
-            scene: _shown(entry) for scene, entry in results.items()})
-        return [docs / PAGE, *pictures, floors, write_explorer(docs / FOLDER)]
+            scene: shown(entry) for scene, entry in results.items()})
+        return [docs / PAGE, *written, floors, write_explorer(docs / FOLDER)]
     except OSError as problem:
         raise _unwritable(docs, problem) from problem
 
@@ -151,7 +155,7 @@ def draw_again(docs: Path) -> list[Path]:
             rows = rows_of(folder, scene)
             for horizon, floor in floors.items():
                 written.append(draw(
-                    folder / _picture(scene, float(horizon)), _title(scene, float(horizon)),
+                    folder / picture_name(scene, float(horizon)), title(scene, float(horizon)),
                     [row for row in rows if row.horizon == float(horizon)], *_levels(floor)))
         return [*written, write_explorer(folder)]
     except OSError as problem:
@@ -181,50 +185,23 @@ def as_page(results: Mapping[str, Results]) -> str:
         'choice': _choice, 'choices': _choices, 'left_out': _left_out,
         'first_order': _first_order,
         'first_order_energy': _first_order_energy, 'rk4': _rk4, 'peers': _peers,
-        'learned': _learned, 'drift': _drift}
+        'learned': _learned, 'scenes': _scenes, 'toctree': _toctree}
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     commits = dict.fromkeys(name for entry in results.values() for name in entry.commits)
-    page = _TEXT.format(machine=' and '.join(machines), commit=', '.join(commits),
+    return _TEXT.format(machine=' and '.join(machines), commit=', '.join(commits),
                         **{name: '\n'.join(part(results)) for name, part in parts.items()})
-    return page + '\n'.join(line for name, entry in results.items()
-                            for line in _section(name, entry))
 
 
-def _copy(folder: Path, scene: str, results: Results) -> Iterator[Path]:
+def _write_scene(folder: Path, scene: str, results: Results) -> Iterator[Path]:
     yield Path(shutil.copyfile(results.folder / CSV, folder / f'{scene}.csv'))
-    for horizon in _shown(results):
-        yield draw(folder / _picture(scene, horizon),
-                   _title(scene, horizon),
+    for horizon in shown(results):
+        yield draw(folder / picture_name(scene, horizon),
+                   title(scene, horizon),
                    of_horizon(results, horizon), results.references[horizon],
                    results.model_errors.get(horizon))
-
-
-def _title(scene: str, horizon: float) -> str:
-    return f'{scene}: what accuracy costs over {horizon:g} s'
-
-
-def _picture(scene: str, horizon: float) -> str:
-    return f'{scene}_{horizon:g}s.png'.replace('+', '')
-
-
-def _section(name: str, results: Results) -> Iterator[str]:
-    yield f'## {name}\n'
-    yield f'Every run: [{name}.csv]({FOLDER}/{name}.csv).\n'
-    for horizon in _shown(results):
-        yield f'### {name}, T = {horizon:g} s\n'
-        yield f'![{name}, T = {horizon:g} s]({FOLDER}/{_picture(name, horizon)})\n'
-        yield from (f'- {line}' for line in circumstances(results, horizon))
-        yield '\n' + best_table(of_horizon(results, horizon))
-
-
-def _shown(results: Results) -> list[float]:
-    """Return the horizons that at least half of our rows were run to: less shows nothing."""
-    return [horizon for horizon in horizons_of(results) if _share_run(results, horizon) >= 0.5]
-
-
-def _share_run(results: Results, horizon: float) -> float:
-    rows = ours(of_horizon(results, horizon))
-    return sum(map(was_run, rows)) / len(rows)
+    page = folder / f'{scene}.md'
+    page.write_text(scene_page(scene, results), encoding='utf-8')
+    yield page
 
 
 def _left_out(results: Mapping[str, Results]) -> Iterator[str]:
@@ -232,7 +209,7 @@ def _left_out(results: Mapping[str, Results]) -> Iterator[str]:
     found: dict[float, list[str]] = {}
     for name, entry in results.items():
         for horizon in horizons_of(entry):
-            if horizon not in _shown(entry):
+            if horizon not in shown(entry):
                 found.setdefault(horizon, []).append(name)
     for horizon, names in found.items():
         yield (f'Of {", ".join(names)}, T = {horizon:g} s is not shown: most of the rows would '
@@ -241,7 +218,7 @@ def _left_out(results: Mapping[str, Results]) -> Iterator[str]:
 
 def _cases(results: Mapping[str, Results]) -> Iterator[tuple[str, float, list[StudyRow]]]:
     for name, entry in results.items():
-        for horizon in _shown(entry):
+        for horizon in shown(entry):
             yield name, horizon, of_horizon(entry, horizon)
 
 
@@ -335,7 +312,7 @@ def _drifting(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:
             continue
         later = [end for end in results.rows if end.method == _CLASSIC and end.finished
                  and end.step_size == row.step_size and end.horizon > row.horizon
-                 and end.horizon in _shown(results)]
+                 and end.horizon in shown(results)]
         if later and later[-1].energy_band > 10.0 * row.energy_band > 1e-10:
             yield row, later[-1]
 
@@ -371,13 +348,17 @@ def _peers(results: Mapping[str, Results]) -> Iterator[str]:
 
 def _learned(results: Mapping[str, Results]) -> Iterator[str]:
     for name, entry in results.items():
-        for horizon in sorted({*entry.model_errors} & {*_shown(entry)}):
+        for horizon in sorted({*entry.model_errors} & {*shown(entry)}):
             yield f'- {name}, T = {horizon:g} s: ' + ' '.join(
                 line for line in circumstances(entry, horizon)[2:])
 
 
-def _drift(results: Mapping[str, Results]) -> Iterator[str]:
+def _scenes(results: Mapping[str, Results]) -> Iterator[str]:
     for name, entry in results.items():
-        table = drift_table(entry, _DRIFT_STEPS)
-        if table:
-            yield f'{name}:\n\n{table}'
+        horizons = ', '.join(f'{horizon:g}' for horizon in shown(entry))
+        yield f'- [{name}]({FOLDER}/{name}.md), T = {horizons} s'
+
+
+def _toctree(results: Mapping[str, Results]) -> Iterator[str]:
+    for name in results:
+        yield f'{FOLDER}/{name}'

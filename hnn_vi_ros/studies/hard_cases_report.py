@@ -40,7 +40,7 @@ tenth at most 1.5 times that in the first; or the band is one of rounding |
 
 A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the value that was
 measured when it was committed; that value stands beside it. `make hard-cases` runs everything
-again and fails when a verdict differs.
+again and fails when a verdict differs. Every row: [hard_cases.csv](hard_cases/hard_cases.csv).
 
 """
 
@@ -60,7 +60,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
         pictures = [draw_case(folder.path / picture_name(case), case, _of(case, rows))
                     for case in cases]
         page = folder.path / MARKDOWN
-        page.write_text('# Hard cases\n\n' + as_markdown(cases, rows, expected, ''),
+        page.write_text('# Hard cases\n\n' + as_markdown(cases, rows, expected),
                         encoding='utf-8')
         return [page, folder.write_csv(rows), *pictures]
     except OSError as problem:
@@ -71,7 +71,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
 def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[CaseRow],
                expected: Mapping[Key, Expectation], machine: str) -> list[Path]:
     """
-    Write the page of the docs, its pictures and its table.
+    Write the page of the docs, and beside it a page and a picture of each case, and the table.
 
     Parameters
     ----------
@@ -92,13 +92,15 @@ def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[C
         (docs / PICTURES).mkdir(parents=True, exist_ok=True)
         names = [CSV, *(picture_name(case) for case in cases)]
         copies = [Path(shutil.copyfile(source / name, docs / PICTURES / name)) for name in names]
-        (docs / PAGE).write_text(
-            _PAGE.format(machine=machine) + as_markdown(cases, rows, expected, f'{PICTURES}/'),
-            encoding='utf-8')
+        pages = {docs / PAGE: main_page(cases, rows, expected, machine)} | {
+            docs / f'{page_name(case)}.md': case_page(case, _of(case, rows), expected)
+            for case in cases}
+        for path, text in pages.items():
+            path.write_text(text, encoding='utf-8')
     except OSError as problem:
         raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
                              'folder that can be written') from problem
-    return [docs / PAGE, *copies]
+    return [*pages, *copies]
 
 
 def picture_name(case: Case) -> str:
@@ -106,12 +108,34 @@ def picture_name(case: Case) -> str:
     return f'case_{case.number:02d}.png'
 
 
+def page_name(case: Case) -> str:
+    """Return the name of a case's page, from that of the docs, without its suffix."""
+    return f'{PICTURES}/case_{case.number:02d}'
+
+
+def main_page(cases: Sequence[Case], rows: Sequence[CaseRow],
+              expected: Mapping[Key, Expectation], machine: str) -> str:
+    """Return the page that sums up all cases and leads to the page of each."""
+    toctree = ['```{toctree}', ':hidden:', '', *(page_name(case) for case in cases), '```', '']
+    return _PAGE.format(machine=machine) + '\n'.join([
+        *_summary(cases, rows, expected, linked=True), '', *toctree])
+
+
+def case_page(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]) -> str:
+    """Return the page of one case."""
+    text = '\n'.join([f'# Case {case.number}: {case.title}\n',
+                      'One of the [hard cases](../hard-cases.md), which tell what the gates and '
+                      'the verdicts are.\n', *_section(case, rows, expected)])
+    return text.rstrip('\n') + '\n'
+
+
 def as_markdown(cases: Sequence[Case], rows: Sequence[CaseRow],
-                expected: Mapping[Key, Expectation], pictures: str) -> str:
-    """Return summary and tables; the pictures lie in a folder."""
+                expected: Mapping[Key, Expectation]) -> str:
+    """Return summary and tables, for the folder where the pictures lie."""
     parts = [*_summary(cases, rows, expected), '']
     for case in cases:
-        parts += _section(case, _of(case, rows), expected, pictures)
+        parts += [f'## Case {case.number}: {case.title}\n',
+                  *_section(case, _of(case, rows), expected)]
     return '\n'.join(parts)
 
 
@@ -119,8 +143,8 @@ def _of(case: Case, rows: Sequence[CaseRow]) -> list[CaseRow]:
     return [row for row in rows if row.case == case.number]
 
 
-def _summary(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]
-             ) -> Iterator[str]:
+def _summary(cases: Sequence[Case], rows: Sequence[CaseRow],
+             expected: Mapping[Key, Expectation], linked: bool = False) -> Iterator[str]:
     yield '| case | | rows | stable | alarm | stopped | unstable | as expected |'
     yield '|---' * 8 + '|'
     for case in cases:
@@ -129,15 +153,15 @@ def _summary(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[K
         wrong = len(differences(own, dict(expected)))
         numbers = ' | '.join(str(counts[word]) for word in (
             'stable', 'alarm', 'stopped', 'unstable'))
-        yield (f'| {case.number} | {case.title} | {len(own)} | {numbers} | '
+        name = f'[{case.title}]({page_name(case)}.md)' if linked else case.title
+        yield (f'| {case.number} | {name} | {len(own)} | {numbers} | '
                f'{"yes" if wrong == 0 else f"{wrong} are not"} |')
 
 
-def _section(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation],
-             pictures: str) -> Iterator[str]:
-    yield f'## Case {case.number}: {case.title}\n'
+def _section(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]
+             ) -> Iterator[str]:
     yield f'Claim: {case.claim}. {case.without}'.rstrip() + '\n'
-    yield f'![case {case.number}]({pictures}{picture_name(case)})\n'
+    yield f'![case {case.number}]({picture_name(case)})\n'
     yield ('| set-up | H | method | steps | band [J] (limit) | slope / band | H~ band [J] (limit) '
            '| residual | other (limit) | alarm | fails | verdict |')
     yield '|---' * 12 + '|'
