@@ -1,12 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a hard case: how far the energy is off, over the run, one panel a set-up."""
+"""Picture of a hard case: its error over the run, mostly of the energy, one panel a set-up."""
 
 from collections.abc import Sequence
 import math
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.studies.hard_cases_checks import LENGTH, RATE
 from hnn_vi_ros.studies.hard_cases_plan import Case
 from hnn_vi_ros.studies.hard_cases_results import CaseRow
 from hnn_vi_ros.studies.work_precision_figure import FAINT, INK, STYLES
@@ -21,11 +22,20 @@ _MARKS, _DPI, _COLUMNS = 6, 110, 2
 # What is drawn of an error that is beyond all bounds.
 _CEILING = 1e6
 _LABELS = {
-    'dissipation': 'largest H of a block [J]',
+    'dissipation': 'abs(H - exact H) [J]',
     'motion': 'largest abs(H - H0) of a block [J]',
-    'constraint': 'largest abs(H - H0) of a block [J]',
-    'repeatability': 'abs(H - H0) [J]',
+    'constraint': 'largest error until t:\nlength [m], its rate [m/s]',
+    'repeatability': 'largest difference of q or p [SI]',
 }
+# Of what has two curves: what the second, dashed one is, and what both are held to.
+_SECOND = {
+    'constraint': ('solid: length; dashed: its rate', (LENGTH, RATE)),
+    'repeatability': (
+        'solid: repeated, and resumed at half;\ndashed: begun one rounding error off', ()),
+}
+_LIMITS = ('limit of the length', 'limit of its rate')
+# Below this a difference is drawn on a linear axis, on which 0 has a place.
+_SMALLEST = 1e-16
 
 # The end of a run that stopped: no method's own marker.
 _STOPPED = 'stopped'
@@ -34,7 +44,7 @@ _END: dict[str, Any] = {'marker': 'P', 'color': INK, 'markersize': 11.0, 'linest
 
 def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
     """
-    Draw the energy of a case's rows into a PNG file.
+    Draw the errors of a case's rows into a PNG file.
 
     Parameters
     ----------
@@ -63,7 +73,10 @@ def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
     handles = [_handle(method) for method in dict.fromkeys(row.method for row in rows)]
     if any(row.verdict == _STOPPED for row in rows):
         handles.append(Line2D([], [], label='stopped: a step failed', **_END))
-    figure.legend(handles=handles, loc='outside right upper', frameon=False, fontsize=8.5)
+    title, _ = _SECOND.get(case.check, (None, ()))
+    legend = figure.legend(handles=handles, loc='outside right upper', frameon=False,
+                           fontsize=8.5, title=title, title_fontsize=8.5)
+    legend.set_alignment('left')
     figure.savefig(path, dpi=_DPI)
     return path
 
@@ -90,20 +103,34 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> No
         if not row.t:
             continue
         t, error = np.array(row.t), np.minimum(np.array(row.error), _CEILING)
-        # No error at all has no place on a logarithmic axis.
-        error[error == 0.0] = math.nan
+        if case.check != 'repeatability':
+            # No error at all has no place on a logarithmic axis.
+            error[error == 0.0] = math.nan
         # Markers at other places on each line, so that lines on one another can be told apart.
         step = max(1, t.size // _MARKS)
         ax.plot(t, error, markevery=(k * step // max(len(rows), 1), step), **_style(row.method))
+        if row.other:
+            other = np.minimum(row.other, _CEILING)
+            other[(other == 0.0) & (case.check != 'repeatability')] = math.nan
+            ax.plot(t, other, **_style(row.method) | {
+                'linestyle': '--', 'marker': ''})
         ends.append(float(t[-1]))
         if row.verdict == _STOPPED:
             ax.plot(t[-1], error[-1], **_END)
     if not ends:
         ax.text(0.5, 0.5, 'every run stopped at once', transform=ax.transAxes, ha='center',
                 color=FAINT)
-    elif max(ends) > 100.0 * min(ends):
+    elif case.check != 'motion' or max(ends) > 100.0 * min(ends):
         ax.set_xscale('log')
+    if case.check == 'repeatability':
+        ax.set_yscale('symlog', linthresh=_SMALLEST)
+        ax.set_ylim(bottom=-0.5 * _SMALLEST)
+        ax.yaxis.get_major_locator().set_params(numticks=8)
+    for limit, name in zip(_SECOND.get(case.check, ('', ()))[1], _LIMITS, strict=False):
+        ax.axhline(limit, color=FAINT, linewidth=1.0, linestyle=':')
+        ax.annotate(name, (0.01, limit), xycoords=('axes fraction', 'data'), xytext=(0, 2),
+                    textcoords='offset points', fontsize=8, color=FAINT)
     low, high = ax.get_ylim()
-    if high < 10.0 * low:
+    if case.check == 'motion' and high < 10.0 * low:
         # Without a power of ten to stand at, the ticks of a logarithmic axis cannot be read.
         ax.set_yscale('linear')

@@ -48,8 +48,9 @@ class Measured:
         The first of each guard, in order of time.
     failure : StepFailure or None
         What ended the run.
-    t, error : np.ndarray
-        For the picture: times [s] and the largest abs(H - H0 - W) [J] in the block before each.
+    t, error, other : np.ndarray
+        For the picture: times [s] and the largest error since the time before, of a motion
+        abs(H - H0 - W) [J]; a second curve where the case has one.
 
     """
 
@@ -69,6 +70,7 @@ class Measured:
     failure: StepFailure | None = None
     t: np.ndarray = field(default_factory=lambda: np.empty(0))
     error: np.ndarray = field(default_factory=lambda: np.empty(0))
+    other: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def first_word(self) -> float:

@@ -57,8 +57,8 @@ class CaseRow:
         Wall time of the row, compilation included [s].
     digest : str
         Of the job; see ``Job.digest``.
-    t, error : tuple of float
-        For the picture.
+    t, error, other : tuple of float
+        For the picture; see Measured.
 
     """
 
@@ -82,6 +82,7 @@ class CaseRow:
     digest: str
     t: tuple[float, ...]
     error: tuple[float, ...]
+    other: tuple[float, ...]
 
     @property
     def key(self) -> Key:
@@ -124,7 +125,8 @@ def make_row(job: Job, measured: Measured, seconds: float) -> CaseRow:
                    measured.band, measured.slope, measured.modified_band,
                    measured.residual, measured.reversal, measured.symplectic, measured.rounding,
                    measured.measures, seconds, job.digest, tuple(measured.t[::stride].tolist()),
-                   tuple(measured.error[::stride].tolist()))
+                   tuple(measured.error[::stride].tolist()),
+                   tuple(measured.other[::stride].tolist()))
 
 
 def judge(row: CaseRow, expectation: Expectation | None) -> CaseRow:
@@ -260,7 +262,7 @@ class Folder:
                                  'anew')
         for line in lines[1:]:
             entry = json.loads(line)
-            entry |= {name: tuple(entry[name]) for name in ('t', 'error')}
+            entry |= {name: tuple(entry[name]) for name in ('t', 'error', 'other')}
             self.rows.append(CaseRow(**entry))
 
     def add(self, row: CaseRow) -> None:
@@ -273,7 +275,7 @@ class Folder:
         """Write rows as a table for other programs."""
         path = self.path / CSV
         names = [name for name in CaseRow.__dataclass_fields__
-                 if name not in ('digest', 't', 'error')]
+                 if name not in ('digest', 't', 'error', 'other')]
         with path.open('w', newline='', encoding='utf-8') as file:
             writer = csv.writer(file, lineterminator='\n')
             writer.writerow(names)

@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies import hard_cases, hard_cases_run
-from hnn_vi_ros.studies.hard_cases_checks import run_job
+from hnn_vi_ros.studies.hard_cases_checks import LENGTH, RATE, run_job
 from hnn_vi_ros.studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from hnn_vi_ros.studies.hard_cases_plan import Job, load_plan, make_jobs
 from hnn_vi_ros.studies.hard_cases_results import (
@@ -238,6 +238,25 @@ def test_energy_that_rises_in_a_damped_scene_is_found():
                  effects=[{'kind': 'periodic_drive', 'coordinate': 'angle', 'amplitude': 5.0,
                            'frequency': 0.3}])
     assert 'energy rises' in failed_gates(run_job(pushed), ['G1'])
+
+
+def test_picture_of_dissipation_shows_the_distance_from_the_exact_decay():
+    exact, rough = (run_job(job(12, method)) for method in ('gauss8', 'stormer_verlet'))
+    assert exact.t[0] == 0.01 and exact.t[-1] == pytest.approx(20.0)
+    # gauss8 is at round-off of an energy of 18 J; stormer_verlet has a band of h^2.
+    assert exact.error.max() < 1e-11 and 1e-4 < rough.error.max() < 1e-1
+
+
+def test_picture_of_the_rod_shows_its_length_and_rate():
+    kept = run_job(job(13, 'generalized_leapfrog', steps=2000))
+    assert kept.t[0] == 0.01 and len(kept.t) == len(kept.error) == len(kept.other)
+    assert kept.error[-1] == kept.measures['length'] <= LENGTH
+    assert kept.other[-1] == kept.measures['rate'] <= RATE
+
+
+def test_picture_of_repeatability_shows_no_difference_beside_that_of_a_neighbour():
+    same = run_job(job(14, 'variational_euler', steps=2000))
+    assert not same.error.any() and same.other[0] > 0.0
 
 
 def test_rod_that_is_not_kept_is_found(monkeypatch):
