@@ -19,8 +19,11 @@ from hnn_vi_ros.version import __version__  # noqa: E402, I201
 project, author = 'hnn_vi_ros', 'The hnn_vi_ros Authors'
 copyright = f'2026 {author}'  # noqa: A001  Sphinx calls it so
 version = release = __version__
-extensions = ['myst_parser', 'sphinx.ext.autodoc', 'numpydoc']
+extensions = ['myst_nb', 'sphinx.ext.autodoc', 'numpydoc']
 exclude_patterns = ['_build', 'generated/*.part.md']
+# Notebooks are executed where they leave nothing behind, and again when they have changed.
+nb_execution_mode, nb_execution_in_temp, nb_execution_timeout = 'cache', True, 600
+nb_execution_raise_on_error, nb_merge_streams = True, True
 # Sections of one page are linked by their headings, as on GitHub.
 myst_heading_anchors = 4
 myst_enable_extensions = ['attrs_block', 'colon_fence', 'deflist']

@@ -28,7 +28,7 @@ FLOORS = (
     'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
     'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
     'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch', 'sweeps',
-    'envs', 'studies', 'ros', 'commands', 'cli', '__init__')
+    'envs', 'studies', 'ros', 'commands', 'cli', '__main__', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
