@@ -41,9 +41,26 @@ def complete_by(action: argparse.Action, completer: Mapping[str, str]) -> None:
     setattr(action, 'complete', completer)  # noqa: B010  argparse declares no such attribute
 
 
+def seconds(text: str) -> float:
+    """
+    Return the number of seconds that an argument gives: the type of such an argument.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        It is no number, as one with a unit.
+
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f'{text!r} is no number of seconds, e.g. 0.001') from None
+
+
 class Parser(argparse.ArgumentParser):
     """
-    A parser that takes no abbreviations, and whose errors are one line each.
+    Parser that takes no abbreviations, and whose errors are one line each.
 
     Parameters
     ----------

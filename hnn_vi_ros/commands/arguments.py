@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import complete_by, Parser, SCENES
+from hnn_vi_ros.command_line import complete_by, Parser, SCENES, seconds
 
 SHELLS = ('bash', 'zsh', 'tcsh')
 
@@ -18,9 +18,9 @@ def run() -> Parser:
             'hnn run double_pendulum --plot motion.png --animate motion.gif --rerun motion.rrd'])
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
         'the name of a shipped scene, see hnn scene --list, or a YAML file')), SCENES)
-    parser.add_argument('--duration', type=float, default=10.0, metavar='SECONDS',
+    parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
                         help='simulated time [s] (default: 10)')
-    parser.add_argument('--step-size', type=float, metavar='SECONDS',
+    parser.add_argument('--step-size', type=seconds, metavar='SECONDS',
                         help="h [s], in place of the scene's")
     parser.add_argument('--integrator', metavar='NAME', help="in place of the scene's")
     parser.add_argument('--every', type=int, default=1, metavar='N',

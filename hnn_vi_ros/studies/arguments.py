@@ -5,7 +5,7 @@
 import os
 from pathlib import Path
 
-from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.command_line import Parser, seconds
 
 # The longest step over the scene's own: 0.2 s where that is 0.01 s. Each further one is half.
 LONGEST, HALVINGS = 20.0, 8
@@ -82,9 +82,9 @@ def work_precision() -> Parser:
     parser.add_argument('--methods', nargs='+', metavar='METHOD', help=(
         'integrators; METHOD@1e-4 or METHOD@3 does not solve its equations further than a '
         'residual or some iterations, METHOD@float32 takes gradients in single precision'))
-    parser.add_argument('--horizons', nargs='+', type=float, metavar='SECONDS', help=(
+    parser.add_argument('--horizons', nargs='+', type=seconds, metavar='SECONDS', help=(
         'simulated times after which errors are measured'))
-    parser.add_argument('--steps', nargs='+', type=float, metavar='SECONDS', help=(
+    parser.add_argument('--steps', nargs='+', type=seconds, metavar='SECONDS', help=(
         f'step sizes (default: {LONGEST:g} times that of the scene, and {HALVINGS} halvings)'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
         'folder of the results (default: work_precision/SCENE; with --all work_precision, with a '
@@ -94,7 +94,7 @@ def work_precision() -> Parser:
     parser.add_argument('--peers', action='store_true',
                         help='measure scipy, torchdiffeq and diffrax as well')
     parser.add_argument('--runs', type=int, help='timed runs at the shortest horizon')
-    parser.add_argument('--limit', type=float, metavar='SECONDS',
+    parser.add_argument('--limit', type=seconds, metavar='SECONDS',
                         help='a single run that would take longer is not begun')
     return parser
 

@@ -57,6 +57,8 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
     (['train', '--confg', 'x'], 2, 'hnn train: unknown option --confg; did you mean --config?'),
     (['run', 'pendulumm'], 1, "hnn run: no scene 'pendulumm'; did you mean pendulum?; shipped: "),
     (['run', 'kepler', '--duration', '-1'], 1, 'hnn run: duration = -1.0 must be a number of'),
+    (['run', 'kepler', '--step-size', '1 ms'], 2,
+     "hnn run: argument --step-size: '1 ms' is no number of seconds, e.g. 0.001"),
     (['run', 'kepler', '--csv', '/dev/null'], 1, 'hnn run: --csv /dev/null: exists already'),
 ])
 def test_mistake_is_one_line_with_the_command(words, status, begin):

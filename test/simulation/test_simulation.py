@@ -81,7 +81,7 @@ def test_simulate_bad_arguments_are_refused(scene):
     ({'scene': 3}, TypeError, 'scene is a int: give what load_scene returns'),
     ({'scene': 'nowhere'}, SceneError, "no scene 'nowhere'; shipped"),
     ({'initial_state': {'q': [1.0]}}, TypeError, 'initial_state must be a pair'),
-    ({'initial_state': 3}, TypeError, 'initial_state must be a pair'),
+    ({'initial_state': 3}, TypeError, r'such as \(\[1.0\], \[0.0\]\), not 3'),
     ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError, 'initial_state.*2 values'),
     ({'effects': [{'kind': 'dampin'}]}, SceneError, 'with other effects: effects'),
     ({'commands': [[1.0]]}, ValueError, r'commands has shape \(1, 1\), expected \(100, c\)'),
