@@ -25,6 +25,8 @@ FOLDERS = ('tutorials', 'how-to', 'concepts', 'reference', 'accuracy', 'hard_cas
 OWN = sorted(path for folder in FOLDERS
              for path in (DOCS / folder).glob('*.md'))
 PAGES = [ROOT / 'README.md', *sorted(DOCS.glob('*.md')), *OWN]
+# What `make docs` has built, if it has.
+INDEX = DOCS / '_build' / 'html' / 'searchindex.js'
 # Pages that `make docs` writes have no file before it.
 WRITTEN = re.compile(r'(^|/)(generated|gallery)/')
 
@@ -59,6 +61,26 @@ def test_links_of_a_page_lead_to_files(page):
 def test_page_is_short(page):
     limit = 150 if page.name == 'README.md' else 400
     assert len(page.read_text(encoding='utf-8').splitlines()) <= limit
+
+
+@pytest.mark.skipif(not INDEX.is_file(), reason='make docs builds the site')
+@pytest.mark.parametrize('query, page', [
+    ('energy drift', 'concepts/energy'), ('URDF', 'tutorials/urdf-arm'),
+    ('disk full', 'how-to/bags')])
+def test_search_of_the_site_finds_the_page(query, page):
+    english = pytest.importorskip('sphinx.search.en').SearchEnglish({})
+    index = json.loads(re.search(r'\((.*)\)', INDEX.read_text(encoding='utf-8'), re.S)[1])
+
+    def pages(word: str, *tables: str) -> set[str]:
+        found = [index[table].get(english.stem(word.lower()), []) for table in tables]
+        return {index['docnames'][k] for one in found
+                for k in ([one] if isinstance(one, int) else one)}
+
+    words = query.split()
+    # Pages that have all words are shown, first those that have one in a heading.
+    shown = set.intersection(*(pages(word, 'terms', 'titleterms') for word in words))
+    first = shown & set.union(*(pages(word, 'titleterms') for word in words))
+    assert page in first and len(first) <= 6
 
 
 def test_every_error_and_alarm_has_a_remedy_on_the_page_on_troubleshooting(generate):

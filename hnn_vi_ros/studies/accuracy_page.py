@@ -361,4 +361,4 @@ def _scenes(results: Mapping[str, Results]) -> Iterator[str]:
 
 def _toctree(results: Mapping[str, Results]) -> Iterator[str]:
     for name in results:
-        yield f'{FOLDER}/{name}'
+        yield f'{name} <{FOLDER}/{name}>'
