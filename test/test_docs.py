@@ -24,7 +24,8 @@ DOCS = ROOT / 'docs'
 FOLDERS = ('tutorials', 'how-to', 'concepts', 'reference', 'accuracy', 'hard_cases')
 OWN = sorted(path for folder in FOLDERS
              for path in (DOCS / folder).glob('*.md'))
-PAGES = [ROOT / 'README.md', *sorted(DOCS.glob('*.md')), *OWN]
+NOTEBOOKS = sorted(DOCS.glob('tutorials/*.ipynb'))
+PAGES = [ROOT / 'README.md', *sorted(DOCS.glob('*.md')), *OWN, *NOTEBOOKS]
 # What `make docs` has built, if it has.
 INDEX = DOCS / '_build' / 'html' / 'searchindex.js'
 # Pages that `make docs` writes have no file before it.
@@ -61,6 +62,13 @@ def test_links_of_a_page_lead_to_files(page):
 def test_page_is_short(page):
     limit = 150 if page.name == 'README.md' else 400
     assert len(page.read_text(encoding='utf-8').splitlines()) <= limit
+
+
+@pytest.mark.parametrize('path', NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_committed_without_what_its_run_leaves(path):
+    code = [cell for cell in json.loads(path.read_text(encoding='utf-8'))['cells']
+            if cell['cell_type'] == 'code']
+    assert code and not any(cell['outputs'] or cell['execution_count'] for cell in code)
 
 
 @pytest.mark.skipif(not INDEX.is_file(), reason='make docs builds the site')

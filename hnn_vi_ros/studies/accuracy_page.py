@@ -35,13 +35,17 @@ Written by `ros2 run hnn_vi_ros work_precision --all`, from measurements on {mac
 with a table of what to take for an error of your own: open [explore.html](accuracy/explore.html)
 in a browser; it needs no network.
 
-A row is a method at one step size, run from the scene's initial state to a horizon T. Its *path
-error* is the largest component of (q, p) - reference, in SI units, at the instants T/10, ..., T;
-its *energy band* the largest abs(H - H0). Its time is the wall time per simulated second, on one
-core, compiled and warm. The cheapest method at an error is the row that takes the least time among
-those with at most that error. Times compare methods on one machine; of another, read the ratios
-only. Peers that choose their own steps are run at tolerances 1e-3 to 1e-13, and only the end of
-their path is looked at, which is to their advantage.
+A row is a method at one step size, run from the scene's initial state to a horizon T.
+
+- Its *path error* is the global error: the largest component of (q, p) - reference, in SI units, at
+  the instants T/10, ..., T.
+- Its *energy band* is the largest abs(H - H0).
+- Its time is the wall time per simulated second, on one core, compiled and warm.
+
+The cheapest method at an error is the row that takes the least time among those with at most that
+error. Times compare methods on one machine; for another machine read only the ratios. Peers that
+choose their own steps are run at tolerances 1e-3 to 1e-13. Of their paths only the end is compared,
+which is to their advantage.
 
 ## Which method to take
 
@@ -62,7 +66,7 @@ exact path is wanted it pays for that:
 
 {first_order}
 
-What it does keep is the energy, for as long as it runs:
+What it keeps is the energy, for as long as it runs:
 
 {first_order_energy}
 
