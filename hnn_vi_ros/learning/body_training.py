@@ -230,7 +230,7 @@ def _lbfgs(network: LieGroupNetwork, config: BodyConfig, windows: Motions, steps
                         'there; take more substeps, or adam_steps before, and look for outliers '
                         'in the data')
     with tqdm(total=steps, desc='L-BFGS', unit='step', disable=None) as progress:
-        while progress.n < steps:
+        for _ in range(0, steps, INTERVAL):
             lbfgs.step(closure)
             progress.update(INTERVAL)
             after = float(closure().detach()) / LBFGS_SCALE

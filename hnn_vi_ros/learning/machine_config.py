@@ -206,6 +206,9 @@ class Trajectory(StrictModel):
     kind: Literal['trajectory']
     forward_steps: int = Field(400, ge=1, description='of Adam on accelerations')
     forward_batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    forward_lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
+        'of L-BFGS on accelerations, which follow; they end sooner when they make a tenth of the '
+        'samples worse that is left out of them, as noise lets them'))
     step_size: float | None = Field(None, gt=0.0, description=(
         'of the windows, a multiple of the interval of the samples [s]; forces are averaged over '
         'it; default: the multiple that is next to 0.01 s'))

@@ -145,7 +145,14 @@ def _regress(network: Network, config: MachineConfig, loss: Forward | Inverse | 
     def batch() -> torch.Tensor:
         return value(rows[torch.randint(len(rows), (loss.batch,), generator=generator)])
     losses = {loss.kind: _descend(network, batch, loss.steps, config.learning_rate, loss.kind)}
-    if not loss.lbfgs_steps:
+    return losses | _polish(network, value, rows, loss.lbfgs_steps, loss.kind)
+
+
+def _polish(network: Network, value: Callable[[torch.Tensor], torch.Tensor], rows: torch.Tensor,
+            steps: int, name: str) -> dict[str, float]:
+    """Take steps of L-BFGS as long as they help on samples left out; return the loss by name."""
+    losses: dict[str, float] = {}
+    if not steps:
         return losses
     # Blocks, since samples next to each other tell the same.
     block = torch.arange(len(rows)) * _BLOCKS // len(rows)
@@ -162,22 +169,22 @@ def _regress(network: Network, config: MachineConfig, loss: Forward | Inverse | 
         scaled_loss = LBFGS_SCALE * value(learnt)
         scaled_loss.backward()
         return scaled_loss
-    least, best, waited, before = math.inf, [], 0, math.inf
-    with tqdm(total=loss.lbfgs_steps, desc=f'{loss.kind}, L-BFGS', unit='step',
-              disable=None) as progress:
+    least, best, waited, before, taken = math.inf, [], 0, math.inf, 0
+    with tqdm(total=steps, desc=f'{name}, L-BFGS', unit='step', disable=None) as progress:
         while True:
             with torch.no_grad():
                 after, outside = float(value(learnt)), float(value(rows[left_out]))
             if outside < least:
                 least, best = outside, [parameter.detach().clone() for parameter in parameters]
-                waited, losses[f'{loss.kind}_lbfgs'] = 0, after
+                waited, losses[f'{name}_lbfgs'] = 0, after
             else:
                 waited += 1
             gained = before - after >= LEAST_GAIN * after
-            if waited > _PATIENCE or progress.n >= loss.lbfgs_steps or not gained:
+            if waited > _PATIENCE or taken >= steps or not gained:
                 break
             before = after
             lbfgs.step(scaled)
+            taken += INTERVAL
             progress.update(INTERVAL)
     with torch.no_grad():
         for parameter, values in zip(parameters, best, strict=True):
@@ -206,6 +213,8 @@ def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samp
     if penalty is None:
         losses['forward'] = _descend(network, forward, loss.forward_steps, config.learning_rate,
                                      'accelerations')
+        losses |= _polish(network, partial(acceleration_loss, network, samples),
+                          torch.arange(len(samples.q)), loss.forward_lbfgs_steps, 'forward')
     for stage in loss.windows:
         windows, starts = windows_of(loss, stage, samples)
 

@@ -337,7 +337,7 @@ def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[M
 
 
 def _quick(config: MachineConfig) -> MachineConfig:
-    loss = {'kind': 'trajectory', 'forward_steps': 2, 'batch': 32,
+    loss = {'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 32,
             'windows': [{'duration': 0.04, 'steps': 2}]}
     return MachineConfig.model_validate(config.model_dump() | {'loss': loss})
 

@@ -34,7 +34,7 @@ CONFIG = {
     'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
     'data': {'kind': 'arrays', 'test_runs': ['c']},
     'family': {'kind': 'mechanical', 'mass': 'constant'},
-    'loss': {'kind': 'trajectory', 'forward_steps': 100,
+    'loss': {'kind': 'trajectory', 'forward_steps': 100, 'forward_lbfgs_steps': 0,
              'windows': [{'duration': 0.1, 'steps': 5}]}}
 
 

@@ -150,7 +150,8 @@ def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, ca
     data, out = str(tmp_path / 'belt.npz'), tmp_path / 'belt.safetensors'
     np.savez(data, **arrays)
     config = CONFIG | {'data': {'kind': 'arrays', 'test_runs': ['3']}, 'loss': {
-        'kind': 'trajectory', 'forward_steps': 200, 'windows': [{'duration': 0.1, 'steps': 5}]}}
+        'kind': 'trajectory', 'forward_steps': 200, 'forward_lbfgs_steps': 0,
+        'windows': [{'duration': 0.1, 'steps': 5}]}}
     (tmp_path / 'belt.yaml').write_text(dump_yaml(config))
     train.main(['--config', str(tmp_path / 'belt.yaml'), '--data', data, '--out', str(out)])
     said = capsys.readouterr().out

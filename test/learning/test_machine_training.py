@@ -14,7 +14,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.machine_config import combination, MachineConfig
 from hnn_vi_ros.learning.machine_losses import (
-    balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
+    acceleration_loss, balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
@@ -148,8 +148,8 @@ def driven_pendulum(seed: int, seconds: float = 12.0) -> Motion:
 
 
 @pytest.mark.parametrize('loss', [
-    {'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
-     'windows': [{'duration': 0.2, 'steps': 100}]},
+    {'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0, 'step_size': 0.02,
+     'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]},
     {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 200},
     {'kind': 'inverse', 'steps': 200, 'lbfgs_steps': 200},
     {'kind': 'discrete', 'steps': 200, 'lbfgs_steps': 200},
@@ -175,6 +175,29 @@ def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
     v = torch.tensor([[1.0]], dtype=torch.float64)
     friction = network.friction(torch.zeros_like(v), v)
     assert float(friction.detach()) == pytest.approx(0.3, abs=0.05)
+
+
+# Beyond Adam, as far as L-BFGS comes in so many steps, whether or not a terminal shows them.
+@pytest.mark.parametrize('kind, option, at_end', [
+    ('forward', 'lbfgs_steps', {}),
+    ('trajectory', 'forward_lbfgs_steps', {
+        'batch': 1, 'windows': [{'duration': 0.01, 'steps': 1, 'learning_rate': 1e-12}]})])
+def test_lbfgs_on_accelerations_takes_as_many_steps_as_it_is_given(kind, option, at_end):
+    motions, found = [driven_pendulum(1, 4.0)], {}
+    for steps in (0, 20, 100):
+        config = MachineConfig.model_validate({
+            'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
+            'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'mass': 'constant'},
+            'loss': {'kind': kind, 'steps' if kind == 'forward' else 'forward_steps': 50,
+                     option: steps, **at_end}})
+        network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
+        losses = fit(network, config, motions)
+        assert ('forward_lbfgs' in losses) == (steps > 0)
+        samples = samples_of(motions, None)
+        with torch.no_grad():
+            found[steps] = float(acceleration_loss(network, samples, torch.arange(400)))
+    # The midpoint rule at 0.01 s and the filter leave some of it, which they all have.
+    assert found[100] < 0.9 * found[20] < 0.9 * 0.5 * found[0]
 
 
 # How much a bearing rubs that does not sit in the middle.
@@ -390,8 +413,8 @@ def test_plain_network_learns_what_it_is_compared_by():
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
         'family': {'kind': 'mechanical'}, 'loss': {
-            'kind': 'trajectory', 'forward_steps': 300, 'step_size': 0.02, 'batch': 64,
-            'windows': [{'duration': 0.2, 'steps': 100}]}})
+            'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0,
+            'step_size': 0.02, 'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]}})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
     network = PlainNetwork(['continuous'], [12], scales_of(train), 0)
     q, v, tau = torch.rand(3, 5, 1, dtype=torch.float64)
@@ -408,8 +431,9 @@ def test_stage_may_have_a_rate_of_its_own():
     motions, moved = random_motions(2), []
     for rate in (None, 1e-9):
         config = MachineConfig.model_validate(CONFIG | {'loss': {
-            'kind': 'trajectory', 'forward_steps': 1, 'batch': 4, 'method': 'rk4', 'windows': [
-                {'duration': 0.02, 'steps': 2, 'learning_rate': rate}]}})
+            'kind': 'trajectory', 'forward_steps': 1, 'forward_lbfgs_steps': 0, 'batch': 4,
+            'method': 'rk4',
+            'windows': [{'duration': 0.02, 'steps': 2, 'learning_rate': rate}]}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
         first = torch.nn.utils.parameters_to_vector(network.parameters()).detach().clone()
         fit(network, config, motions)
