@@ -189,6 +189,22 @@ def test_lbfgs_of_a_body_shortens_a_step_after_which_the_loss_is_no_number(
     assert all(parameter.isfinite().all() for parameter in network.parameters())
 
 
+def test_lbfgs_of_a_body_takes_as_many_steps_as_it_is_given(tmp_path, data: Path, monkeypatch):
+    settings, found = load_body(Path(config(tmp_path))), {}
+    learned, _, _ = read_bodies(data, settings.data, 'rotation')
+
+    def valley(network: torch.nn.Module, *_: object) -> torch.Tensor:
+        """Return Rosenbrock's function, from which 20 steps are far from its end."""
+        x = network.potential.linears[0].weight.flatten()[:10]
+        return (100.0 * (x[1:] - x[:-1].square()).square() + (1.0 - x[:-1]).square()).sum()
+    monkeypatch.setattr(body_training, '_loss', valley)
+    for steps in (20, 400):
+        stages = settings.model_copy(update={
+            'windows': [BodyStage(intervals=1, lbfgs_steps=steps)]})
+        found[steps] = fit(network_of(settings, learned), stages, learned)['lbfgs_1']
+    assert found[400] < 1e-3 * found[20]
+
+
 def test_lbfgs_of_a_body_refuses_to_begin_where_no_step_has_a_solution(tmp_path, data: Path):
     settings = load_body(Path(config(tmp_path)))
     learned, _, _ = read_bodies(data, settings.data, 'rotation')
