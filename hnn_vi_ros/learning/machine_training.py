@@ -152,11 +152,9 @@ def _polish(network: Network, value: Callable[[torch.Tensor], torch.Tensor], row
             steps: int, name: str) -> dict[str, float]:
     """Take steps of L-BFGS as long as they help on samples left out; return the loss by name."""
     losses: dict[str, float] = {}
-    if not steps:
+    if not steps or len(rows) < _TENTH:
         return losses
-    # Blocks, since samples next to each other tell the same.
-    block = torch.arange(len(rows)) * _BLOCKS // len(rows)
-    left_out = block % _TENTH == _TENTH - 1
+    left_out = _left_out(rows)
     learnt = rows[~left_out]
     learnt = learnt[::max(1, len(learnt) // _MOST_ROWS)]
     parameters = [*network.parameters()]
@@ -192,6 +190,12 @@ def _polish(network: Network, value: Callable[[torch.Tensor], torch.Tensor], row
     return losses
 
 
+def _left_out(rows: torch.Tensor) -> torch.Tensor:
+    """Return which of some rows L-BFGS is judged by: blocks, as neighbours tell the same."""
+    block = torch.arange(len(rows)) * min(_BLOCKS, len(rows)) // len(rows)
+    return block % _TENTH == _TENTH - 1
+
+
 def windows_of(loss: Trajectory, stage: Stage, samples: Samples) -> tuple[Windows, torch.Tensor]:
     """Return the windows of a stage, and the samples that they can begin at, or DataError."""
     count = round(stage.duration / samples.step_size)
@@ -205,16 +209,18 @@ def windows_of(loss: Trajectory, stage: Stage, samples: Samples) -> tuple[Window
 def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samples: Samples,
                  generator: torch.Generator,
                  penalty: Callable[[torch.Generator], torch.Tensor] | None) -> dict[str, float]:
-    losses = {}
+    losses, rows = {}, torch.arange(len(samples.q))
+    # What Adam had fitted would say at once that L-BFGS makes it worse.
+    learnt = rows[~_left_out(rows)] if loss.forward_lbfgs_steps else rows
 
     def forward() -> torch.Tensor:
-        rows = torch.randint(len(samples.q), (loss.forward_batch,), generator=generator)
-        return acceleration_loss(network, samples, rows)
+        chosen = learnt[torch.randint(len(learnt), (loss.forward_batch,), generator=generator)]
+        return acceleration_loss(network, samples, chosen)
     if penalty is None:
         losses['forward'] = _descend(network, forward, loss.forward_steps, config.learning_rate,
                                      'accelerations')
-        losses |= _polish(network, partial(acceleration_loss, network, samples),
-                          torch.arange(len(samples.q)), loss.forward_lbfgs_steps, 'forward')
+        losses |= _polish(network, partial(acceleration_loss, network, samples), rows,
+                          loss.forward_lbfgs_steps, 'forward')
     for stage in loss.windows:
         windows, starts = windows_of(loss, stage, samples)
 

@@ -200,6 +200,28 @@ def test_lbfgs_on_accelerations_takes_as_many_steps_as_it_is_given(kind, option,
     assert found[100] < 0.9 * found[20] < 0.9 * 0.5 * found[0]
 
 
+def test_what_lbfgs_is_judged_by_is_held_back_from_adam():
+    """The tenth, of blocks; and where there are hardly any samples there is one of them."""
+    (motion,), seen = [driven_pendulum(1, 1.0)], []
+    for part in (slice(None), slice(20)):
+        motions = [replace(motion, **{name: values[part] for name, values in vars(motion).items()
+                                      if isinstance(values, np.ndarray)})]
+        config = MachineConfig.model_validate({
+            'coordinates': [{'name': 'angle'}], 'data': {'kind': 'arrays'}, 'hidden': [4],
+            'family': {'kind': 'mechanical'}, 'loss': {
+                'kind': 'trajectory', 'forward_steps': 20, 'forward_lbfgs_steps': 20, 'batch': 2,
+                'windows': [{'duration': 0.02, 'steps': 1}]}})
+        network = MechanicalNetwork(config.structure(), [4], scales_of(motions), 0)
+        asked, whole = [], network.accelerations
+        network.accelerations = lambda q, *others: (asked.append(q.detach()), whole(q, *others))[1]
+        losses = fit(network, config, motions)
+        assert 'forward_lbfgs' in losses and np.isfinite([*losses.values()]).all()
+        q = torch.tensor(motions[0].q_smooth)
+        by_adam = torch.unique(torch.cat(asked[:20]))
+        seen.append(len(q) - sum(bool((by_adam == x).any()) for x in q))
+    assert seen == [10, 2]
+
+
 # How much a bearing rubs that does not sit in the middle.
 def eccentric(q: np.ndarray) -> np.ndarray:
     return 0.3 + 0.2 * np.cos(q)
