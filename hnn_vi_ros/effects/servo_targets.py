@@ -3,6 +3,7 @@
 """Targets of a servo's joints: a position, a velocity, or a path of splines."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 import math
 from typing import NamedTuple
 
@@ -149,11 +150,20 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     Return what lets joints follow a path from now on, or raise ValueError.
 
     It begins where the joints are to be now: with the points that are still to come. Where these
-    have no velocities, they are those of the cubic spline that rests at its end.
+    have no velocities, they are those of the cubic spline that rests at its end. A path without
+    points holds the joints at the beginning.
     """
     _check_path(path, names)
+    start = aim_of(own, names).targets
+    start[0] = np.where(np.isnan(start[0]), q[own.places], start[0])
+    start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
+    if not len(path.times):
+        return partial(_hold, own, start[0])
     now, times = own.clock[0], own.clock[0] + path.delay + path.times
     ahead = times > now
+    if times[-1] == now:
+        raise ValueError('the last point is to be reached at once: give it a time_from_start, or '
+                         'command it as the position of joints')
     if not ahead.any():
         raise ValueError(f'the last point was to be reached {now - times[-1]:.6g} s ago: stamp '
                          'the path with zero, which is now, or with simulated time')
@@ -161,9 +171,6 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     if (np.diff(t) <= 0.0).any():
         raise ValueError(f'times of points are less than {np.spacing(t[-1]):.3g} s apart, which '
                          'is one time to the clock now: leave points out, or reset the time')
-    start = aim_of(own, names).targets
-    start[0] = np.where(np.isnan(start[0]), q[own.places], start[0])
-    start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
     order = [list(path.names).index(name) for name in names]
     points = np.vstack([start[0], path.positions[ahead][:, order]])
     slopes = bends = np.zeros_like(points)
@@ -187,13 +194,21 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     return put
 
 
+def _hold(own: ServoParameters, position: np.ndarray) -> None:
+    """Let joints stay at a position, at once."""
+    own.reference.modes[own.places] = AT_POSITION
+    own.reference.targets[:, own.places] = position, np.zeros_like(position)
+
+
 def _check_path(path: JointPath, names: Sequence[str]) -> None:
-    if sorted(path.names) != sorted(names):
+    n = len(path.times)
+    if sorted(path.names) != sorted(names) and (n or path.names):
         raise ValueError(f'joint_names = [{told(path.names)}] must be '
                          f'{", ".join(names)}, each once')
-    n = len(path.times)
-    if not 0 < n < MOST_KNOTS:
-        raise ValueError(f'{n} points, expected 1 to {MOST_KNOTS - 1}: a spline joins them')
+    if not n:
+        return
+    if n >= MOST_KNOTS:
+        raise ValueError(f'{n} points, expected at most {MOST_KNOTS - 1}: a spline joins them')
     if path.velocities is None and path.accelerations is not None:
         raise ValueError('the points have accelerations but no velocities: give both, or neither')
     for name in ('positions', 'velocities', 'accelerations'):

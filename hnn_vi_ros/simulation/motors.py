@@ -7,8 +7,13 @@ from typing import Any
 
 from hnn_vi_ros.effects.base import Effect, Force
 from hnn_vi_ros.effects.commands import (
-    Aim, Command, Commanded, contents, EFFORT, NUMBERS, OBSERVATION)
+    Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION,
+    POSITION)
+from hnn_vi_ros.effects.joint_limits import JointLimits
 import numpy as np
+
+# What digits of a limit leave, as a share of it and of one unit.
+_ROUNDING = 1e-9
 
 
 class Motors:
@@ -37,6 +42,7 @@ class Motors:
         self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
         driven = [(effect.names, own.places.size) for effect, own in self._effects
                   if NUMBERS in effect.takes]
+        self._stops = [own for effect, own in effects if isinstance(effect, JointLimits)]
         # There is at most one.
         self.names: Sequence[str] = driven[0][0] if driven else ()
         self.size: int = driven[0][1] if driven else 0
@@ -55,7 +61,8 @@ class Motors:
         Raises
         ------
         ValueError
-            No effect takes it, or it cannot be used; nothing has changed.
+            No effect takes it, it cannot be used, or it asks for a position beyond the joint
+            limits of the scene; nothing has changed.
 
         """
         held = contents(command)
@@ -63,9 +70,29 @@ class Motors:
             kind = 'an observer' if content == OBSERVATION else (
                 'an external_force' if content in (NUMBERS, EFFORT) else 'a servo')
             raise ValueError(f'no effect of the scene is {kind} of joints: it takes no {content}')
-        for put in [effect.prepare(command, own, q) for effect, own in self._effects
-                    if effect.takes & held]:
+        prepared = [effect.prepare(command, own, q) for effect, own in self._effects
+                    if effect.takes & held]
+        if isinstance(command, JointCommand):
+            self._check_limits(command.names, command.position[None])
+        elif isinstance(command, JointPath) and len(command.times):
+            self._check_limits(command.names, command.positions)
+        for put in prepared:
             put()
+
+    def _check_limits(self, names: Sequence[str], positions: np.ndarray) -> None:
+        """Raise ValueError for positions (n, m) of m joints where a stop keeps them from."""
+        places = {name: place for effect, own in self._effects if POSITION in effect.takes
+                  for name, place in zip(effect.names, own.places, strict=True)}
+        for stops in self._stops:
+            for name, wanted in zip(names, positions.T, strict=True):
+                mine = stops.places == places.get(name)
+                for limit, sign in zip(stops.positions[mine], stops.signs[mine], strict=True):
+                    beyond = sign * (wanted - limit) < -_ROUNDING * (1.0 + abs(limit))
+                    if beyond.any():
+                        raise ValueError(
+                            f'position of {name} is {wanted[beyond.argmax()]:g}, beyond its '
+                            f'{"lower" if sign > 0 else "upper"} limit {limit:g}: give one within '
+                            'the joint_limits of the scene')
 
     def forces(self, t: float, q: np.ndarray, p: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return the generalised forces of all motors at a state, shape (d,) [N] or [N m]."""

@@ -5,6 +5,7 @@
 from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects.commands import JointCommand, JointPath
 from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.effects.servo_targets import MOST_KNOTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -141,8 +142,8 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     (command('x', effort=1.0), 'is an external_force of joints: it takes no effort'),
     ([1.0, 2.0], 'it takes no commands'),
     (path([1.0], [0.0]), r'joint_names = \[x\] must be x, y'),
-    (path([], [], names='xy'), '0 points'),
-    (path(range(MOST_KNOTS), [0.0] * MOST_KNOTS, names='xy'), f'1 to {MOST_KNOTS - 1}'),
+    (path([], [], names='x'), r'joint_names = \[x\] must be x, y'),
+    (path(range(MOST_KNOTS), [0.0] * MOST_KNOTS, names='xy'), f'expected at most {MOST_KNOTS - 1}'),
     (path([1.0, 1.0], [0.0] * 2, names='xy'), 'must rise'),
     (path([NAN], [0.0], names='xy'), 'must rise'),
     (path([-1.0, 1.0], [0.0] * 2, names='xy'), 'must rise .* from 0 on'),
@@ -151,7 +152,7 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     (path([1.0], [1.0], [0.0], [NAN], names='xy'), 'accelerations must be 2 numbers'),
     (path([1.0], [1.0], names='xy')._replace(accelerations=np.zeros((1, 2))), 'no velocities'),
     (path([1.0], [1.0], [0.5], names='xy'), 'velocities of the last point must be 0'),
-    (path([0.0], [1.0], names='xy'), 'was to be reached 0 s ago'),
+    (path([0.0], [1.0], names='xy'), 'at once: give it a time_from_start'),
     (path([1.0], [1.0], names='xy', delay=-3.0), 'was to be reached 2 s ago'),
     (path([1.0], [1.0], names='xy', delay=1.7e9), 'begins in 1.7e'),
     (path([1.0, 2.0], [1e13, 0.0], names='xy'), r'positions .* at most 1e\+12')])
@@ -285,3 +286,49 @@ def test_method_keeps_its_order_and_the_balance_along_a_path(integrator, lengths
     order = INTEGRATORS[integrator]().order
     for values in (errors, balances):
         assert np.log2(values[0] / values[1]) > order - 0.35
+
+
+LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
+
+
+@pytest.mark.parametrize('given, message', [
+    (command('yx', position=[0.0, 0.6]), 'position of x is 0.6, beyond its upper limit 0.5: give'),
+    (command('x', position=-1.5), 'position of x is -1.5, beyond its lower limit -1'),
+    (command('xy', position=[NAN, 3.0], velocity=0.0), 'position of y is 3, beyond its upper'),
+    (path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy'), 'position of x is -1.25, beyond')])
+def test_position_beyond_a_limit_is_refused_and_the_last_one_stays(given, message):
+    simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
+    simulation.set_command(command('xy', position=0.3))
+    before = simulation.motors.aim.targets
+    with pytest.raises(ValueError, match=message):
+        simulation.set_command(given)
+    assert np.array_equal(simulation.motors.aim.targets, before)
+
+
+def test_position_on_a_limit_to_the_digits_of_a_file_is_taken():
+    simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
+    simulation.set_command(command('x', position=0.5 + 1e-12))
+    simulation.set_command(path([1.0], [0.5 * (1.0 + EPS)], names='xy'))
+    assert simulation.motors.aim.on_path
+
+
+@pytest.mark.parametrize('names', ['', 'xy'])
+def test_path_without_points_ends_the_one_before_where_it_is(names):
+    simulation = servo('x', 'y', q=0.2)
+    simulation.set_command(path([1.0], [1.0], names='xy'))
+    simulation.advance(20)
+    now = simulation.motors.aim.targets
+    assert (now[:2] > 0.1).all()
+    simulation.set_command(path([], [], names=names))
+    simulation.advance(5)
+    aim = simulation.motors.aim
+    assert not aim.on_path
+    np.testing.assert_array_equal(aim.targets, [now[0], [0.0, 0.0], [0.0, 0.0]])
+
+
+def test_path_without_points_holds_joints_that_nothing_drives_where_they_are():
+    simulation = servo('x', 'y', q=0.2, p=1.0)
+    simulation.advance(10)
+    q = simulation.q.copy()
+    simulation.set_command(path([], [], names='xy'))
+    np.testing.assert_array_equal(simulation.motors.aim.targets, [q, [0.0] * 2, [0.0] * 2])

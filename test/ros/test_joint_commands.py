@@ -87,6 +87,7 @@ def test_path_of_a_message_begins_now_or_at_its_stamp():
     assert found.velocities.tolist() == [[0.5, 0.0], [0.0, 0.0]]
     assert found.accelerations is None
     assert read_path(path(*points, begin=7.25), 7 * 10**9).delay == 0.25
+    assert read_path(JointTrajectory(), 0).times.size == 0
 
 
 @pytest.mark.parametrize('points, message', [
