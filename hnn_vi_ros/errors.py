@@ -103,6 +103,13 @@ class Interrupted(HnnViRosError):
     remedy = 'none is needed: the same command with `--resume` continues, bit-identically'
 
 
+class StateError(HnnViRosError, ValueError):
+    """A state that nothing can begin at: not finite, behind a wall, or off its constraints."""
+
+    remedy = ('begin elsewhere: at finite numbers, within the limits of joints and walls, and '
+              'where constraints hold')
+
+
 class StepFailure(HnnViRosError):
     """
     One step of the integrator failed; the state before it is the last good one.

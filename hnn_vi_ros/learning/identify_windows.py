@@ -10,7 +10,8 @@ import math
 from hnn_vi_ros.effects.base import Effect, Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
-from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import (
+    HnnViRosError, StateError, StepFailure, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning.identify_input import command_names, impulse, steps_per_sample
@@ -221,7 +222,7 @@ class Prediction:
             self._simulation.restart(q, p, step=step)
             states = np.concatenate(self._simulation.record(self._samples, self._per_sample), 2)
             found[:, 1:] = states.swapaxes(0, 1)
-        except (StepFailure, ValueError):
+        except (StepFailure, StateError):
             if len(starts) > 1:
                 for k in range(len(starts)):
                     self._record(starts[k:k + 1], found[k:k + 1], step)
@@ -301,7 +302,7 @@ class Prediction:
                                 self._per_sample, first=self._first[rows]).swapaxes(0, 1)
             moved = run.push_forward([
                 change._replace(tangents=change.tangents[rows]) for change in changes])
-        except (HnnViRosError, ValueError):
+        except HnnViRosError:
             if len(rows) > 1:
                 for row in rows:
                     self._follow(run, starts, changes, np.array([row]), found, slopes)

@@ -51,7 +51,8 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
     q, velocity = values
     with np.errstate(all='ignore'):
         p = momenta(hamiltonian, q, velocity, p0)
-        finite = np.isfinite(hamiltonian.gradient(q, p)).all()
-    if not finite:
-        raise ValueError(f'H has no finite gradient at q = {q.tolist()}')
+        finite = np.isfinite([hamiltonian.energy(q, p), *np.ravel(hamiltonian.gradient(q, p))])
+    if not finite.all():
+        raise ValueError(f'H has no finite value and gradient at q = {q.tolist()}, velocity '
+                         f'{velocity.tolist()}')
     return q, p

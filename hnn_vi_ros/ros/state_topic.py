@@ -48,6 +48,7 @@ class StateTopic:
         run = self._run
         try:
             q, p = initial_state(message, run.simulation.hamiltonian, run.start[1])
+            run.simulation.check_state(q, p)
             run.set_start(q, p)
             done, text = self._reset(), 'taken for the next reset'
             if done is not None:

@@ -15,7 +15,6 @@ from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
     BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
-from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.loops import advance
@@ -118,9 +117,7 @@ class Simulation:
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0
                 ) -> None:
         """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
-        turning = self.hamiltonian.rotations
-        q, p = check_state(q, p, self.hamiltonian.dimension, turning)
-        self._system.check_state(q.ravel(), p.ravel())
+        q, p = self._system.check_state(q, p)
         self._system.effect_state.reset(stream)
         self._system.effect_state.clock[0] = step * self.step_size
         self.steps, self.gradients, self.residual = step, 0, 0.0
@@ -130,7 +127,7 @@ class Simulation:
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
         self._shape = q.shape
-        self._momenta = self.hamiltonian.dimension - len(turning)
+        self._momenta = p.shape[-1]
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
         self.q[:], self.p[:] = q, p
         # Not the point's own: what a step finds there must not depend on when it was looked at.
@@ -142,6 +139,10 @@ class Simulation:
             raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
         self._update_gradient()
         self._energy0 = self.energy
+
+    def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
+        """Raise StateError or ValueError if nothing can begin at a state."""
+        self._system.check_state(q, p)
 
     def _state(self, array: np.ndarray) -> np.ndarray:
         """Return the view of arrays of n unknowns, (..., n), without the channels of forces."""

@@ -12,14 +12,16 @@ from hnn_vi_ros.effects.base import (
     Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together, Wrapping)
 from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
-from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.errors import StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, REASONS, REDUNDANT
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.simulation.motors import Motors
 import numpy as np
+from numpy.typing import ArrayLike
 
 _KINDS = {effect: kind for kind, effect in EFFECTS.items()}
 
@@ -171,19 +173,33 @@ class System:
         counts = (getattr(self._parameters[i], 'cuts', None) for i in self._in(Place.OUTSIDE))
         return sum(int(count[0]) for count in counts if count is not None)
 
-    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
+    def check_state(self, state_q: ArrayLike, state_p: ArrayLike
+                    ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Raise ValueError if a state, of shape (d,) or (m d,), is behind a wall or off its rods.
+        Return fresh arrays of a state, of shape (d,) or (m, d), or raise.
 
-        Also for m > 1 trajectories together, where an effect takes only one.
+        Raises
+        ------
+        StateError
+            It is not finite, behind a wall or off its rods.
+        ValueError
+            It has another shape, or is of several trajectories, of which an effect takes one.
+
         """
+        states = check_state(state_q, state_p, self.hamiltonian.dimension,
+                             self.hamiltonian.rotations)
+        q, p = (part.ravel() for part in states)
         if not self.lockstep and q.size > self.hamiltonian.dimension:
             raise ValueError('q and p are several states, of which one at a time is taken by '
                              f'{", ".join(self._single_file)}; use simulate_many')
-        for effect, parameters in zip(self._effects, self._parameters, strict=True):
-            effect.check_state(self.hamiltonian, parameters, q)
-        if self._constraints is not None:
-            self._constraints.check_state(q, p)
+        try:
+            for effect, parameters in zip(self._effects, self._parameters, strict=True):
+                effect.check_state(self.hamiltonian, parameters, q)
+            if self._constraints is not None:
+                self._constraints.check_state(q, p)
+        except ValueError as problem:
+            raise StateError(str(problem)) from problem
+        return states
 
     def reason(self, outcome: int) -> str:
         """Return why a step failed."""

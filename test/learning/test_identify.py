@@ -19,6 +19,7 @@ from hnn_vi_ros.learning.identify_statistics import (
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
 from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.run.dependences import difference
+from hnn_vi_ros.run.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.studies import identify_coverage
 import numpy as np
@@ -170,6 +171,16 @@ def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):
                           strict=True):
         assert np.isnan(one[1]).all()
         assert np.array_equal(np.delete(one, 1, axis=0), np.delete(other, 1, axis=0))
+
+
+def test_mistake_in_the_derivatives_of_windows_is_no_window_that_fails(
+        pendulum, tmp_path, monkeypatch):
+    free = freed(pendulum, tmp_path, length=1.0)
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    monkeypatch.setattr(DifferentiableRun, 'push_forward', lambda run, changes: np.zeros(2) @ [1])
+    with pytest.raises(ValueError, match='matmul'):
+        Prediction(free, np.ones(1), windows).by_starts(
+            np.tile([0.5, 0.1], (len(windows.run), 1)))
 
 
 def test_what_no_data_tell_has_no_interval(pendulum, tmp_path):

@@ -143,18 +143,25 @@ def test_initial_state_is_answered_and_can_reset_at_once(folder):
         assert finish(process)[0] == 0
 
 
-def test_initial_state_behind_a_wall_is_refused_at_the_reset_and_the_run_goes_on(folder):
+def test_initial_state_behind_a_wall_is_refused_at_once_and_the_run_goes_on(folder):
     process = start(folder, scene='wall.yaml', record='false', rerun_sink='none')
     with peer() as other:
         publisher = other.node.create_publisher(
             JointState, f'{SIMULATOR}/initial_state', 1)
+        answers: list[DiagnosticArray] = []
+        other.node.create_subscription(
+            DiagnosticArray, f'{SIMULATOR}/state_set', answers.append, 10)
         other.spin_until(lambda: other.states and publisher.get_subscription_count())
-        for position, accepted in ((-1.0, False), (2.0, True)):
-            publisher.publish(JointState(
-                name=['x'], position=[position], velocity=[0.25]))
-            other.spin(0.5)
+        for position, expected in ((-1.0, 'x = -1.0 is behind the wall'), (2.0, 'taken for')):
+            told = len(answers)
+            # What is published before the reader of the answers is known is not answered to it.
+            while len(answers) == told:
+                publisher.publish(JointState(
+                    name=['x'], position=[position], velocity=[0.25]))
+                other.spin(0.5)
+            assert expected in answers[-1].status[0].message
             answer = other.trigger('reset')
-            assert answer.success is accepted, answer.message
+            assert answer.success, answer.message
             count, last = len(other.states), stamp(other.states[-1])
             other.spin_until(lambda: len(other.states) > count + 5)
             assert stamp(other.states[-1]) > last
@@ -225,6 +232,13 @@ def test_initial_state_takes_any_effort_and_no_other_names(folder, name, effort)
     else:
         with pytest.raises(ValueError, match='must be the coordinates x'):
             initial_state(message, hamiltonian, np.zeros(1))
+
+
+def test_initial_state_whose_energy_is_no_number_is_refused(folder):
+    hamiltonian = load_scene(folder / 'wall.yaml').create_hamiltonian()
+    with pytest.raises(ValueError, match=r'no finite value and gradient at q = \[0.5\], velocity'):
+        initial_state(JointState(name=['x'], position=[0.5], velocity=[1e200]), hamiltonian,
+                      np.zeros(1))
 
 
 NUMBERS = (0.0, -1.0, 1e3, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
