@@ -273,6 +273,9 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
     # From least squares on forces, and from the URDF with the friction that they found.
     tries = [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
              for one in (x, np.r_[unknowns.start[:inertial], x[inertial:]])]
+    # Along what is told there, which is not what was told where they began.
+    tries += [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
+              for one, _, found in tries if found is not None]
     x, directions, found = min(tries, key=lambda one: np.inf if one[2] is None else one[2].cost)
     losses['rigid_body_forward'] = _loss_of(found)
     for stage in loss.windows:
@@ -305,12 +308,10 @@ def _fit(unknowns: Unknowns, equations: Equations, x: np.ndarray,
     directions, others = _directions(unknowns, told.excited), unknowns.free[len(told.held):]
     least = np.full(directions.shape[1], -np.inf)
     least[told.excited.shape[1]:] = unknowns.least[others] - x[others]
-    # Rounding may leave what rests on its bound beyond it.
-    start = np.maximum(np.zeros(len(least)), least)
     found = fit_errors(
         unknowns.network,
-        lambda z: unknowns.raw(torch.tensor(x) + torch.tensor(directions) @ z), start, least,
-        errors)
+        lambda z: unknowns.raw(torch.tensor(x) + torch.tensor(directions) @ z),
+        np.zeros(len(least)), least, errors)
     return (x if found is None else x + directions @ found.x), directions, found
 
 

@@ -27,9 +27,11 @@ import torch
 # Evenly spread samples and windows; more change the parameters by less than their errors.
 _SAMPLES, _WINDOWS = 4000, 500
 # Of each fit, which ends earlier as a rule.
-_EVALUATIONS = 20
+_EVALUATIONS = 60
 # Least inertia and friction that a fit begins with, in units of the usual ones.
 LEAST = 1e-4
+# How far above its bound a number begins, in the same units.
+_ABOVE = 10.0 * LEAST
 
 
 def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Motion]
@@ -222,7 +224,8 @@ def fit_errors(network: MechanicalNetwork,
     raw : callable
         ``raw(x)`` returns parameters of the network by name.
     start, least : np.ndarray, shape (k,)
-        Numbers to begin with, and their lower bounds.
+        Numbers to begin with, and their lower bounds. What rests on its bound begins above it: a
+        step ends where it meets a bound, so that one number there would hold all the others.
     errors : callable
         Errors of the network, by what has solved, or knows, the equations of its steps.
 
@@ -249,6 +252,7 @@ def fit_errors(network: MechanicalNetwork,
             residuals(at, solutions)
             return torch.func.jacfwd(
                 lambda x: residuals(x, solutions.again()))(at).numpy()
+    start = np.maximum(start, least + _ABOVE)
     if not np.isfinite(values(start)).all():
         return None
     return least_squares(values, start, jacobian, (least, np.inf), loss='soft_l1', x_scale='jac',

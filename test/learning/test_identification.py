@@ -16,6 +16,7 @@ from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, learn
+from hnn_vi_ros.learning.rigid_body import fit_errors
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.rigid_body_card import (
@@ -23,6 +24,7 @@ from hnn_vi_ros.models.rigid_body_card import (
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 import torch
 from urdf_robots import ROOT, TREE
 
@@ -112,6 +114,22 @@ def heavier(tmp_path: Path) -> Path:
     path.write_text(ARM.read_text().replace('<mass value="1.2"/>', '<mass value="1.9"/>')
                     .replace('<mass value="2"/>', '<mass value="1.5"/>'))
     return path
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_number_that_begins_on_its_bound_does_not_hold_the_others(seed):
+    """A trust region that ends at a bound next to its centre takes no step at all."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(20, 3)) * [1.0, 10.0, 100.0]
+    b = A @ [-1.0, *rng.normal(size=2)]
+    numbers = torch.nn.Module()
+    numbers.x = torch.nn.Parameter(torch.zeros(3, dtype=torch.float64))
+    found = fit_errors(numbers, lambda x: {'x': x}, np.zeros(3), np.array([0.0, -np.inf, -np.inf]),
+                       lambda _: torch.tensor(A) @ numbers.x - torch.tensor(b))
+    # The soft least squares of the other two, with the first on its bound, where it belongs.
+    soft = least_squares(lambda x: A[:, 1:] @ x - b, np.zeros(2), loss='soft_l1', x_scale='jac')
+    assert 0.0 <= found.x[0] < 1e-2
+    assert found.cost == pytest.approx(soft.cost, rel=1e-2)
 
 
 def test_parameters_of_an_arm_are_found_from_a_wrong_urdf(tmp_path):
