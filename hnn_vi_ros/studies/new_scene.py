@@ -166,9 +166,17 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
     zero = np.zeros(q.size)
     curvature = np.column_stack([tree.hessian_vector(q, zero, unit, zero)[0]
                                  for unit in np.eye(q.size)])
-    inverse = np.linalg.inv(tree.masses(q[None])[0])
-    squares = np.linalg.eigvals(inverse @ curvature).real
-    return math.sqrt(max(0.0, squares.max())), 1.0 / np.diag(inverse)
+    mass = tree.masses(q[None])[0]
+    # Joints in units of their own inertia: those of an arm and of its gripper differ by far.
+    size = np.sqrt(np.diag(mass))
+    with np.errstate(all='ignore'):
+        inverse = np.linalg.inv(mass / size / size[:, None])
+        scaled = curvature / size / size[:, None]
+    if not (np.isfinite(scaled).all() and np.isfinite(inverse).all()):
+        raise ModelError(f'{tree.robot.where}: masses and lengths of sizes whose quotients '
+                         'overflow; see their units')
+    squares = np.linalg.eigvals(inverse @ scaled).real
+    return math.sqrt(max(0.0, squares.max())), size**2 / np.diag(inverse)
 
 
 def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, float]) -> str:
@@ -178,7 +186,7 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
     damping, friction = (np.array([getattr(joint, name) for joint in joints])
                          for name in ('damping', 'friction'))
     periods = 2.0 * np.pi / frequency / _STEPS if frequency > 0.0 else math.inf
-    with np.errstate(divide='ignore'):
+    with np.errstate(divide='ignore', over='ignore'):
         step_size = _round(max(_SHORTEST_STEP, min(
             _LONGEST_STEP, periods, (_SHARE * inertia / damping).min())), up=False)
     speed = max(_SPEED, (friction * step_size / (_SHARE * inertia)).max())
