@@ -169,13 +169,13 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
     mass = tree.masses(q[None])[0]
     # Joints in units of their own inertia: those of an arm and of its gripper differ by far.
     size = np.sqrt(np.diag(mass))
-    with np.errstate(all='ignore'):
-        inverse = np.linalg.inv(mass / size / size[:, None])
-        scaled = curvature / size / size[:, None]
-    if not (np.isfinite(scaled).all() and np.isfinite(inverse).all()):
-        raise ModelError(f'{tree.robot.where}: masses and lengths of sizes whose quotients '
-                         'overflow; see their units')
-    squares = np.linalg.eigvals(inverse @ scaled).real
+    try:
+        with np.errstate(all='ignore'):
+            inverse = np.linalg.inv(mass / size / size[:, None])
+            squares = np.linalg.eigvals(inverse @ (curvature / size / size[:, None])).real
+    except np.linalg.LinAlgError as problem:
+        raise ModelError(f'{tree.robot.where}: where it rests, masses and lengths are of sizes '
+                         f'whose quotients are lost ({problem}); see their units') from problem
     return math.sqrt(max(0.0, squares.max())), size**2 / np.diag(inverse)
 
 

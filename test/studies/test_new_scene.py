@@ -91,3 +91,15 @@ def test_robot_that_is_not_there_is_said(file, message, tmp_path, monkeypatch):
     with pytest.raises(ModelError, match=message):
         write_scene(file, None)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('masses, lengths', [
+    ([1e-300, 1e-300], [1.0, 1.0]), ([1.0, 1.0], [1e12, 1e-12]), ([1e-300, 1e12], [1.0, 1e-9])])
+def test_scene_of_a_robot_of_any_sizes_is_valid_or_refused_in_a_line(masses, lengths, tmp_path):
+    (tmp_path / 'robot.urdf').write_text(chain(masses, lengths))
+    try:
+        scene = write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'robot.yaml')
+    except ModelError as refused:
+        assert 'robot.urdf: where it rests' in str(refused) and '\n' not in str(refused)
+    else:
+        build(load_scene(scene))
