@@ -92,9 +92,9 @@ def _measure(name: str, command: list[str], watched: float, processor: set[int]
             _spin(executor, process, lambda: bool(heard), 120.0)
             _spin_for(executor, _SETTLED)
             heard.clear()
-            start, used = time.perf_counter(), _processor_time(process.pid)
+            start, used = time.perf_counter(), processor_time(process.pid)
             _spin_for(executor, watched)
-            busy = (_processor_time(process.pid) - used) / (time.perf_counter() - start)
+            busy = (processor_time(process.pid) - used) / (time.perf_counter() - start)
         finally:
             process.terminate()
             process.wait()
@@ -130,7 +130,7 @@ def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
         executor.spin_once(timeout_sec=0.1)
 
 
-def _processor_time(pid: int) -> float:
+def processor_time(pid: int) -> float:
     """Return the processor time that a process has used so far [s]."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICKS

@@ -9,6 +9,7 @@ import time
 
 from benchmarks.cold_start import OURS_ALONE, simulator
 from benchmarks.measurement import Row, Settings
+from benchmarks.node_load import processor_time
 import numpy as np
 import rclpy
 from rclpy.context import Context
@@ -30,8 +31,8 @@ def real_time_row(settings: Settings) -> Row:
                   'real_time_factor': 0.0, 'record': 'false', 'rerun_sink': 'none'}
     command = [str(simulator()), '--ros-args', *[
         word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]]
-    costs = np.array(_costs(command, _QUICK if settings.quick else _WATCHED,
-                            min(_TURNS, settings.repetitions)))
+    costs, busy = _costs(command, _QUICK if settings.quick else _WATCHED,
+                         min(_TURNS, settings.repetitions))
     low, median, high = np.quantile(costs, [0.25, 0.5, 0.75])
     return Row(
         f'{_SCENE} in the node at h = {_STEP:g} s: wall time of a simulated second',
@@ -39,12 +40,14 @@ def real_time_row(settings: Settings) -> Row:
         1.0 / _FACTOR, len(costs),
         note=f'a real-time factor of {1.0 / median:.3g}: the simulator with real_time_factor 0, '
              f'its own method, {_RATE:g} samples a simulated second on all of its topics, one '
-             'subscriber of joint_states, no bag and no picture',
+             'subscriber of joint_states, no bag and no picture; the node had a processor for '
+             f'{1e3 * np.median(busy):.3g} ms of them, all that it takes on a machine that does '
+             'nothing else',
         miss=f'the goal is a real-time factor of {_FACTOR:g}.')
 
 
-def _costs(command: list[str], watched: float, turns: int) -> list[float]:
-    """Return the wall time of a simulated second in each turn [s/s]."""
+def _costs(command: list[str], watched: float, turns: int) -> np.ndarray:
+    """Return wall and processor time of a simulated second [s/s], shape (2, turns)."""
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node('bench_listener', context=context)
@@ -62,13 +65,14 @@ def _costs(command: list[str], watched: float, turns: int) -> list[float]:
         process = subprocess.Popen(command, cwd=folder, env=environment,
                                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
-        def listen(seconds: float) -> tuple[float, float]:
+        def listen(seconds: float) -> tuple[float, float, float]:
             deadline = time.perf_counter() + seconds
             while time.perf_counter() < deadline:
                 if process.poll() is not None:
                     raise RuntimeError(f'{" ".join(command)} ended')
                 executor.spin_once(timeout_sec=0.1)
-            return newest[-1]
+            wall, simulated = newest[-1]
+            return wall, processor_time(process.pid), simulated
 
         try:
             deadline = time.perf_counter() + _LIMIT
@@ -82,5 +86,5 @@ def _costs(command: list[str], watched: float, turns: int) -> list[float]:
             process.wait()
             node.destroy_node()
             rclpy.try_shutdown(context=context)
-    wall, simulated = np.diff(np.array(seen), axis=0).T
-    return (wall / simulated).tolist()
+    wall, processor, simulated = np.diff(np.array(seen), axis=0).T
+    return np.array([wall, processor]) / simulated
