@@ -101,6 +101,7 @@ METHODS = [
     *[Method(f'gauss{order}', identity, steps=8) for order in range(10, 18, 2)],
     Method('yoshida4', identity, steps=60),
     Method('suzuki4', identity, steps=40),
+    Method('kahan_li8', identity, steps=20),
     Method('discrete_euler_lagrange', identity, 'pendulum',
            ('helpers:midpoint_lagrangian', 2), steps=100),
     Method('time_transformed', None, steps=40),

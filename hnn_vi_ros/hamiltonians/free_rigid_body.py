@@ -37,6 +37,7 @@ class FreeRigidBody(Hamiltonian):
 
     """
 
+    separable = True
     coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
 
     def __init__(self, inertia: Sequence[float] = (1.0, 2.0, 2.5)):

@@ -45,6 +45,7 @@ class HeavyTop(Hamiltonian):
 
     """
 
+    separable = True
     coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
 
     def __init__(self, inertia: Sequence[float] = (1.0, 1.0, 0.5), mass: float = 1.0,

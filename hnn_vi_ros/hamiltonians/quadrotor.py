@@ -48,6 +48,7 @@ class Quadrotor(Hamiltonian):
 
     """
 
+    separable = True
     coordinates = (Coordinate('body', 'm', 'kg m/s', 'pose'),)
 
     def __init__(self, mass: float = 0.8, inertia: Sequence[float] = (0.006, 0.006, 0.011),

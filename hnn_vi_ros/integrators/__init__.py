@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.composition import Composition, Suzuki4, Yoshida4
+from hnn_vi_ros.integrators.composition import Composition, KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.discrete_euler_lagrange import DiscreteEulerLagrange
 from hnn_vi_ros.integrators.discrete_gradient import DiscreteGradient
 from hnn_vi_ros.integrators.dop853 import DOP853
@@ -17,6 +17,7 @@ from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
 from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
@@ -38,6 +39,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     **GAUSS_METHODS,
     'yoshida4': Yoshida4,
     'suzuki4': Suzuki4,
+    'kahan_li8': KahanLi8,
     'time_transformed': TimeTransformed,
     'discrete_euler_lagrange': DiscreteEulerLagrange,
     'discrete_gradient': DiscreteGradient,
@@ -46,6 +48,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     'lie_symplectic_euler': LieSymplecticEuler,
     'lie_symplectic_euler_adjoint': LieSymplecticEulerAdjoint,
     'lie_leapfrog': LieLeapfrog,
+    'lie_stormer_verlet': LieStormerVerlet,
     **LIE_GAUSS_METHODS,
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,

@@ -1,15 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Methods of order 4 composed of steps of a symmetric method of order 2."""
+"""Methods of order 4 and 8 composed of steps of a symmetric method of order 2."""
 
 from collections.abc import Callable
 from functools import cache
 from typing import ClassVar
 
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.partitioned import in_sequence, PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
@@ -22,21 +24,22 @@ BASES = {
     'generalized_leapfrog': GeneralizedLeapfrog,
     'implicit_midpoint': ImplicitMidpoint,
     'lie_leapfrog': LieLeapfrog,
+    'lie_stormer_verlet': LieStormerVerlet,
     'stormer_verlet': StormerVerlet,
 }
 
 
 class Composition(Integrator):
     """
-    Steps of a symmetric base of order 2, of lengths that cancel its error of order 3.
+    Steps of a symmetric base of order 2, of lengths that cancel its leading errors.
 
-    Symplectic and symmetric as the base is, order 4.
+    Symplectic and symmetric as the base is.
 
     Parameters
     ----------
     base : str
-        ``'generalized_leapfrog'``, ``'implicit_midpoint'``, ``'lie_leapfrog'``, which is for
-        rotations, or ``'stormer_verlet'``.
+        ``'generalized_leapfrog'``, ``'implicit_midpoint'``, ``'lie_leapfrog'`` and
+        ``'lie_stormer_verlet'``, which are for rotations, or ``'stormer_verlet'``.
 
     Raises
     ------
@@ -49,7 +52,8 @@ class Composition(Integrator):
 
     """
 
-    order, explicit = 4, False
+    order: int = 4
+    explicit = False
     requirements = Requirements(symmetric=True, symplectic=True)
     fractions: ClassVar[tuple[float, ...]]
 
@@ -59,6 +63,10 @@ class Composition(Integrator):
         self.base = BASES[base]()
         self.step = _compose(self.base.step, self.fractions)
         self.requirements, self.explicit = self.base.requirements, self.base.explicit
+
+    def check(self, hamiltonian: Hamiltonian) -> None:
+        """Refuse what the base does; see Integrator."""
+        self.base.check(hamiltonian)
 
     @property
     def kernel_name(self) -> str:
@@ -99,7 +107,7 @@ class Composition(Integrator):
 
 class Yoshida4(Composition):
     """
-    Three steps of lengths w1, w0, w1, with w1 = 1 / (2 - 2^(1/3)), w0 = 1 - 2 w1.
+    Three steps of lengths w1, w0, w1, with w1 = 1 / (2 - 2^(1/3)), w0 = 1 - 2 w1, order 4.
 
     With Störmer-Verlet as its base it is stable for h omega < 1.573 only. See Composition.
 
@@ -125,6 +133,24 @@ class Suzuki4(Composition):
 
     _s = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
     fractions = (_s, _s, 1.0 - 4.0 * _s, _s, _s)
+
+
+class KahanLi8(Composition):
+    """
+    Seventeen steps of lengths that are the same from both ends, order 8. See Composition.
+
+    References
+    ----------
+    W. Kahan, R.-C. Li, Composition constants for raising the orders of unconventional schemes
+    for ordinary differential equations, Math. Comp. 66 (1997), scheme s17odr8a.
+
+    """
+
+    order = 8
+    _w = (0.13020248308889008, 0.5611629817751084, -0.3894749626448473, 0.1588419065551556,
+          -0.39590389413323757, 0.1845396409783157, 0.25837438768632205, 0.2950117236093103,
+          -0.60550853383003452)
+    fractions = (*_w, *_w[-2::-1])
 
 
 @cache

@@ -30,7 +30,7 @@ STYLES = {
     'implicit_midpoint': ('#c9a227', '^'),
     'discrete_gradient': ('#7f6a93', 'p'),
     'yoshida4': ('#8f5fa8', 'v'),
-    'suzuki4': ('#6b3f8a', 'd'),
+    'suzuki4': ('#6b3f8a', 'd'), 'kahan_li8': ('#4a2566', '>'),
     'rk4': ('#2f2f2f', 'X'),
     'gauss4': ('#7fb7d6', 'o'), 'gauss6': ('#66a5cc', 's'), 'gauss8': ('#3d87ba', 's'),
     'gauss10': ('#2f76a8', '^'), 'gauss12': ('#236496', 'v'), 'gauss14': ('#175383', 'D'),

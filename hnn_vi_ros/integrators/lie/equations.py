@@ -25,6 +25,8 @@ import numpy as np
 # |h omega| beyond which a step is refused: nearly half a turn, where the shortest way to the next
 # attitude changes sides.
 LARGEST_TURN = 3.0
+# |x|^2 of the Cayley map where it turns by that.
+_FURTHEST = float((2.0 * np.tan(0.5 * LARGEST_TURN)) ** 2)
 
 
 class LieOptions(NamedTuple):
@@ -194,6 +196,17 @@ def is_too_far(kernel: Kernel, x: np.ndarray) -> bool:
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
             if dot(x, x, at) > LARGEST_TURN * LARGEST_TURN:
+                return True
+    return False
+
+
+@called
+def is_beyond(kernel: Kernel, x: np.ndarray) -> bool:
+    """Tell whether the Cayley map of some x turns by LARGEST_TURN or more."""
+    for start in range(0, x.size, kernel.dimension):
+        for k in range(len(kernel.rotations)):
+            # Not a number is beyond as well.
+            if not dot(x, x, start + kernel.rotations[k] - k) < _FURTHEST:
                 return True
     return False
 

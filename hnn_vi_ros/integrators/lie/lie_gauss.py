@@ -9,7 +9,7 @@ from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.gauss import Collocation, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
-    add_bend, fill_forces, is_too_far, LARGEST_TURN, move, set_turn_scale)
+    add_bend, fill_forces, is_beyond, is_too_far, move, set_turn_scale)
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.retractions import cayley
 from hnn_vi_ros.integrators.lie.rotations import cross, dot
@@ -19,9 +19,6 @@ from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
-
-# |x|^2 of the Cayley map where it turns by LARGEST_TURN.
-_FURTHEST = float((2.0 * np.tan(0.5 * LARGEST_TURN)) ** 2)
 
 
 class GaussSlopes(NamedTuple):
@@ -168,7 +165,7 @@ class LieGauss(Collocation):
             return outcome, residual, rounds * s
         for i in range(n):
             kept.end[i] = end[i]
-        if _is_beyond(kernel, end):
+        if is_beyond(kernel, end):
             return TURNED, residual, rounds * s
         kept.count[0] = 1
         move(kernel, cayley, z, end, z1)
@@ -188,17 +185,6 @@ def _lie_gauss(stages: int) -> type[LieGauss]:
 
 
 LIE_GAUSS_METHODS = {f'lie_gauss{2 * stages}': _lie_gauss(stages) for stages in range(2, 9)}
-
-
-@called
-def _is_beyond(kernel: Kernel, x: np.ndarray) -> bool:
-    """Return whether the Cayley map of some x turns by LARGEST_TURN or more."""
-    for start in range(0, x.size, kernel.dimension):
-        for k in range(len(kernel.rotations)):
-            # Not a number is beyond as well.
-            if not dot(x, x, start + kernel.rotations[k] - k) < _FURTHEST:
-                return True
-    return False
 
 
 @inlined

@@ -1,0 +1,203 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Störmer-Verlet on a group, explicit: kicks, and the exact motion of free bodies between them."""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.arithmetic import plus
+from hnn_vi_ros.integrators.base import Integrator, OK, Point, TURNED
+from hnn_vi_ros.integrators.lie.equations import fill_forces, is_beyond, is_too_far, move
+from hnn_vi_ros.integrators.lie.retractions import cayley
+from hnn_vi_ros.integrators.lie.rotations import dot
+from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import called, inlined
+import numpy as np
+
+
+class FlightWork(NamedTuple):
+    """
+    What a step works on; arrays of shape (n,) but for the last.
+
+    Parameters
+    ----------
+    forces : np.ndarray
+        g^* H_g.
+    moments, unused : np.ndarray
+        The gradient of H at momenta of 1: of bodies their inverse moments of inertia.
+    momenta, change : np.ndarray
+        Momenta of 1, then those of bodies as they turn; and what has changed them.
+    x : np.ndarray
+        The changes of coordinates, of rotations in the chart of the Cayley map.
+    quaternion : np.ndarray, shape (4,)
+        How far one body has turned.
+
+    """
+
+    forces: np.ndarray
+    moments: np.ndarray
+    unused: np.ndarray
+    momenta: np.ndarray
+    change: np.ndarray
+    x: np.ndarray
+    quaternion: np.ndarray
+
+
+class LieStormerVerlet(Integrator):
+    """
+    Störmer-Verlet (leapfrog) for H = T(p) + V(g), with bodies whose frames are principal axes.
+
+        p_half = p_n - (h/2) g_n^* V_g,  (g_(n+1), p_free) = the motion by T for h,
+        p_(n+1) = p_free - (h/2) g_(n+1)^* V_g
+
+    A body with two equal moments of inertia moves by T exactly: it turns about its spatial
+    angular momentum and its axis. Of three different ones the motion is that of the middle one
+    for all axes, which commutes with all else, and of what the other two differ from it, in three
+    turns: one of half a step, one of a step, one of half a step.
+
+    Symplectic, symmetric, order 2, explicit; spatial momentum is kept where V does not depend on
+    the attitude. A body that would turn by 3 rad or more in a step fails it.
+
+    References
+    ----------
+    A. Dullweber, B. Leimkuhler, R. McLachlan, Symplectic splitting methods for rigid body
+    molecular dynamics, J. Chem. Phys. 107 (1997).
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VII.5.
+
+    """
+
+    order, explicit = 2, True
+    requirements = Requirements(symmetric=True, symplectic=True, separable=True,
+                                coordinates='group')
+
+    def check(self, hamiltonian: Hamiltonian) -> None:
+        """Refuse bodies whose frames are not principal axes; see Integrator."""
+        start = 0
+        for coordinate in hamiltonian.coordinates:
+            width = {'scalar': 1, 'rotation': 3, 'pose': 6}[coordinate.kind]
+            start += width
+            if width > 1:
+                self._check_axes(hamiltonian, coordinate.name, slice(start - 3, start))
+
+    @staticmethod
+    def _check_axes(hamiltonian: Hamiltonian, name: str, columns: slice) -> None:
+        kernel, d = hamiltonian.kernel, hamiltonian.dimension
+        q, size = np.zeros(d), d - len(kernel.rotations)
+        q[[at + 3 for at in kernel.rotations]] = 1.0
+        p = np.zeros((3, size))
+        p[:, columns] = np.eye(3)
+        inverse = hamiltonian.gradient(np.tile(q, (3, 1)), p)[1][:, columns]
+        if not (inverse == np.diag(np.diag(inverse))).all():
+            raise UnsupportedSystem(
+                f'lie_stormer_verlet needs bodies in frames of principal axes, which that of '
+                f'{name} is not; methods that can: lie_leapfrog, lie_gauss4 to lie_gauss16')
+
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
+        """Return no options: nothing is solved."""
+        return ()
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple:
+        """Return the workspace of a step; see Integrator."""
+        return (FlightWork(*np.zeros((6, n), dtype), np.zeros(4, dtype)),)
+
+    def substep(self) -> Integrator | None:
+        """Return this method: it is symmetric."""
+        return self
+
+    @staticmethod
+    @inlined
+    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+             memory: tuple) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        work = memory[0]
+        # V' does not depend on p: z.dH_dq is V'(q_n) from the step before.
+        _kick(kernel, 0.5 * h, z.q, z.dH_dq, z, z1, work.forces)
+        kernel.gradient(kernel.parameters, z.q, z1.p, z1.dH_dq, z1.dH_dp)
+        # The same momenta; but the power of a force, in a channel, depends on p.
+        _kick(kernel, 0.5 * h, z.q, z1.dH_dq, z, z1, work.forces)
+        for i in range(z.q.size):
+            work.momenta[i], work.x[i], work.change[i] = 1.0, h * z1.dH_dp[i], 0.0
+        if is_too_far(kernel, work.x):
+            return TURNED, np.inf, 1
+        kernel.gradient(kernel.parameters, z.q, work.momenta, work.unused, work.moments)
+        _fly(kernel, h, z1.p, work)
+        if is_beyond(kernel, work.x):
+            return TURNED, np.inf, 2
+        move(kernel, cayley, z, work.x, z1)
+        for i in range(z.q.size):
+            z1.p[i], z1.p_carry[i] = plus(z1.p[i], z1.p_carry[i], work.change[i])
+        kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
+        _kick(kernel, 0.5 * h, z1.q, z1.dH_dq, z1, z1, work.forces)
+        return OK, 0.0, 3
+
+
+@called
+def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: Point, z1: Point,
+          forces: np.ndarray) -> None:
+    """Fill the momenta of z1 with those of z less h g^* H_g."""
+    fill_forces(kernel, q, dH_dq, forces)
+    for i in range(forces.size):
+        z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * forces[i])
+
+
+@called
+def _fly(kernel: Kernel, h: float, p: np.ndarray, work: FlightWork) -> None:
+    """Fill ``x`` and ``change`` with how bodies of momenta p turn by themselves for h."""
+    m, quaternion = work.momenta, work.quaternion
+    for start in range(0, p.size, kernel.dimension):
+        for k in range(len(kernel.rotations)):
+            at = start + kernel.rotations[k] - k
+            for i in range(3):
+                m[at + i] = p[at + i]
+            # About the middle moment of inertia the others' differences are smallest.
+            middle, first, second = _axes(work.moments, at)
+            rate = work.moments[at + middle]
+            size = np.sqrt(dot(m, m, at))
+            half = 0.5 * h * rate
+            share = np.sin(half * size) / size if size > 0.0 else half
+            for i in range(3):
+                quaternion[i] = share * m[at + i]
+            quaternion[3] = np.cos(half * size)
+            one, other = work.moments[at + first] - rate, work.moments[at + second] - rate
+            if one != 0.0:
+                _turn_about(first, 0.5 * h * one, p, at, work)
+            _turn_about(second, h * other, p, at, work)
+            if one != 0.0:
+                _turn_about(first, 0.5 * h * one, p, at, work)
+            for i in range(3):
+                work.x[at + i] = 2.0 * quaternion[i] / quaternion[3]
+
+
+@inlined
+def _axes(moments: np.ndarray, at: int) -> tuple[int, int, int]:
+    """Return the axis of the middle moment of inertia, then the one that differs less from it."""
+    middle = 0
+    for i in range(2, -1, -1):
+        own = moments[at + i]
+        if (own - moments[at + (i + 1) % 3]) * (own - moments[at + (i + 2) % 3]) <= 0.0:
+            middle = i
+    first, second = (middle + 1) % 3, (middle + 2) % 3
+    if abs(moments[at + first] - moments[at + middle]) > abs(
+            moments[at + second] - moments[at + middle]):
+        return middle, second, first
+    return middle, first, second
+
+
+@inlined
+def _turn_about(axis: int, factor: float, p: np.ndarray, at: int, work: FlightWork) -> None:
+    """Turn a body about one of its axes by its momentum there times a factor."""
+    m, change, quaternion = work.momenta, work.change, work.quaternion
+    b, d = (axis + 1) % 3, (axis + 2) % 3
+    half = 0.5 * factor * m[at + axis]
+    s, c = np.sin(half), np.cos(half)
+    sine, less_one = 2.0 * s * c, -2.0 * s * s
+    # Momenta turn the other way in the frame of the body.
+    m_b, m_d = m[at + b], m[at + d]
+    change[at + b] += less_one * m_b + sine * m_d
+    change[at + d] += less_one * m_d - sine * m_b
+    m[at + b], m[at + d] = p[at + b] + change[at + b], p[at + d] + change[at + d]
+    v_b, v_d, along, w = quaternion[b], quaternion[d], quaternion[axis], quaternion[3]
+    quaternion[b], quaternion[d] = c * v_b + s * v_d, c * v_d - s * v_b
+    quaternion[axis], quaternion[3] = c * along + s * w, c * w - s * along
