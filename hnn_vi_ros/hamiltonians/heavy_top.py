@@ -54,7 +54,8 @@ class HeavyTop(Hamiltonian):
         check_positive(mass=mass, gravity=gravity)
         check_finite(length=length)
         self.inertia = tuple(float(value) for value in inertia)
-        self.moment = float(mass) * float(gravity) * float(length)
+        self.mass, self.length, self.gravity = float(mass), float(length), float(gravity)
+        self.moment = self.mass * self.gravity * self.length
 
     @property
     def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:

@@ -3,7 +3,7 @@
 """Page docs/accuracy-and-cost.md: what it says of the methods is computed from the rows."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 import shutil
@@ -138,7 +138,7 @@ def write_page(folder: Path, docs: Path) -> list[Path]:
         raise _unwritable(docs, problem) from problem
 
 
-def draw_again(docs: Path) -> list[Path]:
+def draw_again(docs: Path, scenes: Sequence[str] | None = None) -> list[Path]:
     """
     Draw the pictures, and the page to explore, of the rows that are there.
 
@@ -146,6 +146,8 @@ def draw_again(docs: Path) -> list[Path]:
     ----------
     docs : Path
         Holds what ``write_page`` wrote.
+    scenes : sequence of str, optional
+        Those whose pictures are drawn; all if it is not given.
 
     Raises
     ------
@@ -156,6 +158,8 @@ def draw_again(docs: Path) -> list[Path]:
     folder, written = docs / FOLDER, []
     try:
         for scene, floors in read_floors(folder)['scenes'].items():
+            if scenes is not None and scene not in scenes:
+                continue
             rows = rows_of(folder, scene)
             for horizon, floor in floors.items():
                 written.append(draw(

@@ -184,7 +184,7 @@ class PeerRun(MethodRun):
     hamiltonian : Hamiltonian
         By which energies are judged.
     z0 : np.ndarray, shape (2 d,)
-        Initial (q, p).
+        Initial (q, p); of rotations 2 d less one for each.
 
     """
 
@@ -203,7 +203,10 @@ class PeerRun(MethodRun):
             states.append(z)
             spent += gradients
         end, spent = self._solve(self._z0, horizon, 0.0, 0)
-        energies = self._hamiltonian.energy(*np.split(np.array([*states, end]), 2, axis=1))
+        path = np.array([*states, end])
+        # Of a rotation p has a column less than q.
+        energies = self._hamiltonian.energy(
+            *np.split(path, [self._hamiltonian.dimension], axis=1))
         return MeasuredPath(end[None], float(np.abs(energies - energies[0]).max()), spent, '')
 
     def prepare(self, horizon: float) -> Callable[[], object]:

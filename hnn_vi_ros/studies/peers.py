@@ -74,9 +74,14 @@ def scipy_solve(hamiltonian: Hamiltonian, method: str) -> Solve:
     # but contiguous arrays of float64.
     call = entry_point(field, np.zeros(2 * d), parameters)
 
+    return scipy_integrate(lambda z: call(z, parameters), method)
+
+
+def scipy_integrate(rates: Callable[[np.ndarray], np.ndarray], method: str) -> Solve:
+    """Return an adaptive method of scipy for z' = rates(z)."""
     def solve(z0: np.ndarray, duration: float, tolerance: float) -> tuple[np.ndarray, int]:
         solution = solve_ivp(
-            lambda t, z: call(z, parameters), (0.0, duration), z0, method=method,
+            lambda t, z: rates(z), (0.0, duration), z0, method=method,
             t_eval=[duration], rtol=max(tolerance, _SMALLEST_RTOL), atol=max(tolerance, 1e-15))
         if not solution.success:
             raise RuntimeError(solution.message)
@@ -153,18 +158,25 @@ def _diffrax_peers(hamiltonian: Hamiltonian) -> list[Peer]:
 
 def diffrax_solve(hamiltonian: Hamiltonian, method: str) -> Solve:
     """Return an adaptive method of diffrax, jitted."""
-    jax, diffrax = _load_jax()
+    jax, _ = load_jax()
     gradient, d = jax.grad(jax_energy(hamiltonian)), hamiltonian.dimension
-    solver = getattr(diffrax, method)()
 
-    def field(t: Any, z: Any, _: None) -> Any:
+    def rates(z: Any) -> Any:
         g = gradient(z)
         return jax.numpy.concatenate([g[d:], -g[:d]])
+
+    return diffrax_integrate(rates, method)
+
+
+def diffrax_integrate(rates: Callable, method: str) -> Solve:
+    """Return an adaptive method of diffrax for z' = rates(z), a function of JAX, jitted."""
+    jax, diffrax = load_jax()
+    solver = getattr(diffrax, method)()
 
     @jax.jit
     def run(z: Any, duration: float, tolerance: float) -> tuple:
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field), solver, 0.0, duration, None, z,
+            diffrax.ODETerm(lambda t, z, _: rates(z)), solver, 0.0, duration, None, z,
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
             saveat=diffrax.SaveAt(t1=True), max_steps=_MOST_STEPS, throw=False,
             # The fastest of its ways to go forward.
@@ -178,7 +190,7 @@ def diffrax_solve(hamiltonian: Hamiltonian, method: str) -> Solve:
 
 
 def _semi_implicit(hamiltonian: Hamiltonian) -> Solve:
-    jax, diffrax = _load_jax()
+    jax, diffrax = load_jax()
     gradient, d = jax.grad(jax_energy(hamiltonian)), hamiltonian.dimension
 
     def at(q: Any, p: Any) -> Any:
@@ -214,7 +226,7 @@ def _counted(run: Callable, gradients_per_step: int) -> Solve:
 
 def jax_energy(hamiltonian: Hamiltonian) -> Callable:
     """Return H as a JAX function of (q, p), shape (2 d,)."""
-    jax, _ = _load_jax()
+    jax, _ = load_jax()
     if isinstance(hamiltonian, NeuralHamiltonian):
         return _jax_network(hamiltonian.checkpoint, jax.numpy)
     energy = _with_module(hamiltonian.kernel.energy.py_func, jax.numpy)
@@ -244,7 +256,8 @@ def _with_module(function: FunctionType, module: ModuleType) -> FunctionType:
     return FunctionType(function.__code__, names)
 
 
-def _load_jax() -> tuple[ModuleType, ModuleType]:
+def load_jax() -> tuple[ModuleType, ModuleType]:
+    """Return jax and diffrax, on one thread, in double precision."""
     os.environ.setdefault('XLA_FLAGS', _XLA_FLAGS)
     os.environ.setdefault('JAX_PLATFORMS', 'cpu')
     import jax

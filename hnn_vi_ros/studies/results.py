@@ -78,7 +78,7 @@ class Results:
             self._write_card()
         self._rows[row.key] = row
         with (self.folder / CSV).open('a', newline='', encoding='utf-8') as file:
-            _writer(file).writerow(_as_text(row))
+            _writer(file).writerow(row_texts(row))
 
     def keep_reference(self, horizon: float, reference: Reference, model: ModelDiscrepancy | None
                        ) -> None:
@@ -92,7 +92,7 @@ class Results:
         """Write the CSV anew, without the rows that others have replaced."""
         temporary = self.folder / f'{CSV}.new'
         with temporary.open('w', newline='', encoding='utf-8') as file:
-            _writer(file).writerows([COLUMNS, *map(_as_text, self._rows.values())])
+            _writer(file).writerows([COLUMNS, *map(row_texts, self._rows.values())])
         temporary.replace(self.folder / CSV)
 
     def _start(self) -> None:
@@ -201,7 +201,8 @@ def _writer(file: TextIO) -> Any:
     return csv.writer(file, lineterminator='\n')
 
 
-def _as_text(row: StudyRow) -> list[str]:
+def row_texts(row: StudyRow) -> list[str]:
+    """Return a row as the fields of a line of its table."""
     texts = []
     for name, value in zip(COLUMNS, astuple(row), strict=True):
         if isinstance(value, float) and math.isnan(value):

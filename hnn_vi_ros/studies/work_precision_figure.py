@@ -35,11 +35,16 @@ STYLES = {
     'gauss4': ('#7fb7d6', 'o'), 'gauss6': ('#66a5cc', 's'), 'gauss8': ('#3d87ba', 's'),
     'gauss10': ('#2f76a8', '^'), 'gauss12': ('#236496', 'v'), 'gauss14': ('#175383', 'D'),
     'gauss16': ('#0b3c6f', 'D'),
+    'lie_stormer_verlet': ('#b5651d', 'P'), 'lie_leapfrog': ('#edae49', '<'),
+    'lie_gauss8': ('#3d87ba', 'd'), 'lie_gauss12': ('#236496', 'o'),
+    'lie_gauss16': ('#0b3c6f', 's'),
     'scipy DOP853': ('#1b7f5c', 'o'), 'scipy RK45': ('#63b995', 's'),
     'torchdiffeq dopri5': ('#a8623a', '^'), 'torchdiffeq dopri8': ('#7a3e1d', 'v'),
     'torchdiffeq rk4': ('#c99672', 'X'),
     'diffrax Tsit5': ('#6c757d', 'D'), 'diffrax Dopri8': ('#343a40', 'P'),
     'diffrax SemiImplicitEuler': ('#adb5bd', 'o'),
+    'RK4 on quaternions': ('#2f2f2f', 'X'),
+    'MuJoCo RK4': ('#b23a48', 'D'), 'MuJoCo implicitfast': ('#d98893', 'd'),
 }
 _OTHER = ('#555555', '*')
 INK, FAINT = '#222222', '#8a8a8a'

@@ -1,0 +1,72 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The study of what accuracy costs for bodies that turn."""
+
+from importlib.util import find_spec
+import math
+from pathlib import Path
+import shutil
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.studies import turning_costs
+from hnn_vi_ros.studies.explore_page import page_data
+from hnn_vi_ros.studies.measuring import StudyRow
+from hnn_vi_ros.studies.results import read_rows
+import numpy as np
+import pytest
+
+DOCS = Path(__file__).parents[2] / 'docs'
+PEERS = all(find_spec(name) is not None for name in ('diffrax', 'mujoco'))
+
+
+@pytest.fixture
+def docs(tmp_path: Path) -> Path:
+    """Return a folder of documentation with one scene's rows and the page."""
+    (tmp_path / 'accuracy').mkdir()
+    for name in ('turning-bodies.md', 'accuracy/floors.json', *(
+            f'accuracy/{path.name}' for path in (DOCS / 'accuracy').glob('*.csv'))):
+        shutil.copy(DOCS / name, tmp_path / name)
+    return tmp_path
+
+
+@pytest.mark.skipif(not PEERS, reason='needs diffrax and mujoco')
+@pytest.mark.timeout(300)
+def test_study_of_a_second_writes_the_page_and_rows_that_agree(docs: Path):
+    turning_costs.main(['--docs', str(docs), '--quick'])
+    for scene in ('heavy_top', 'quadrotor'):
+        rows = {row.method.partition(' ')[0]: row for row in read_rows(
+            docs / 'accuracy' / f'{scene}.csv') if row.finished}
+        # Each in coordinates of its own: all of them have the same body and the same start.
+        assert {'kahan_li8', 'scipy', 'diffrax', 'RK4', 'MuJoCo'} <= rows.keys()
+        assert rows['kahan_li8'].path_error < 1e-9 and rows['diffrax'].path_error < 1e-7
+        assert rows['RK4'].path_error < 1e-6
+        assert page_data(docs / 'accuracy')['scenes'][scene]['horizons'].keys() == {'1.0'}
+        assert (docs / 'accuracy' / f'{scene}_1s.png').stat().st_size > 1000
+    page = (docs / 'turning-bodies.md').read_text()
+    assert page.count('| `kahan_li8` |') == 2 and page.count('| MuJoCo RK4 |') == 2
+    assert page.index('## Limits') > page.index(turning_costs.END)
+
+
+def test_table_has_the_cheapest_good_row_of_each_method_and_the_best_of_others():
+    def row(method: str, h: float, error: float, seconds: float, status: str = 'ok') -> StudyRow:
+        return StudyRow(method, h, 10.0, error, 0.0, seconds, seconds, 1.0, status)
+    text = turning_costs.table([
+        row('kahan_li8', 0.1, 1e-9, 3e-3), row('kahan_li8', 0.2, 5e-9, 1e-3),
+        row('a peer tolerance=1e-09', math.nan, 2e-7, 1e-5),
+        row('a peer tolerance=1e-07', math.nan, 2e-5, 1e-6),
+        row('MuJoCo RK4', 0.1, math.nan, 1e-3, 'not finite at t = 1 s')])
+    assert text.splitlines()[2:] == ['| `kahan_li8` | h = 0.2 s | 5.0e-09 | 0.0e+00 | 10 |',
+                                     '| a peer | tolerance 1e-09 | 2.0e-07 | 0.0e+00 | 0.1 |']
+
+
+def test_page_without_its_marks_is_one_line(docs: Path):
+    (docs / 'turning-bodies.md').write_text('# Bodies\n')
+    with pytest.raises(ParameterError, match='between which the table goes; put them back'):
+        turning_costs.write(docs, {}, '')
+
+
+def test_reference_is_known_to_round_off_and_verified():
+    case = turning_costs.cases()[0]
+    reference = turning_costs.reference_of(case, 1.0)
+    assert reference.verified and reference.accuracy < 1e-11
+    assert np.allclose(np.sum(reference.path[:, :4] ** 2, axis=1), 1.0, rtol=0.0, atol=1e-14)
