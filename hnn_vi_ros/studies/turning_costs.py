@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure what accuracy costs for bodies that turn, beside peers; write table, rows and picture."""
+"""Measure what accuracy costs for bodies that turn, beside peers; write tables and pictures."""
 
 from argparse import ArgumentParser
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from hnn_vi_ros.studies.results import COLUMNS, commit, row_texts
 from hnn_vi_ros.studies.turning_peers import turning_peers
 import numpy as np
 
-# What a body is thrown with: p in space [kg m/s], L in its frame [kg m^2/s]; it falls from then on.
+# What a body is thrown with: p in space [kg m/s], L in its frame [kg m^2/s]; then it falls.
 THROWN = (0.8, 0.0, 2.4, 0.012, -0.02, 0.04)
 HORIZON, ROUNDS = 100.0, 3
 # The largest error that the table is made for.
@@ -136,7 +136,7 @@ def measure(case: Case, horizon: float, rounds: int, quick: bool
 
 def table(rows: Sequence[StudyRow]) -> str:
     """Return the cheapest row of each method within 1e-8, or else its most accurate."""
-    lines = ['| | setting | largest error | energy band [J] | time [ms] |', '|---|---|---|---|---|']
+    lines = ['| | setting | largest error | energy band [J] | time [ms] |', '|---' * 5 + '|']
     names = dict.fromkeys(row.method.partition(' tolerance=')[0] for row in rows)
     best = {}
     for name in names:

@@ -128,10 +128,12 @@ def mujoco_solve(hamiltonian: HeavyTop | Quadrotor, method: str) -> Solve:
     else:
         mass, length, joint, own, places = hamiltonian.mass, 0.0, 'free', inertia, 3
         gravity = hamiltonian.weight / mass
-    model = mujoco.MjModel.from_xml_string(f'''<mujoco>
-      <option integrator="{method}" gravity="0 0 {-gravity!r}"><flag contact="disable"/></option>
-      <worldbody><body><joint type="{joint}"/><inertial pos="0 0 {length!r}" mass="{mass!r}"
-        diaginertia="{' '.join(map(repr, own.tolist()))}"/></body></worldbody></mujoco>''')
+    moments = ' '.join(map(repr, own.tolist()))
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option integrator="{method}" gravity="0 0 {-gravity!r}">'
+        '<flag contact="disable"/></option><worldbody><body>'
+        f'<joint type="{joint}"/><inertial pos="0 0 {length!r}" mass="{mass!r}" '
+        f'diaginertia="{moments}"/></body></worldbody></mujoco>')
     data, d = mujoco.MjData(model), places + 4
 
     def solve(z0: np.ndarray, duration: float, step: float) -> tuple[np.ndarray, int]:

@@ -25,10 +25,9 @@ class FlightWork(NamedTuple):
     ----------
     forces : np.ndarray
         g^* H_g.
-    moments, unused : np.ndarray
-        The gradient of H at momenta of 1: of bodies their inverse moments of inertia.
-    momenta, change : np.ndarray
-        Momenta of 1, then those of bodies as they turn; and what has changed them.
+    change : np.ndarray
+        Momenta of 1, at which H_p is the inverse moments of inertia; then what has changed the
+        momenta of bodies that turn by themselves.
     x : np.ndarray
         The changes of coordinates, of rotations in the chart of the Cayley map.
     quaternion : np.ndarray, shape (4,)
@@ -37,9 +36,6 @@ class FlightWork(NamedTuple):
     """
 
     forces: np.ndarray
-    moments: np.ndarray
-    unused: np.ndarray
-    momenta: np.ndarray
     change: np.ndarray
     x: np.ndarray
     quaternion: np.ndarray
@@ -100,7 +96,7 @@ class LieStormerVerlet(Integrator):
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspace of a step; see Integrator."""
-        return (FlightWork(*np.zeros((6, n), dtype), np.zeros(4, dtype)),)
+        return (FlightWork(*np.zeros((3, n), dtype), np.zeros(4, dtype)),)
 
     def substep(self) -> Integrator | None:
         """Return this method: it is symmetric."""
@@ -118,11 +114,11 @@ class LieStormerVerlet(Integrator):
         # The same momenta; but the power of a force, in a channel, depends on p.
         _kick(kernel, 0.5 * h, z.q, z1.dH_dq, z, z1, work.forces)
         for i in range(z.q.size):
-            work.momenta[i], work.x[i], work.change[i] = 1.0, h * z1.dH_dp[i], 0.0
+            work.x[i], work.change[i] = h * z1.dH_dp[i], 1.0
         if is_too_far(kernel, work.x):
             return TURNED, np.inf, 1
-        kernel.gradient(kernel.parameters, z.q, work.momenta, work.unused, work.moments)
-        _fly(kernel, h, z1.p, work)
+        kernel.gradient(kernel.parameters, z.q, work.change, z1.dH_dq, z1.dH_dp)
+        _fly(kernel, h, z1.p, z1.dH_dp, work)
         if is_beyond(kernel, work.x):
             return TURNED, np.inf, 2
         move(kernel, cayley, z, work.x, z1)
@@ -143,24 +139,24 @@ def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: Point, 
 
 
 @called
-def _fly(kernel: Kernel, h: float, p: np.ndarray, work: FlightWork) -> None:
-    """Fill ``x`` and ``change`` with how bodies of momenta p turn by themselves for h."""
-    m, quaternion = work.momenta, work.quaternion
+def _fly(kernel: Kernel, h: float, p: np.ndarray, moments: np.ndarray, work: FlightWork) -> None:
+    """Fill ``x`` and ``change`` with how bodies of inverse moments of inertia turn for h."""
+    quaternion = work.quaternion
+    for i in range(p.size):
+        work.change[i] = 0.0
     for start in range(0, p.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
-            for i in range(3):
-                m[at + i] = p[at + i]
             # About the middle moment of inertia the others' differences are smallest.
-            middle, first, second = _axes(work.moments, at)
-            rate = work.moments[at + middle]
-            size = np.sqrt(dot(m, m, at))
+            middle, first, second = _axes(moments, at)
+            rate = moments[at + middle]
+            size = np.sqrt(dot(p, p, at))
             half = 0.5 * h * rate
             share = np.sin(half * size) / size if size > 0.0 else half
             for i in range(3):
-                quaternion[i] = share * m[at + i]
+                quaternion[i] = share * p[at + i]
             quaternion[3] = np.cos(half * size)
-            one, other = work.moments[at + first] - rate, work.moments[at + second] - rate
+            one, other = moments[at + first] - rate, moments[at + second] - rate
             if one != 0.0:
                 _turn_about(first, 0.5 * h * one, p, at, work)
             _turn_about(second, h * other, p, at, work)
@@ -188,16 +184,15 @@ def _axes(moments: np.ndarray, at: int) -> tuple[int, int, int]:
 @inlined
 def _turn_about(axis: int, factor: float, p: np.ndarray, at: int, work: FlightWork) -> None:
     """Turn a body about one of its axes by its momentum there times a factor."""
-    m, change, quaternion = work.momenta, work.change, work.quaternion
+    change, quaternion = work.change, work.quaternion
     b, d = (axis + 1) % 3, (axis + 2) % 3
-    half = 0.5 * factor * m[at + axis]
+    half = 0.5 * factor * (p[at + axis] + change[at + axis])
     s, c = np.sin(half), np.cos(half)
     sine, less_one = 2.0 * s * c, -2.0 * s * s
     # Momenta turn the other way in the frame of the body.
-    m_b, m_d = m[at + b], m[at + d]
+    m_b, m_d = p[at + b] + change[at + b], p[at + d] + change[at + d]
     change[at + b] += less_one * m_b + sine * m_d
     change[at + d] += less_one * m_d - sine * m_b
-    m[at + b], m[at + d] = p[at + b] + change[at + b], p[at + d] + change[at + d]
     v_b, v_d, along, w = quaternion[b], quaternion[d], quaternion[axis], quaternion[3]
     quaternion[b], quaternion[d] = c * v_b + s * v_d, c * v_d - s * v_b
     quaternion[axis], quaternion[3] = c * along + s * w, c * w - s * along
