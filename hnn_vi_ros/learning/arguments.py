@@ -7,7 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.command_line import complete_by, Parser, SCENES
 
 # Which outputs of an imported network are H, and the order of its inputs.
-LAYOUTS, ORDERS = ('hnn', 'sum_second_half'), ('qp', 'pq')
+LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
 # As in hamiltonians/activations.py, which takes the compiler to import.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
 _IMPORTED = """\
@@ -16,6 +16,11 @@ differentiable_model.linear1.weight, ..., the last layer without bias, of severa
 
     hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
     sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
+
+The Lie-group Hamiltonian code saves several networks of one body, M_net.linear1.weight, ...:
+
+    so3              a body that turns, M_net, V_net, g_net and, with friction, Dw_net
+    se3              one that moves as well, M_net1, M_net2, V_net, g_net, and Dv_net, Dw_net
 
 Nothing of the file but its tensors is unpickled. H is that of the source network: its unit, its
 zero and its box are what its authors say they are."""
@@ -152,6 +157,11 @@ def import_checkpoint() -> Parser:
         'momentum, or one for all; beyond them a simulation raises an alarm'))
     box.add_argument('--box-of', metavar='NAME|FILE', help=(
         'instead: the bounds of the data of this training configuration'))
+    parser.add_argument('--epsilon', type=float, metavar='NUMBER', help=(
+        "of so3 and se3: that code's epsilon of M_net, whose root is added to the diagonal of the "
+        'root of M^-1; 0 for none; the file does not say'))
+    parser.add_argument('--floor', type=float, default=0.0, metavar='NUMBER', help=(
+        'of so3 and se3: what that code adds to the diagonal of M^-1 itself (default: 0)'))
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='the model file to write (default: models/<name>.safetensors)')
     return parser

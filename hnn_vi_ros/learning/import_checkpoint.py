@@ -9,7 +9,8 @@ layer without bias, of several outputs F:
     hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
     sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
 
-Nothing of the file but its tensors is unpickled. H is that of the source network: its unit, its
+and the public Lie-group Hamiltonian code several networks of a body, see import_body. Nothing of
+the file but its tensors is unpickled. H is that of the source network: its unit, its
 zero and its box are what its authors say they are.
 """
 
@@ -22,8 +23,9 @@ import shlex
 from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.config import find_config, load_config
+from hnn_vi_ros.learning.import_body import BODIES, body_networks
 from hnn_vi_ros.learning.sources import make_dataset
-from hnn_vi_ros.learning.state_dict import read_layers
+from hnn_vi_ros.learning.state_dict import read_layers, read_networks
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.networks.activations import ACTIVATIONS
@@ -110,6 +112,14 @@ def main(argv: Sequence[str]) -> None:
     out = arguments.out or Path('models') / f'{arguments.file.stem}.safetensors'
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv])
+    if arguments.layout in BODIES:
+        save_checkpoint(out, _body(arguments, names, command))
+        print(f'model: {out}')
+        return
+    if arguments.epsilon is not None or arguments.floor:
+        raise ParameterError(f'--epsilon, --floor: of the layouts {", ".join(BODIES)} alone; leave '
+                             f'them with --layout {arguments.layout}')
     layers = read_layers(arguments.file)
     try:
         layers = energy_layers(layers, arguments.layout, arguments.order)
@@ -121,13 +131,53 @@ def main(argv: Sequence[str]) -> None:
             f'{arguments.file} takes {layers.weights[0].shape[1]} inputs: '
             f'{layers.weights[0].shape[1] // 2} coordinates and as many momenta, if its state is '
             f'(q, p); {_OTHER_STATE}')
-    card = _card(arguments, names, layers, shlex.join(
-        ['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv]))
+    card = _card(arguments, names, layers, command)
     save_checkpoint(out, Checkpoint(card, {'energy': layers}))
     print(f'model: {out}')
     if not ACTIVATIONS[arguments.activation].smooth:
         print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
               'its order there')
+
+
+def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
+    """Return the model of a body that turns."""
+    epsilon, floor, source = arguments.epsilon, arguments.floor, arguments.file
+    wrong = {
+        '--epsilon': epsilon is None or not 0.0 <= epsilon < np.inf and (
+            f'--epsilon {epsilon}: expected a finite number >= 0'),
+        '--floor': not 0.0 <= floor < np.inf and f'--floor {floor}: expected a finite number >= 0',
+        '--activation': arguments.activation != 'tanh' and (
+            f'--activation {arguments.activation}: networks of bodies that turn have tanh'),
+        '--order': arguments.order != 'qp' and '--order pq: not of bodies that turn; leave it',
+        '--box-of': arguments.box is None and '--box-of: not of bodies that turn; give --box',
+        '--coordinates': len(names) != 1 and (
+            f'--coordinates {",".join(names)}: {len(names)} names, expected one, of the body')}
+    for option, problem in wrong.items():
+        if problem is True:
+            raise ParameterError(f'{option}: give it with --layout {arguments.layout}; the file '
+                                 "does not say; that code's examples take 0.1 for so3 and 0.01 "
+                                 'for se3')
+        if problem:
+            raise ParameterError(problem)
+    try:
+        group, networks = body_networks(read_networks(source), arguments.layout, epsilon, floor)
+        d = group.size + 1
+        card = ModelCard(
+            name=source.stem, family='lie_group', lie_group=group, seed=0, losses={},
+            box=parse_box(arguments.box, d), coordinates=[CoordinateCard(name=names[0])],
+            networks={name: [layers.weights[0].shape[1], *map(len, layers.weights)]
+                      for name, layers in networks.items()},
+            dataset=_origin(source), training_command=command, package_version=__version__)
+    except ValidationError as problem:
+        raise ModelError(f'{source}: {problem.errors()[0]["msg"]}') from problem
+    except ValueError as problem:
+        raise ModelError(f'{source}: {problem}') from problem
+    return Checkpoint(card, networks)
+
+
+def _origin(source: Path) -> str:
+    return (f'unknown; imported from {source.name} '
+            f'(sha256 {sha256(source.read_bytes()).hexdigest()[:16]})')
 
 
 def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str
@@ -144,9 +194,7 @@ def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, comma
             name=source.stem, activation=arguments.activation, box=box, seed=0, losses={},
             widths=[layers.weights[0].shape[1], *map(len, layers.weights)],
             coordinates=[CoordinateCard(name=name) for name in names],
-            dataset=f'unknown; imported from {source.name} '
-                    f'(sha256 {sha256(source.read_bytes()).hexdigest()[:16]})',
-            training_command=command, package_version=__version__)
+            dataset=_origin(source), training_command=command, package_version=__version__)
     except ValidationError as problem:
         first = problem.errors()[0]
         if first['loc'][:1] == ('widths',):

@@ -24,7 +24,25 @@ _SHAPES = ('expected the state_dict of a network whose layers are named linear1,
 
 def read_layers(path: Path) -> Layers:
     """
-    Read the layers of a network from a state_dict that torch.save wrote.
+    Read the layers of one network from a state_dict that torch.save wrote; see read_networks.
+
+    Raises
+    ------
+    ModelError
+        As read_networks, and where the file holds several networks.
+
+    """
+    networks = read_networks(path)
+    if len(networks) != 1:
+        raise ModelError(f'{path}: holds {len(networks)} networks ({", ".join(sorted(networks))}), '
+                         f'expected one; {_SHAPES}')
+    (layers,) = networks.values()
+    return layers
+
+
+def read_networks(path: Path) -> dict[str, Layers]:
+    """
+    Read the layers of all networks from a state_dict that torch.save wrote.
 
     Parameters
     ----------
@@ -33,14 +51,15 @@ def read_layers(path: Path) -> Layers:
 
     Returns
     -------
-    Layers
-        In float64; where the source has no bias, of zeros.
+    dict of str to Layers
+        By what stands before the names of their layers, '' for nothing; in float64; where the
+        source has no bias, of zeros.
 
     Raises
     ------
     ModelError
         The file is missing or damaged, holds anything but tensors, which would have to be run to
-        be read, or its tensors are not the layers of one network.
+        be read, or its tensors are not the layers of networks.
 
     """
     try:
@@ -62,7 +81,7 @@ def read_layers(path: Path) -> Layers:
         raise ModelError(f'{path}: not a file of tensors alone that torch.save wrote '
                          f'({type(problem).__name__}: {first[:200]}); nothing in it was run; have '
                          'its author save the state_dict') from problem
-    return _layers(path, state)
+    return _networks(path, state)
 
 
 def _unpacked_size(path: Path) -> int:
@@ -72,31 +91,32 @@ def _unpacked_size(path: Path) -> int:
         return sum(member.file_size for member in archive.infolist())
 
 
-def _layers(path: Path, state: object) -> Layers:
-    found: dict[tuple[int, str], np.ndarray] = {}
-    prefixes = set()
+def _networks(path: Path, state: object) -> dict[str, Layers]:
+    found: dict[str, dict[tuple[int, str], np.ndarray]] = {}
     items = _items(path, state)
     _check_tensors(path, items)
     for name, tensor in items:
         match = _NAME.fullmatch(name)
         if match is None:
             raise ModelError(f'{path}: holds {name[:80]!r}; {_SHAPES}')
-        prefixes.add(match[1] or '')
-        found[int(match[2]), match[3]] = _array(path, name, tensor)
-    if len(prefixes) != 1:
-        raise ModelError(f'{path}: holds {len(prefixes)} networks '
-                         f'({", ".join(sorted(prefixes)) or "none"}), expected one; {_SHAPES}')
+        network = found.setdefault((match[1] or '').removesuffix('.'), {})
+        network[int(match[2]), match[3]] = _array(path, name, tensor)
+    return {name: _layers(path, f'{name}.' if name else '', network)
+            for name, network in found.items()}
+
+
+def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -> Layers:
     depth = max(layer for layer, _ in found)
     weights, biases = [], []
     for layer in range(1, depth + 1):
-        weight = found.get((layer, 'weight'))
+        name, weight = f'{prefix}linear{layer}', found.get((layer, 'weight'))
         if weight is None or weight.ndim != 2 or not weight.size or (
                 weights and weight.shape[1] != weights[-1].shape[0]):
-            raise ModelError(f'{path}: linear{layer}.weight is missing or does not fit the layer '
+            raise ModelError(f'{path}: {name}.weight is missing or does not fit the layer '
                              f'before; {_SHAPES}')
         bias = found.get((layer, 'bias'), np.zeros(len(weight)))
         if bias.shape != weight.shape[:1]:
-            raise ModelError(f'{path}: linear{layer}.bias has shape {bias.shape}, expected '
+            raise ModelError(f'{path}: {name}.bias has shape {bias.shape}, expected '
                              f'{weight.shape[:1]}')
         weights.append(weight)
         biases.append(bias)

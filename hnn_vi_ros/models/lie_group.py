@@ -77,6 +77,8 @@ class LieGroupParameters(NamedTuple):
         The diagonal of S.
     floor : float
         What is added to the diagonal of L L^T.
+    positive : bool
+        Whether the diagonal of L is log(1 + exp(y)), not y.
     work : LieGroupWork
         Space.
 
@@ -87,6 +89,7 @@ class LieGroupParameters(NamedTuple):
     places: np.ndarray
     scale: np.ndarray
     floor: float
+    positive: bool
     work: LieGroupWork
 
 
@@ -96,7 +99,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
 
     pi = (R^T p, L): the momentum of the position and that of turning, both in the frame of the
     body. The network ``mass`` gives the entries y of the lower triangular L, a block of 3 x 3 for
-    each, those of its diagonal as log(1 + exp(y)); ``potential`` gives V. They see the nine
+    each, those of its diagonal as log(1 + exp(y)), or as they are; ``potential`` gives V. They see the nine
     entries of R, and the position, as the card says. With u = S pi and w = L^T u,
 
         v = S (L w + floor u) + V_pi,    H_g = V_g + sum_ij u_i w_j (L_ij)_g + p . (R v)_g,
@@ -139,7 +142,8 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         parameters = LieGroupParameters(
             pack_layers(widened(self.checkpoint, 'mass'), self.checkpoint.card.activation),
             pack(*widened(self.checkpoint, 'potential'), self.checkpoint.card.activation),
-            np.array(card.entries), np.array(card.mass_scale), card.floor, work)
+            np.array(card.entries), np.array(card.mass_scale), card.floor,
+            card.diagonal == 'softplus', work)
         return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
                       compiled=True, rotations=self.rotations)
 
@@ -189,7 +193,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         L_z = np.zeros((len(seen), k, k, seen.shape[1]), y.dtype)
         for e, (i, j) in enumerate(card.entries):
             L[:, i, j], L_z[:, i, j] = y[:, e], y_z[:, e]
-            if i == j:
+            if i == j and card.diagonal == 'softplus':
                 L[:, i, j] = np.logaddexp(0.0, y[:, e])
                 L_z[:, i, j] /= 1.0 + np.exp(-y[:, e])[:, None]
         return L, L_z
@@ -271,7 +275,7 @@ def _first_order(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray) -
     for k in range(y.size):
         i, j = places[k]
         a[k] = u[i] * w[j]
-        if i == j:
+        if i == j and parameters.positive:
             a[k] *= _slope(y[k])
     weigh(parameters.mass, a)
     part_gradient(parameters.mass.network, z[:half], z[half:], m[:half], m[half:])
@@ -302,7 +306,7 @@ def _second_order(parameters: LieGroupParameters) -> None:
     output_tangents(parameters.mass, y_v)
     for k in range(y.size):
         i, j = places[k]
-        L_v[i, j] = y_v[k] * _slope(y[k]) if i == j else y_v[k]
+        L_v[i, j] = y_v[k] * _slope(y[k]) if i == j and parameters.positive else y_v[k]
     for i in range(u.size):
         u_v[i] = scale[i] * z_v[first + i]
     for j in range(u.size):
@@ -312,7 +316,7 @@ def _second_order(parameters: LieGroupParameters) -> None:
     for k in range(y.size):
         i, j = places[k]
         a_v[k] = u_v[i] * w[j] + u[i] * w_v[j]
-        if i == j:
+        if i == j and parameters.positive:
             slope = _slope(y[k])
             a_v[k] = a_v[k] * slope + u[i] * w[j] * slope * (1.0 - slope) * y_v[k]
     weigh(parameters.mass, a_v)
@@ -338,7 +342,7 @@ def _roots(parameters: LieGroupParameters) -> None:
     for k in range(y.size):
         i, j = places[k]
         L[i, j] = y[k]
-        if i == j:
+        if i == j and parameters.positive:
             # log(1 + exp(y)) without overflow.
             L[i, j] = max(y[k], 0.0) + np.log1p(np.exp(-abs(y[k])))
     for i in range(u.size):

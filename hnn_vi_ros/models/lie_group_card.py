@@ -18,7 +18,9 @@ class LieGroupCard(StrictModel):
     kind: Literal['rotation', 'pose'] = Field(description='of the coordinate')
     mass_scale: list[Positive] = Field(description=(
         'S of M^-1 = S (L L^T + floor) S, of each column of pi'))
-    floor: Positive = Field(description='least eigenvalue of S^-1 M^-1 S^-1')
+    floor: float = Field(ge=0.0, description='least eigenvalue of S^-1 M^-1 S^-1')
+    diagonal: Literal['softplus', 'any'] = Field('softplus', description=(
+        'of L: log(1 + exp(y)), or y as it is, as in networks of others'))
     mass_depends_on: list[Seen] = Field(max_length=2, description=(
         'what L sees; none for a constant M'))
     potential_depends_on: list[Literal['position', 'attitude', 'momentum']] = Field(
@@ -33,6 +35,8 @@ class LieGroupCard(StrictModel):
         if len(self.mass_scale) != self.size:
             raise ValueError(f'mass_scale has {len(self.mass_scale)} entries, expected '
                              f'{self.size}')
+        if self.floor == 0.0 and self.diagonal == 'softplus':
+            raise ValueError('floor must be greater than 0, but for a diagonal of any sign')
         for name in ('mass', 'potential', 'dissipation', 'input_map'):
             seen = getattr(self, f'{name}_depends_on') or []
             if len(set(seen)) < len(seen):

@@ -160,7 +160,7 @@ class LieGroupNetwork(torch.nn.Module):
         """Return outputs, (N, e), and the lower triangular matrix, (N, k, k), that they make."""
         y = self.outputs(name, z)
         entries = y
-        if name == 'mass':
+        if name == 'mass' and self.card.diagonal == 'softplus':
             entries = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
         return y, (entries @ self.place).reshape(-1, self.k, self.k)
 
@@ -269,7 +269,8 @@ class HeldBody:
             u = network.scale * pi
             w = (u[:, None, :] @ self._L)[:, 0]
             a = u[:, network.rows] * w[:, network.columns]
-            a = torch.where(network.on_diagonal, a * torch.sigmoid(self._y), a)
+            if network.card.diagonal == 'softplus':
+                a = torch.where(network.on_diagonal, a * torch.sigmoid(self._y), a)
             c = c + network.slope('mass', self._z, a)
         slope = self._trivialised(c, pi, v)
         force = B_u
