@@ -121,6 +121,8 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     """
     Accelerate the fixed-point iteration by Anderson's method of depth 3; see the module.
 
+    Systems that are solved together, as the work's layout says, each have weights of their own.
+
     References
     ----------
     H. Walker, P. Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49
@@ -146,9 +148,7 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
             # Residuals relative to something else are not to be combined with these.
             origin, old_stage = k, stage
         if k < max_iterations:
-            depth = min(k - origin, x.size, DEPTH)
-            used = _project(work.anderson, iterates, k, defect, depth)
-            _combine(work.anderson, iterates, k, value, used, x)
+            _accelerate(work, k, value, defect, k - origin, x)
     return NO_CONVERGENCE, residual, max_iterations
 
 
@@ -248,16 +248,44 @@ def _is_hopeless(k: int, residual: float, previous: float) -> bool:
 
 
 @inlined
-def _project(work: AndersonWork, iterates: Iterates, k: int, defect: np.ndarray, depth: int
-             ) -> int:
-    """Orthogonalise the changes of the defect, and project it on them; return how many."""
-    n, rows, basis, triangle = defect.size, DEPTH + 1, work.basis, work.triangle
+def _accelerate(work: SolverWork, k: int, value: np.ndarray, defect: np.ndarray, rounds: int,
+                x: np.ndarray) -> None:
+    """Set x to the next iterate, each system by itself, of so many rounds at most."""
+    row, width = work.iterates.layout[0], work.iterates.layout[1]
+    n = x.size // row * width
+    for first in range(0, row, width):
+        depth = min(rounds, n, DEPTH)
+        if n < x.size and _largest(defect, first, row, width) <= max(8, n) * _EPS:
+            # Solved, which others are not: what is left is rounding, and no direction.
+            depth = 0
+        used = _project(work.anderson, work.iterates, k, defect, first, depth)
+        _combine(work.anderson, work.iterates, k, value, first, used, x)
+
+
+@inlined
+def _largest(defect: np.ndarray, first: int, row: int, width: int) -> float:
+    """Return the largest entry of a system."""
+    result = 0.0
+    for start in range(first, defect.size, row):
+        for i in range(start, start + width):
+            result = max(result, abs(defect[i]))
+    return result
+
+
+@inlined
+def _project(work: AndersonWork, iterates: Iterates, k: int, defect: np.ndarray, first: int,
+             depth: int) -> int:
+    """Orthogonalise the changes of a system's defect, and project it on them; return how many."""
+    row, width, rows = iterates.layout[0], iterates.layout[1], DEPTH + 1
+    n, basis, triangle = defect.size // row * width, work.basis, work.triangle
     for j in range(depth):
         earlier = iterates.residuals[(k - 1 - j) % rows]
-        size = 0.0
-        for i in range(n):
-            basis[j, i] = defect[i] - earlier[i]
-            size += basis[j, i] * basis[j, i]
+        size, at = 0.0, 0
+        for start in range(first, defect.size, row):
+            for i in range(start, start + width):
+                basis[j, at] = defect[i] - earlier[i]
+                size += basis[j, at] * basis[j, at]
+                at += 1
         for m in range(j):
             dot = 0.0
             for i in range(n):
@@ -265,26 +293,29 @@ def _project(work: AndersonWork, iterates: Iterates, k: int, defect: np.ndarray,
             triangle[m, j] = dot
             for i in range(n):
                 basis[j, i] -= dot * basis[m, i]
-        left, projection = 0.0, 0.0
+        left, projection, at = 0.0, 0.0, 0
         for i in range(n):
             left += basis[j, i] * basis[j, i]
         if left <= 1e-20 * size:
             return j
         left = math.sqrt(left)
-        for i in range(n):
-            basis[j, i] /= left
-            projection += basis[j, i] * defect[i]
+        for start in range(first, defect.size, row):
+            for i in range(start, start + width):
+                basis[j, at] /= left
+                projection += basis[j, at] * defect[i]
+                at += 1
         triangle[j, j], triangle[j, DEPTH] = left, projection
     return depth
 
 
 @inlined
-def _combine(work: AndersonWork, iterates: Iterates, k: int, value: np.ndarray, used: int,
-             x: np.ndarray) -> None:
-    """Set x to G less the combination of its changes that takes the projection away."""
-    triangle = work.triangle
-    for i in range(x.size):
-        x[i] = value[i]
+def _combine(work: AndersonWork, iterates: Iterates, k: int, value: np.ndarray, first: int,
+             used: int, x: np.ndarray) -> None:
+    """Set a system's x to G less the combination of its changes that ends the projection."""
+    row, width, triangle = iterates.layout[0], iterates.layout[1], work.triangle
+    for start in range(first, x.size, row):
+        for i in range(start, start + width):
+            x[i] = value[i]
     for j in range(used - 1, -1, -1):
         weight = triangle[j, DEPTH]
         for m in range(j + 1, used):
@@ -292,5 +323,6 @@ def _combine(work: AndersonWork, iterates: Iterates, k: int, value: np.ndarray, 
         weight /= triangle[j, j]
         triangle[j, DEPTH] = weight
         earlier = iterates.values[(k - 1 - j) % (DEPTH + 1)]
-        for i in range(x.size):
-            x[i] -= weight * (value[i] - earlier[i])
+        for start in range(first, x.size, row):
+            for i in range(start, start + width):
+                x[i] -= weight * (value[i] - earlier[i])

@@ -35,6 +35,25 @@ def forget(memory: tuple) -> None:
             kept.count[0] = 0
 
 
+def separate(memory: tuple, row: int, width: int) -> None:
+    """
+    Let the equations of a memory be those of several systems, where they are.
+
+    Parameters
+    ----------
+    memory : tuple
+        Of a method, for as many coordinates as all systems have.
+    row, width : int
+        How many coordinates that are, and how many of them one system has.
+
+    """
+    for workspace in memory:
+        solver = getattr(workspace, 'solver', None)
+        # Of a common clock there is an unknown more.
+        if isinstance(solver, SolverWork) and solver.iterates.scale.size % row == 0:
+            solver.iterates.layout[:] = row, width
+
+
 def arrays_of(name: str, group: Any) -> Iterator[tuple[str, np.ndarray]]:
     """Return all arrays of a group, however deep in it, with their names after that of it."""
     for field, value in group._asdict().items():
@@ -98,6 +117,9 @@ class Iterates(NamedTuple):
     values, residuals : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their relative residuals; Newton's method
         fills the first of them.
+    layout : np.ndarray of int, shape (2,)
+        Unknowns stand in rows of the first number; in each row systems that do not depend on each
+        other follow one another, with the second number of unknowns each. Both are N for one.
 
     """
 
@@ -107,6 +129,7 @@ class Iterates(NamedTuple):
     slow_start: np.ndarray
     values: np.ndarray
     residuals: np.ndarray
+    layout: np.ndarray
 
 
 class AndersonWork(NamedTuple):
@@ -194,7 +217,7 @@ class SolverWork(NamedTuple):
         rows = (m + 1, n) if m else (0, 0)
         return cls(
             Iterates(zeros(n), zeros(n), zeros(n), np.zeros(1, dtype=np.int64),
-                     zeros(DEPTH + 1, n), zeros(DEPTH + 1, n)),
+                     zeros(DEPTH + 1, n), zeros(DEPTH + 1, n), np.full(2, n, dtype=np.int64)),
             AndersonWork(zeros(DEPTH, n), zeros(DEPTH, DEPTH + 1)),
             NewtonWork(zeros(n), zeros(n), zeros(side, side), np.zeros(side, dtype=np.int64),
                        zeros(n), zeros(n), zeros(*rows), zeros(m + 1, m), zeros(3, m + 1),

@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_point, largest
 from hnn_vi_ros.integrators.base import (
     BEYOND, Integrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.workspaces import arrays_of, forget
+from hnn_vi_ros.integrators.workspaces import arrays_of, forget, separate
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.simulation.assembly import Loop
@@ -92,8 +92,15 @@ class Rescue:
 
     def memories(self, n: int) -> list[tuple]:
         """Return the memory of each method, for n coordinates; they share the watch."""
-        memories = [method.memory(n) for method in self.methods]
+        memories = [self._memory(method, n) for method in self.methods]
         return [memories[0], *((*memory[:-1], memories[0][-1]) for memory in memories[1:])]
+
+    def _memory(self, method: Integrator, n: int) -> tuple:
+        """Return the memory of a method, in which trajectories are solved each by itself."""
+        memory, d = method.memory(n), self._system.kernel.dimension
+        if n > d and not self._system.hamiltonian.rotations:
+            separate(memory, n, d)
+        return memory
 
     def take_step(self, active: int, h: float, z: Point, z1: Point, memory: tuple) -> 'Taken':
         """
@@ -164,7 +171,7 @@ class Rescue:
         state = [array for _, array in arrays_of('state', self._system.effect_state)]
         before = [array.copy() for array in state]
         end = Point(*[array.copy() for array in z])
-        ok, gradients = loop(h, parts, most, end, z1, method.memory(z.q.size))
+        ok, gradients = loop(h, parts, most, end, z1, self._memory(method, z.q.size))
         if ok:
             copy_point(end, z)
             return True, gradients

@@ -57,6 +57,31 @@ def solve_affine(solve, norm: float, n: int):
     return result, np.abs(matrix @ x + right - x).max() / work.iterates.scale[0]
 
 
+def test_systems_that_are_solved_together_take_no_more_rounds_than_the_slowest_alone():
+    systems = 8
+    rng = np.random.default_rng(5)
+    # Different eigenvalues: one combination cannot suit all. q of all systems, then p of all.
+    blocks = rng.normal(size=(systems, 2, 2))
+    blocks *= (0.4 / np.linalg.norm(blocks, 2, axis=(1, 2)))[:, None, None]
+    right = rng.normal(size=(systems, 2))
+
+    def solved(chosen: list[int], layout: tuple[int, int]):
+        m = len(chosen)
+        matrix = np.einsum('kij,kl->ikjl', blocks[chosen], np.eye(m)).reshape(2 * m, 2 * m)
+        b = right[chosen].T.ravel()
+        work, x = work_for(anderson, b.size), b.copy()
+        set_scales(work, 1.0)
+        work.iterates.layout[:] = layout
+        outcome, _, rounds = anderson(affine, affine_tangent, (matrix, b), x, work, 100)
+        assert outcome == OK
+        assert x == pytest.approx(np.linalg.solve(np.eye(b.size) - matrix, b), abs=100 * EPS)
+        return rounds
+
+    alone = max(solved([k], (2, 2)) for k in range(systems))
+    # One more: residuals may still shrink in one system while they have settled in another.
+    assert solved(list(range(systems)), (systems, 1)) <= alone + 1
+
+
 @pytest.mark.parametrize('norm', [0.0, 1e-3, 0.1])
 @pytest.mark.parametrize('solve', [fixed_point, anderson, newton, krylov])
 @pytest.mark.parametrize('n', [1, 2, 5])
