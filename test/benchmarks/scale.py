@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
+import resource
 import subprocess
 import sys
 import tempfile
@@ -52,7 +53,7 @@ def rows(settings: Settings) -> Iterator[Row]:
         definition = _definition(scene, _QUICK if settings.quick else _TRAJECTORIES)
         plan = make_plan(definition)
         with tempfile.TemporaryDirectory() as folder:
-            yield _efficiency(definition, Path(folder), settings)
+            yield from _efficiency(definition, Path(folder), settings)
             yield _writing(plan, Path(folder))
     settings.say('memory of a sweep')
     last = _WARM + 4 if settings.quick else _LAST
@@ -76,24 +77,42 @@ def _definition(scene: str, trajectories: int) -> dict[str, Any]:
                       'high': ends[:, 1].tolist(), 'count': trajectories}]}
 
 
-def _efficiency(definition: dict[str, Any], folder: Path, settings: Settings) -> Row:
+def _efficiency(definition: dict[str, Any], folder: Path, settings: Settings) -> Iterator[Row]:
     trajectories = definition['vary'][0]['count']
     settings.say(f'{trajectories} trajectories of {definition["scene"]} on two cores')
     numbers, path = count(), folder / 'sweep.yaml'
     path.write_text(dump_yaml(definition))
 
+    busy: dict[int, list[float]] = {1: [], 2: []}
+
     def run(jobs: int) -> Callable[[], object]:
         command = [sys.executable, '-P', '-c', _COMMAND, str(path), '--jobs', str(jobs), '--out',
                    str(folder / f'{next(numbers)}')]
-        return lambda: subprocess.run(command, check=True, capture_output=True)
+
+        def made() -> None:
+            before = _processor_time()
+            subprocess.run(command, check=True, capture_output=True)
+            busy[jobs].append(_processor_time() - before)
+        return made
 
     times = interleave([lambda: run(2), lambda: run(1)], _TURNS, warm_up=False, one_thread=False)
-    return compare(
-        f'sweep of {trajectories} trajectories of {definition["scene"]}: two cores over one',
-        2.0 * times[:, 0], times[:, 1], target=1.0 / _EFFICIENCY, unit='s of cores', scale=1.0,
-        peer_name='one core',
+    name = f'sweep of {trajectories} trajectories of {definition["scene"]}'
+    yield compare(
+        f'{name}: two cores over one', 2.0 * times[:, 0], times[:, 1], target=1.0 / _EFFICIENCY,
+        unit='s of cores', scale=1.0, peer_name='one core',
         note='the whole command: with --jobs 2 it starts two processes more; the ratio is the '
         'inverse of the efficiency')
+    yield compare(
+        f'{name}: processor time of two processes over one', np.array(busy[2]),
+        np.array(busy[1]), target=1.0 / _EFFICIENCY, unit='us a trajectory',
+        scale=1e6 / trajectories, peer_name='one process',
+        note='of the same commands: what two processes do twice, whatever else the machine does')
+
+
+def _processor_time() -> float:
+    """Return what processes that were waited for have taken [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _writing(plan: SweepPlan, folder: Path) -> Row:
