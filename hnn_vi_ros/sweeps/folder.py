@@ -166,6 +166,5 @@ def shards_of(share: str) -> tuple[int, int]:
     """
     first, _, every = share.partition('/')
     if not (first.isdecimal() and every.isdecimal() and int(first) < int(every)):
-        raise ValueError(f'--shard {share}: expected I/N, counted from 0: 0/{every or "N"} to '
-                         'N-1/N')
+        raise ValueError(f'--shard {share}: expected I/N, counted from 0: 0/N to N-1/N')
     return int(first), int(every)

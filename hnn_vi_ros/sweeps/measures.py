@@ -3,6 +3,7 @@
 """Measures of a trajectory, in place of its samples."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
@@ -16,6 +17,10 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.sweeps.definition import Reduction
 import numpy as np
+
+
+# Of a trajectory, as a reduction is given it.
+_ARRAYS = 't', 'q', 'p', 'energy'
 
 
 class Parts(NamedTuple):
@@ -83,6 +88,13 @@ def out_of_box_time(trajectory: Trajectory, hamiltonian: Hamiltonian) -> float:
     return float(np.diff(trajectory.t)[outside[1:]].sum())
 
 
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """Return a view that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 class Reducer:
     """
     A function of the user's, made ready.
@@ -107,7 +119,7 @@ class Reducer:
 
     def __call__(self, trajectory: Trajectory) -> dict[str, float]:
         """
-        Return its numbers, by column.
+        Return its numbers, by column; it may read the arrays, of what is kept, and not write.
 
         Raises
         ------
@@ -116,10 +128,11 @@ class Reducer:
 
         """
         try:
-            found = self._function(trajectory)
+            found = self._function(replace(trajectory, **{
+                name: _read_only(getattr(trajectory, name)) for name in _ARRAYS}))
             numbers = {name: float(found[name]) for name in self._columns}
             more = set(found) - set(self._columns)
-        except Exception as problem:  # noqa: B902  the user's code may raise any
+        except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
             raise HnnViRosError(f'{self._name}: {type(problem).__name__}: {one_line(problem)}'
                                 ) from problem
         if more:

@@ -265,6 +265,24 @@ def test_reduction_of_the_users(tmp_path, monkeypatch):
     assert third['mean'] is None and third['q_angle'] is None
 
 
+@pytest.mark.parametrize(('line', 'failure'), [
+    ('raise SystemExit(0)', 'SystemExit: 0'),
+    ('path.q[:] = 0.0', 'ValueError: assignment destination is read-only')])
+def test_reduction_neither_ends_a_sweep_nor_changes_what_is_kept(
+        tmp_path, monkeypatch, line, failure):
+    (tmp_path / 'rude_to_sweeps.py').write_text(
+        f'def reduce(path):\n    if path.q[0, 0] > 0.5: {line}\n    return {{"one": 1.0}}\n')
+    (tmp_path / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.2\nvary: [{kind: grid, keys: '
+        '[initial_state.q.0], low: [0.25], high: [1], counts: [2]}]\n'
+        'reduction: {function: "rude_to_sweeps:reduce", columns: [one]}\n')
+    monkeypatch.setattr(sys, 'path', list(sys.path))
+    monkeypatch.delitem(sys.modules, 'rude_to_sweeps', raising=False)
+    first, second = table_of(sweep(tmp_path / 'a.yaml', tmp_path / 'out')).to_pylist()
+    assert (first['one'], first['failure']) == (1.0, None)
+    assert second['failure'] == f'rude_to_sweeps:reduce: {failure}'
+
+
 def test_failure_of_one_trajectory_is_a_row(tmp_path, capsys):
     # Of a length below zero there is no pendulum; at such a momentum no angle stays finite.
     (tmp_path / 'a.yaml').write_text(
