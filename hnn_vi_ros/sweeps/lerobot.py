@@ -3,8 +3,10 @@
 """Episodes as a LeRobot dataset, version 3.0 of its format: Parquet and JSON."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 import json
 from pathlib import Path
+import shutil
 from typing import Any, BinaryIO
 
 from hnn_vi_ros.errors import DataError, RecordingError
@@ -46,9 +48,10 @@ def write_lerobot(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) ->
     Raises
     ------
     DataError
-        The samples of a second are no whole number, which the format asks for.
+        The samples of a second are no whole number, which the format asks for; or a number is
+        beyond float32.
     RecordingError
-        The folder exists, or cannot be written.
+        The folder exists, or cannot be written; what was begun of it is removed.
 
     References
     ----------
@@ -64,16 +67,22 @@ def write_lerobot(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) ->
             f'{plan.scene.known_step_size:g} s')
     try:
         folder.mkdir(parents=True)
-        (folder / 'meta').mkdir()
-        _write(plan, episodes, folder, round(rate))
+        try:
+            (folder / 'meta').mkdir()
+            with closing(_Files(folder / 'data')) as data, \
+                    closing(_Files(folder / 'meta' / 'episodes')) as meta:
+                _write(plan, episodes, folder, round(rate), data, meta)
+        except BaseException:
+            shutil.rmtree(folder)
+            raise
     except OSError as problem:
         raise RecordingError(f'{folder}: {problem.strerror or one_line(problem)}; give an --out '
                              'that does not exist and can be written') from problem
 
 
-def _write(plan: SweepPlan, episodes: Iterator[Episode], folder: Path, rate: int) -> None:
+def _write(plan: SweepPlan, episodes: Iterator[Episode], folder: Path, rate: int,
+           data: '_Files', meta: '_Files') -> None:
     names = [*plan.names['q'], *(f'p_{name}' for name in plan.names['p'])]
-    data, meta = _Files(folder / 'data'), _Files(folder / 'meta' / 'episodes')
     task = plan.sweep.description or plan.scene.description or plan.scene.name
     total: dict[str, _Stats] = {}
     frames = number = 0
@@ -94,8 +103,8 @@ def _write(plan: SweepPlan, episodes: Iterator[Episode], folder: Path, rate: int
             'meta/episodes/chunk_index': places[2], 'meta/episodes/file_index': places[3],
             'sweep/index': episode.number, 'sweep/values': json.dumps(episode.values)}]))
         number, frames = number + 1, frames + length
-    data.close()
-    meta.close()
+    data.complete()
+    meta.complete()
     pq.write_table(_tasks(task), folder / 'meta' / 'tasks.parquet')
     _write_json(folder / 'meta' / 'stats.json', {name: {
         kind: value.tolist() for kind, value in own.items()} for name, own in total.items()})
@@ -115,9 +124,14 @@ def _columns(episode: Episode, number: int, first: int, rate: int) -> dict[str, 
     """Return the frames of an episode, which follow others in the dataset."""
     samples = [episode.sampler.sample(), *episode.samples()]
     places = np.arange(len(samples))
+    states = np.array([[*sample.q, *sample.p] for sample in samples])
+    energies = np.array([sample.energy for sample in samples])
+    for name, values in (_STATE, states), (_ENERGY, energies):
+        if not (np.abs(values) <= np.finfo(np.float32).max).all():
+            raise DataError(f'--episodes lerobot: {name} of trajectory {episode.number} is beyond '
+                            'float32, as the format has it; leave it out of --select')
     return {
-        _STATE: np.array([[*sample.q, *sample.p] for sample in samples], dtype=np.float32),
-        _ENERGY: np.array([sample.energy for sample in samples], dtype=np.float32),
+        _STATE: states.astype(np.float32), _ENERGY: energies.astype(np.float32),
         'timestamp': (places / rate).astype(np.float32),
         'frame_index': places, 'episode_index': np.full(len(samples), number),
         'index': first + places, 'task_index': np.zeros(len(samples), dtype=np.int64)}
@@ -192,7 +206,7 @@ class _Files:
     def place(self) -> tuple[int, int]:
         """Return the numbers of the folder and of the file that the next table comes to."""
         if self._stream is None or self._stream.tell() >= _MEGABYTES * 2**20:
-            self.close()
+            self.complete()
             self._number += 1
             chunk, file = divmod(self._number, _CHUNK)
             path = self._folder / _FILE.format(chunk_index=chunk, file_index=file)
@@ -206,10 +220,17 @@ class _Files:
             self._writer = pq.ParquetWriter(self._stream, table.schema, compression='snappy')
         self._writer.write_table(table, row_group_size=table.num_rows)
 
-    def close(self) -> None:
+    def complete(self) -> None:
         """Complete the file, if there is one."""
         if self._writer is not None:
             self._writer.close()
+        self.close()
+
+    def close(self) -> None:
+        """Close the file, if there is one; what was not completed is no Parquet file."""
+        if self._writer is not None:
+            # Else it would try to complete the file when it is collected.
+            self._writer.is_open = False
         if self._stream is not None:
             self._stream.close()
         self._writer = self._stream = None
