@@ -73,6 +73,7 @@ def captured(run: Callable[[], None], device: torch.device) -> Callable[[], Any]
             run()
     torch.cuda.current_stream(device).wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
+    # On a stream of this device: the default one is of whichever device captured first.
+    with torch.cuda.device(device), torch.cuda.graph(graph, stream=stream):
         run()
     return graph.replay
