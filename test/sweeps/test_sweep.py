@@ -33,6 +33,8 @@ DOCS = Path(__file__).resolve().parents[2] / 'docs' / 'scale.md'
 STATE = ['initial_state.q.angle', 'initial_state.p.angle']
 BOX = {'kind': 'box', 'keys': STATE, 'low': [-2.0, -2.0], 'high': [2.0, 2.0]}
 # Three lengths of 70 states each, and 64 trajectories in a shard: blocks have two lengths in them.
+# Else workers of Ray get what all other processes of a busy machine leave.
+AT_ONCE = 'RAY_worker_niceness', '0'
 LENGTHS = {'scene': 'exact_pendulum', 'duration': 0.2, 'shard_size': 64, 'vary': [
     {'kind': 'values', 'key': 'hamiltonian.length', 'values': [0.5, 1.0, 2.0]},
     BOX | {'count': 70}]}
@@ -370,9 +372,10 @@ def deadly(tmp_path_factory):
 
 
 @pytest.mark.parametrize('way', [{'jobs': 2}, {'ray': 'local'}], ids=['processes', 'ray'])
-def test_worker_that_is_killed_is_replaced(deadly, tmp_path, way):
+def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
     if 'ray' in way:
         pytest.importorskip('ray', reason='ray is not installed')
+        monkeypatch.setenv(*AT_ONCE)
     (deadly / 'done').unlink(missing_ok=True)
     sweep(deadly / 'a.yaml', tmp_path / 'out', **way)
     assert (deadly / 'done').exists()
@@ -386,6 +389,7 @@ def cluster(monkeypatch):
     pytest.importorskip('ray', reason='ray is not installed')
     command = re.search(r'^ray (start --head [^#\n]*)', DOCS.read_text(), re.MULTILINE)[1].split()
     address = f'127.0.0.1:{free_port()}'
+    monkeypatch.setenv(*AT_ONCE)
     # With a token of its own; Ray's default is the one that an earlier cluster may have left.
     monkeypatch.setenv('RAY_AUTH_MODE', 'token')
     monkeypatch.setenv('RAY_AUTH_TOKEN', secrets.token_hex(32))
