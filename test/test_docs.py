@@ -158,6 +158,12 @@ def test_every_integrator_is_in_the_table():
     assert not {name for name in INTEGRATORS if f'`{name}`' not in page} - left_out
 
 
+def test_first_pages_count_the_integrators():
+    for page in (DOCS / 'index.md', ROOT / 'README.md'):
+        words = ' '.join(page.read_text(encoding='utf-8').split())
+        assert f'by one of {len(INTEGRATORS) - 1} others' in words
+
+
 def test_gallery_has_a_card_for_each_scene(generate, tmp_path, monkeypatch):
     monkeypatch.setenv('HNN_DOCS_GALLERY', 'none')
     (tmp_path / 'docs').mkdir()
