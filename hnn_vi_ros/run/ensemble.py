@@ -157,8 +157,8 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
     if state is None:
         return None
     if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
-        raise TypeError(f'initial_state must be a pair: the coordinates q, and the momenta p, such '
-                        f'as ([1.0], [0.0]), not {state!r:.60}')
+        raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p, '
+                        f'such as ([1.0], [0.0]), not {state!r:.60}')
     return {name: check_numbers(f'{name} of initial_state', part).tolist()
             for name, part in zip(('q', 'p'), state, strict=True)}
 

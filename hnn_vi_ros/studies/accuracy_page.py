@@ -37,13 +37,13 @@ in a browser; it needs no network.
 
 A row is a method at one step size, run from the scene's initial state to a horizon T.
 
-- Its *path error* is the global error: the largest component of (q, p) - reference, in SI units, at
-  the instants T/10, ..., T.
+- Its *path error* is the global error: the largest component of (q, p) - reference, in SI units,
+  at the instants T/10, ..., T.
 - Its *energy band* is the largest abs(H - H0).
 - Its time is the wall time per simulated second, on one core, compiled and warm.
 
-The cheapest method at an error is the row that takes the least time among those with at most that
-error. Times compare methods on one machine; for another machine read only the ratios. Peers that
+The cheapest method at an error is the row that takes the least time among those with at most
+that error. Times compare methods on one machine; for another machine read only the ratios. Peers that
 choose their own steps are run at tolerances 1e-3 to 1e-13. Of their paths only the end is compared,
 which is to their advantage.
 
