@@ -43,9 +43,9 @@ A row is a method at one step size, run from the scene's initial state to a hori
 - Its time is the wall time per simulated second, on one core, compiled and warm.
 
 The cheapest method at an error is the row that takes the least time among those with at most
-that error. Times compare methods on one machine; for another machine read only the ratios. Peers that
-choose their own steps are run at tolerances 1e-3 to 1e-13. Of their paths only the end is compared,
-which is to their advantage.
+that error. Times compare methods on one machine; for another machine read only the ratios. Peers
+that choose their own steps are run at tolerances 1e-3 to 1e-13. Of their paths only the end is
+compared, which is to their advantage.
 
 ## Which method to take
 
