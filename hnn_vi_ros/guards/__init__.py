@@ -41,7 +41,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
         yield BoxGuard(hamiltonian.box, hamiltonian.gauge)
     if simulation.conservative:
         yield ResolutionGuard(band_limit, scale, simulation.step_size, method.order,
-                              simulation.modified_energy is not None)
+                              simulation.modification is not None)
     yield EnergyGuard(change_limit, scale)
     if simulation.usual_gradients:
         yield CostGuard(simulation)

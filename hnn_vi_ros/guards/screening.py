@@ -45,7 +45,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
         found |= ~((low <= z) & (z <= high)).all(axis=(0, 2))
     if not simulation.conservative:
         return found
-    known = modified if simulation.modified_energy is not None else energy
+    known = modified if simulation.modification is not None else energy
     weights = np.maximum(np.diff(np.round(steps), prepend=steps[0]), 1.0)
     share = PLAIN * BAND_LIMIT if known is modified else BAND_LIMIT
     # Written so that what is not finite is suspect. A change for good is less than the band.

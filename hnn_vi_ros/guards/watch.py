@@ -105,7 +105,7 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
     """Return H and H~, shape (...), of states of shape (..., d); H~ is NaN where none is."""
     hamiltonian = simulation.hamiltonian
     energy = hamiltonian.energy(q, p)
-    modified = None if simulation.modified_energy is None else \
+    modified = None if simulation.modification is None else \
         simulation.integrator.modified_energy(
             hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p))
     return energy, np.full(energy.shape, math.nan) if modified is None else modified
@@ -117,6 +117,14 @@ def look(simulation: Simulation) -> Look:
     return Look(simulation.steps, simulation.q.copy(), simulation.p.copy(),
                 simulation.dH_dq.copy(), simulation.dH_dp.copy(), energy,
                 math.nan if modified is None else modified, simulation.work)
+
+
+def look_at_block(simulation: Simulation) -> Look:
+    """Return what the guards of ``watch_of_block`` look at: energies only where work is done."""
+    if not simulation.conservative:
+        return look(simulation)
+    return Look(simulation.steps, simulation.q, simulation.p, simulation.dH_dq, simulation.dH_dp,
+                math.nan, math.nan)
 
 
 def record_watched(simulation: Simulation, samples: int, every: int, watch: Watch

@@ -65,10 +65,15 @@ class LearnedHamiltonian(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         kernel = self._kernel()
-        # By address: what is compiled here is what simulations call.
-        called = by_address(kernel)
-        return kernel._replace(gradient_scale=self._gradient_scale(called),
-                               energy_scale=self._energy_scale(called))
+        if self._scales is None:
+            # By address: what is compiled here is what simulations call.
+            called = by_address(kernel)
+            self._scales = self._gradient_scale(called), self._energy_scale(called)
+        gradient, energy = self._scales
+        return kernel._replace(gradient_scale=gradient, energy_scale=energy)
+
+    # Measured once: copies are the same function.
+    _scales: tuple[tuple[float, float], float] | None = None
 
     def _packed(self, network: str, part: str = 'both') -> PackedPerceptron:
         """Return a network of (q, p), or of q or p alone, for the loops of perceptron.py."""

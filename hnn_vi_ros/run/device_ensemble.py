@@ -9,7 +9,7 @@ import os
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.watch import look, watch_of_block
+from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
 from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, Recorded
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -96,5 +96,5 @@ def _told(one: Simulation, counts: Counts, k: int, steps: int) -> list[Alarm]:
     one.rescued, one.several_solutions = int(counts.rescued[k]), int(counts.several_solutions[k])
     one.costliest = int(counts.costliest[k]), int(counts.at[k])
     watch = watch_of_block(one)
-    watch.update(look(one))
+    watch.update(look_at_block(one))
     return watch.alarms

@@ -14,7 +14,7 @@ from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import (
-    energies_of, look, show_many, tell, tell_many, Watch, watch_of_block)
+    energies_of, look_at_block, show_many, tell, tell_many, Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
@@ -321,7 +321,7 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         watch = watch_of_block(simulation)
         q_block, p_block = record_samples(simulation, samples, every, watch)
         # Of a path where no work is done only its steps are left to be told; see show_many.
-        watch.update(look(simulation))
+        watch.update(look_at_block(simulation))
         for own in alarms[block]:
             own += watch.alarms
         q_all[1:, block], p_all[1:, block] = q_block, p_block

@@ -121,13 +121,11 @@ class Simulation:
         self._system.effect_state.reset(stream)
         self._system.effect_state.clock[0] = step * self.step_size
         self.steps, self.gradients, self.residual = step, 0, 0.0
-        self.rescued = self.several_solutions = 0
-        self.costliest = 0, step
+        self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
-        self._shape = q.shape
-        self._momenta = p.shape[-1]
+        self._shape, self._momenta = q.shape, p.shape[-1]
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
         self.q[:], self.p[:] = q, p
         # Not the point's own: what a step finds there must not depend on when it was looked at.
@@ -173,9 +171,7 @@ class Simulation:
     @property
     def energy(self) -> float:
         """Return H(q, p) [J], the sum of those of several trajectories."""
-        kernel, z, d = self._kernel, self._z, self._kernel.dimension
-        return sum(float(kernel.energy(kernel.parameters, z.q[a:a + d], z.p[a:a + d]))
-                   for a in range(0, z.q.size, d))
+        return sum(self._system.energies(self._z))
 
     @property
     def works(self) -> dict[str, float]:
@@ -196,12 +192,17 @@ class Simulation:
     @property
     def energies(self) -> tuple[float, float | None]:
         """Return the energy and the modified energy, for little more than one of them costs."""
-        energy = self.energy
+        energy, more = self.energy, self.modification
+        return energy, None if more is None else energy + more
+
+    @property
+    def modification(self) -> float | None:
+        """Return the modified energy less the energy [J], None if none is known."""
         if self._system.integrator is not self.integrator:
-            return energy, None
+            return None
         value = self.integrator.modified_energy(
             self.hamiltonian, self.step_size, self.q, self.p, 0.0, self.dH_dq, self.dH_dp)
-        return energy, None if value is None else energy + float(value.sum())
+        return None if value is None else float(value.sum())
 
     @property
     def modified_energy(self) -> float | None:

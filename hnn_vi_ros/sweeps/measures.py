@@ -19,10 +19,6 @@ from hnn_vi_ros.sweeps.definition import Reduction
 import numpy as np
 
 
-# Of a trajectory, as a reduction is given it.
-_ARRAYS = 't', 'q', 'p', 'energy'
-
-
 class Parts(NamedTuple):
     """Parts of a scene; joined is H with the potentials and fields among its effects."""
 
@@ -128,8 +124,9 @@ class Reducer:
 
         """
         try:
-            found = self._function(replace(trajectory, **{
-                name: _read_only(getattr(trajectory, name)) for name in _ARRAYS}))
+            t, q, p, energy = map(_read_only, (
+                trajectory.t, trajectory.q, trajectory.p, trajectory.energy))
+            found = self._function(replace(trajectory, t=t, q=q, p=p, energy=energy))
             numbers = {name: float(found[name]) for name in self._columns}
             more = set(found) - set(self._columns)
         except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any

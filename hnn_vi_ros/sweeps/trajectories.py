@@ -9,7 +9,7 @@ import warnings
 from hnn_vi_ros.errors import HnnViRosError, StepFailure
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.watch import look, show_many, watch_of_block
+from hnn_vi_ros.guards.watch import look_at_block, show_many, watch_of_block
 from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.run.ensemble import record_one
 from hnn_vi_ros.run.recorders import recorders
@@ -288,7 +288,7 @@ class _Made:
         t, takers = recorders(
             simulation, self._plan.sweep.duration, self._every, None, None, watch)
         parts += [take() for take in takers]
-        watch.update(look(simulation))
+        watch.update(look_at_block(simulation))
         q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
         alarms: list[list[Alarm]] = [list(watch.alarms) for _ in rows]
         # Of one, whose energy is looked at in place of all.

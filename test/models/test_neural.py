@@ -172,3 +172,13 @@ def test_networks_of_every_smooth_activation_are_simulated(activation: str):
     simulation.advance(200)
     # Order 4: (0.01)^4 times derivatives of order one.
     assert abs(simulation.energy - before) < 1e-8
+
+
+def test_copies_of_a_network_have_the_rounding_that_was_measured_once(monkeypatch):
+    hamiltonian = random_hamiltonian('tanh', [2, 8, 1], seed=2)
+    assert hamiltonian.kernel.compiled
+    other = hamiltonian.copy()
+    monkeypatch.delattr(type(hamiltonian), '_extended_gradient')
+    assert other.kernel is not hamiltonian.kernel
+    assert (other.kernel.gradient_scale, other.kernel.energy_scale) == (
+        hamiltonian.kernel.gradient_scale, hamiltonian.kernel.energy_scale)

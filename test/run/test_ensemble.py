@@ -12,6 +12,7 @@ from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.system import System
 import numpy as np
 import pytest
 
@@ -44,6 +45,24 @@ def test_many_trajectories_are_those_of_each_alone(tmp_path, kind, integrator, d
         tolerance = 100 * 8 * EPS * samples * every
         assert np.abs(many.q[1:, i] - q_alone).max() <= tolerance
         assert np.abs(many.p[1:, i] - p_alone).max() <= tolerance
+
+
+def test_energies_of_a_block_are_those_of_each_and_evaluated_once(monkeypatch):
+    scene, calls = load_scene('harmonic_oscillator'), []
+    energies = System.energies
+
+    def counted(system, z):
+        calls.append(energies(system, z))
+        return calls[-1]
+    monkeypatch.setattr(System, 'energies', counted)
+    counts = []
+    for blocks in (1, 3):
+        q, p = np.random.default_rng(0).uniform(-0.5, 0.5, (2, blocks * BLOCK, 1))
+        calls.clear()
+        many = simulate_many(scene, q, p, 0.1, threads=1)
+        counts.append(len(calls))
+        assert any(found == many.energy[0, -BLOCK:].tolist() for found in calls)
+    assert counts[1] - counts[0] == 2
 
 
 def test_many_trajectories_report_the_failure_of_one(tmp_path):
