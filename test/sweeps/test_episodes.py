@@ -170,11 +170,11 @@ def test_lerobot_dataset_needs_whole_samples_a_second_and_a_folder_of_its_own(
 def test_dataset_that_cannot_be_written_whole_leaves_nothing(sweep_file, tmp_path):
     text = SWEEP.replace('scene.yaml', str(sweep_file.parent / 'scene.yaml'))
     # Of such a momentum the energy is beyond float32.
-    (tmp_path / 'sweep.yaml').write_text(text.replace('hamiltonian.length', 'initial_state.p.angle')
-                                         .replace('[1.0, -1.0]', '[0.0, 1.0e+20]'))
+    text = text.replace('hamiltonian.length', 'initial_state.p.angle')
+    (tmp_path / 'sweep.yaml').write_text(text.replace('[1.0, -1.0]', '[0.0, 1.0e+20]'))
     command = [str(tmp_path / 'sweep.yaml'), '--episodes', 'lerobot', '--out',
                str(tmp_path / 'out')]
-    with pytest.raises(HnnViRosError, match='observation.energy of trajectory 2 is beyond float32'):
+    with pytest.raises(HnnViRosError, match='energy of trajectory 2 is beyond float32'):
         main(command)
     assert not (tmp_path / 'out').exists()
     assert main([*command, '--select', '0:2']) == 0
