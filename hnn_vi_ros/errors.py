@@ -104,7 +104,7 @@ class Interrupted(HnnViRosError):
 
 
 class StateError(HnnViRosError, ValueError):
-    """A state that nothing can begin at: not finite, behind a wall, or off its constraints."""
+    """A state that nothing can begin at, such as one behind a wall or off its constraints."""
 
     remedy = ('begin elsewhere: at finite numbers, within the limits of joints and walls, and '
               'where constraints hold')

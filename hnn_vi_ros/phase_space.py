@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hnn_vi_ros.errors import StateError
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -179,9 +178,7 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[in
     Raises
     ------
     ValueError
-        A wrong length.
-    StateError
-        A value that is not a finite number, or a quaternion whose norm is not 1.
+        A wrong length, a value that is not a finite number, or a quaternion whose norm is not 1.
 
     """
     arrays = []
@@ -192,7 +189,7 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[in
                     'four for each quaternion' if name == 'q' else 'three for each rotation')
             raise ValueError(f'{name} has shape {array.shape}, expected ({width},): {each}')
         if not np.isfinite(array).all():
-            raise StateError(f'{name} = {array.tolist()} is not finite')
+            raise ValueError(f'{name} = {array.tolist()} is not finite')
         arrays.append(array)
     if arrays[0].shape[:-1] != arrays[1].shape[:-1]:
         raise ValueError(f'q and p have different shapes, {arrays[0].shape}, {arrays[1].shape}')
@@ -202,10 +199,10 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[in
 
 
 def _normalise(quaternions: np.ndarray, column: int) -> None:
-    """Make quaternions of shape (..., 4) unit ones, or raise StateError."""
+    """Make quaternions of shape (..., 4) unit ones, or raise ValueError."""
     norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     if (abs(norms - 1.0) > _NORM_ERROR).any():
-        raise StateError(f'q, from column {column} on, is a quaternion of norm '
+        raise ValueError(f'q, from column {column} on, is a quaternion of norm '
                          f'{float(norms.flat[abs(norms - 1.0).argmax()]):.9g}; expected a unit '
                          'quaternion x, y, z, w: divide it by its norm')
     # One that has norm 1 but for rounding is that of a state that is gone on from.

@@ -139,7 +139,7 @@ class Simulation:
         self._energy0 = self.energy
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
-        """Raise StateError or ValueError if nothing can begin at a state."""
+        """Raise StateError if nothing can begin at a state."""
         self._system.check_state(q, p)
 
     def _state(self, array: np.ndarray) -> np.ndarray:

@@ -173,32 +173,32 @@ class System:
         counts = (getattr(self._parameters[i], 'cuts', None) for i in self._in(Place.OUTSIDE))
         return sum(int(count[0]) for count in counts if count is not None)
 
-    def check_state(self, state_q: ArrayLike, state_p: ArrayLike
-                    ) -> tuple[np.ndarray, np.ndarray]:
+    def check_state(self, q: ArrayLike, p: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
         Return fresh arrays of a state, of shape (d,) or (m, d), or raise.
 
         Raises
         ------
         StateError
-            It is not finite, behind a wall or off its rods.
-        ValueError
-            It has another shape, or is of several trajectories, of which an effect takes one.
+            It is not finite, behind a wall or off its rods, has another shape, or is of several
+            trajectories, of which an effect takes one.
 
         """
-        states = check_state(state_q, state_p, self.hamiltonian.dimension,
-                             self.hamiltonian.rotations)
-        q, p = (part.ravel() for part in states)
-        if not self.lockstep and q.size > self.hamiltonian.dimension:
-            raise ValueError('q and p are several states, of which one at a time is taken by '
-                             f'{", ".join(self._single_file)}; use simulate_many')
         try:
-            for effect, parameters in zip(self._effects, self._parameters, strict=True):
-                effect.check_state(self.hamiltonian, parameters, q)
-            if self._constraints is not None:
-                self._constraints.check_state(q, p)
+            return self._checked(q, p)
         except ValueError as problem:
             raise StateError(str(problem)) from problem
+
+    def _checked(self, q: ArrayLike, p: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        states = check_state(q, p, self.hamiltonian.dimension, self.hamiltonian.rotations)
+        flat_q, flat_p = (part.ravel() for part in states)
+        if not self.lockstep and flat_q.size > self.hamiltonian.dimension:
+            raise ValueError('q and p are several states, of which one at a time is taken by '
+                             f'{", ".join(self._single_file)}; use simulate_many')
+        for effect, parameters in zip(self._effects, self._parameters, strict=True):
+            effect.check_state(self.hamiltonian, parameters, flat_q)
+        if self._constraints is not None:
+            self._constraints.check_state(flat_q, flat_p)
         return states
 
     def energies(self, z: Point) -> list[float]:
