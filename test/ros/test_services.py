@@ -130,7 +130,7 @@ def test_initial_state_is_answered_and_can_reset_at_once(folder):
             'hnn_simulator: initial_state', b'\0', 'reset to it')
         assert {one.key: one.value for one in good.values} == {'x': '2.0', 'p_x': '0.5'}
         assert stamp(answers[-1]) == 0
-        for bad, why in (({'position': [-1.0], 'velocity': [0.0]}, 'initial state is refused'),
+        for bad, why in (({'position': [-1.0], 'velocity': [0.0]}, 'x = -1.0 is behind the wall'),
                          ({'position': [], 'velocity': [0.0]}, 'position must be 1 finite')):
             status = answer(**bad)
             assert status.level == b'\2' and why in status.message and not status.values
