@@ -327,8 +327,7 @@ class Simulation:
             A step did not converge or is not finite; the state is that before the step.
 
         """
-        q_out = np.empty((samples, self._z.q.size))
-        p_out = np.empty_like(q_out)
+        q_out, p_out = np.empty((2, samples, self._z.q.size))
         done, changed, failure = 0, -1, None
         while failure is None:
             outcome, done, residual, spent = self._run(done, every, q_out, p_out)
