@@ -200,7 +200,9 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[in
 
 def _normalise(quaternions: np.ndarray, column: int) -> None:
     """Make quaternions of shape (..., 4) unit ones, or raise ValueError."""
-    norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    # Infinity is no norm of 1, and needs no warning of numpy's beside the error.
+    with np.errstate(over='ignore'):
+        norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     if (abs(norms - 1.0) > _NORM_ERROR).any():
         raise ValueError(f'q, from column {column} on, is a quaternion of norm '
                          f'{float(norms.flat[abs(norms - 1.0).argmax()]):.9g}; expected a unit '

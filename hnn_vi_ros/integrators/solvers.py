@@ -205,8 +205,10 @@ def _residual(value: np.ndarray, x: np.ndarray, scale: np.ndarray, defect: np.nd
         elif scale[i] > 0.0:
             defect[i] = difference / scale[i]
         else:
-            # A state and slope of zero say nothing about the size of the solution.
-            defect[i] = difference / max(abs(value[i]), abs(x[i]))
+            # A state and slope of zero say nothing about the size of the solution; nor does an
+            # iterate that is lost, which may be not a number beside zero.
+            size = max(abs(value[i]), abs(x[i]))
+            defect[i] = difference / size if size > 0.0 else difference
         if not abs(defect[i]) <= result:
             result = abs(defect[i])
     return result

@@ -5,6 +5,7 @@
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
+import warnings
 
 from helpers import exact, python_kernel, python_step, Uncompiled
 from hnn_vi_ros import simulate
@@ -25,7 +26,7 @@ from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecti
 from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
 from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import check_state, Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from mpmath import mpf
@@ -315,6 +316,10 @@ def test_state_of_a_rotation_is_checked():
         simulation(LieLeapfrog(), 0.1, state=(Q, [*P, 0.0]))
     with pytest.raises(ValueError, match='norm 1.1.* unit quaternion'):
         simulation(LieLeapfrog(), 0.1, state=(1.1 * Q, P))
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        with pytest.raises(ValueError, match='norm inf.* unit quaternion'):
+            check_state(1e300 * Q, P, 4, (0,))
     run = simulation(LieLeapfrog(), 0.1, state=(np.round(Q, 7), P))
     assert abs(run.q @ run.q - 1.0) < 1e-15
 

@@ -8,7 +8,7 @@ from helpers import EPS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.implicit_midpoint import MidpointWork
@@ -21,6 +21,7 @@ from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.loops import advance
+import numba
 import numpy as np
 import pytest
 
@@ -323,3 +324,13 @@ def test_round_off_of_a_small_momentum_is_relative_to_itself(name):
 
     # Residuals of at most 8 eps a step; relative to the large momentum 2^40 times that.
     assert small(2.0 ** 20) == pytest.approx(small(1.0), abs=100 * 8 * EPS)
+
+
+@pytest.mark.parametrize('value, x, scale', [(np.nan, 0.0, np.nan), (0.0, np.nan, 0.0),
+                                             (np.nan, 0.0, 0.0)])
+def test_residual_of_a_lost_iterate_is_no_division_by_zero(value: float, x: float, scale: float):
+    """Compiled code raises where a zero divides, plain Python on numpy's numbers does not."""
+    defect = np.zeros(1)
+    residual = numba.njit(solvers._residual)(
+        np.array([value]), np.array([x]), np.array([scale]), defect)
+    assert np.isnan(residual) and np.isnan(defect[0])
