@@ -118,8 +118,8 @@ def main(argv: Sequence[str]) -> None:
         print(f'model: {out}')
         return
     if arguments.epsilon is not None or arguments.floor:
-        raise ParameterError(f'--epsilon, --floor: of the layouts {", ".join(BODIES)} alone; leave '
-                             f'them with --layout {arguments.layout}')
+        raise ParameterError(f'--epsilon, --floor: of the layouts {", ".join(BODIES)} alone; '
+                             f'leave them with --layout {arguments.layout}')
     layers = read_layers(arguments.file)
     try:
         layers = energy_layers(layers, arguments.layout, arguments.order)
@@ -142,23 +142,20 @@ def main(argv: Sequence[str]) -> None:
 def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
     """Return the model of a body that turns."""
     epsilon, floor, source = arguments.epsilon, arguments.floor, arguments.file
-    wrong = {
-        '--epsilon': epsilon is None or not 0.0 <= epsilon < np.inf and (
-            f'--epsilon {epsilon}: expected a finite number >= 0'),
-        '--floor': not 0.0 <= floor < np.inf and f'--floor {floor}: expected a finite number >= 0',
-        '--activation': arguments.activation != 'tanh' and (
-            f'--activation {arguments.activation}: networks of bodies that turn have tanh'),
-        '--order': arguments.order != 'qp' and '--order pq: not of bodies that turn; leave it',
-        '--box-of': arguments.box is None and '--box-of: not of bodies that turn; give --box',
-        '--coordinates': len(names) != 1 and (
-            f'--coordinates {",".join(names)}: {len(names)} names, expected one, of the body')}
-    for option, problem in wrong.items():
-        if problem is True:
-            raise ParameterError(f'{option}: give it with --layout {arguments.layout}; the file '
-                                 "does not say; that code's examples take 0.1 for so3 and 0.01 "
-                                 'for se3')
-        if problem:
-            raise ParameterError(problem)
+    if epsilon is None:
+        raise ParameterError(f'--epsilon: give it with --layout {arguments.layout}; the file does '
+                             "not say; that code's examples take 0.1 for so3 and 0.01 for se3")
+    wrong = [
+        (arguments.box is None, '--box-of: not of bodies that turn; give --box'),
+        (arguments.order != 'qp', '--order pq: not of bodies that turn; leave it'),
+        (arguments.activation != 'tanh',
+         f'--activation {arguments.activation}: networks of bodies that turn have tanh'),
+        (len(names) != 1, f'--coordinates {arguments.coordinates}: {len(names)} names, expected '
+                          'one, of the body')]
+    wrong += [(not 0.0 <= value < np.inf, f'{option} {value}: expected a finite number >= 0')
+              for option, value in (('--epsilon', epsilon), ('--floor', floor))]
+    for problem in (text for found, text in wrong if found):
+        raise ParameterError(problem)
     try:
         group, networks = body_networks(read_networks(source), arguments.layout, epsilon, floor)
         d = group.size + 1

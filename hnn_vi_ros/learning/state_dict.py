@@ -34,8 +34,9 @@ def read_layers(path: Path) -> Layers:
     """
     networks = read_networks(path)
     if len(networks) != 1:
-        raise ModelError(f'{path}: holds {len(networks)} networks ({", ".join(sorted(networks))}), '
-                         f'expected one; {_SHAPES}')
+        names = ', '.join(sorted(networks))
+        raise ModelError(f'{path}: holds {len(networks)} networks ({names}), expected one; '
+                         f'{_SHAPES}')
     (layers,) = networks.values()
     return layers
 
