@@ -145,8 +145,8 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK)
     grid = figure.subplots(2, max(len(groups), 1), squeeze=False)
-    figure.subplots_adjust(left={1: 0.16, 2: 0.1}.get(len(groups), 0.075), right=0.985, bottom=0.21,
-                           top=0.92, wspace=0.13, hspace=0.34)
+    figure.subplots_adjust(left={1: 0.16, 2: 0.1}.get(len(groups), 0.075), right=0.985,
+                           bottom=0.21, top=0.92, wspace=0.13, hspace=0.34)
     drawn = []
     for i, (line, panel) in enumerate(zip(grid, panels_of(rows), strict=True)):
         floor = getattr(model, _FLOORS[panel.y]) if model else math.nan
