@@ -96,8 +96,8 @@ class LieStormerVerlet(Integrator):
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspace of a step; see Integrator."""
-        forces, change, x = np.zeros((3, n), dtype)
-        return (FlightWork(forces, change, x, np.zeros(4, dtype)),)
+        return (FlightWork(np.zeros(n, dtype), np.zeros(n, dtype), np.zeros(n, dtype),
+                           np.zeros(4, dtype)),)
 
     def substep(self) -> Integrator | None:
         """Return this method: it is symmetric."""
