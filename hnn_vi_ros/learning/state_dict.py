@@ -34,7 +34,7 @@ def read_layers(path: Path) -> Layers:
     """
     networks = read_networks(path)
     if len(networks) != 1:
-        names = ', '.join(sorted(networks))
+        names = ', '.join(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
         raise ModelError(f'{path}: holds {len(networks)} networks ({names}), expected one; '
                          f'{_SHAPES}')
     (layers,) = networks.values()
