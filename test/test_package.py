@@ -48,8 +48,9 @@ HOMES = {
     'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
              r'|torch\.py|lockstep/\w+\.py|run/device_ensemble\.py',
     'torchdiffeq': r'studies/peers\.py',
-    'jax': r'studies/peers\.py',
-    'diffrax': r'studies/peers\.py',
+    'jax': r'studies/(turning_)?peers\.py',
+    'diffrax': r'studies/(turning_)?peers\.py',
+    'mujoco': r'studies/turning_peers\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',

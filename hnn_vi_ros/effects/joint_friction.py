@@ -76,7 +76,8 @@ class JointFriction(Force):
         friction = joint_numbers(
             coordinates, self.source, lambda joint: joint.friction, self.friction)
         if not (np.nan_to_num(damping).any() or np.nan_to_num(friction).any()):
-            raise ValueError('no joint has damping or friction; give them, or leave the effect out')
+            raise ValueError(
+                'no joint has damping or friction; give them, or leave the effect out')
         return JointFrictionParameters(
             np.nan_to_num(damping), np.nan_to_num(friction), self.speed)
 

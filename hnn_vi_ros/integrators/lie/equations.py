@@ -202,7 +202,7 @@ def is_too_far(kernel: Kernel, x: np.ndarray) -> bool:
 
 @called
 def is_beyond(kernel: Kernel, x: np.ndarray) -> bool:
-    """Tell whether the Cayley map of some x turns by LARGEST_TURN or more."""
+    """Return whether the Cayley map of some x turns by LARGEST_TURN or more."""
     for start in range(0, x.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             # Not a number is beyond as well.

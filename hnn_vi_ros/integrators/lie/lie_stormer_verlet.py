@@ -19,7 +19,7 @@ import numpy as np
 
 class FlightWork(NamedTuple):
     """
-    What a step works on; arrays of shape (n,) but for the last.
+    Workspace of a step; arrays of shape (n,) but for the last.
 
     Parameters
     ----------
