@@ -66,7 +66,7 @@ def built_by_colcon() -> bool:
 
 setup(
     name=NAME,
-    version='0.1.0',
+    version='0.2.0',
     packages=find_packages(exclude=['test', 'test.*']),
     package_data={NAME: ['py.typed', 'studies/*.html']},
     data_files=[
