@@ -3,7 +3,7 @@
 """Measure what accuracy costs for bodies that turn, beside peers; write tables and pictures."""
 
 from argparse import ArgumentParser
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import csv
 from dataclasses import replace
 import json
@@ -25,6 +25,7 @@ from hnn_vi_ros.studies.references import INSTANTS, Reference
 from hnn_vi_ros.studies.results import COLUMNS, commit, row_texts
 from hnn_vi_ros.studies.turning_peers import turning_peers
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 # What a body is thrown with: p in space [kg m/s], L in its frame [kg m^2/s]; then it falls.
 THROWN = (0.8, 0.0, 2.4, 0.012, -0.02, 0.04)
@@ -42,6 +43,10 @@ _TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _STEPS = (0.01, 0.005, 0.0025, 0.00125)
 # Of the reference.
 _METHOD, _STEP = 'lie_gauss16', 0.1
+# A long run, and how often its invariants are looked at; methods with their step size or tolerance.
+LONG, _LOOKS = 10_000.0, 100
+_LONG = {'lie_leapfrog': 0.01, 'lie_stormer_verlet': 0.01, 'kahan_li8': 0.1,
+         'RK4 on quaternions': 0.01, 'scipy RK45': 1e-7}
 
 
 class Case(NamedTuple):
@@ -134,6 +139,54 @@ def measure(case: Case, horizon: float, rounds: int, quick: bool
     return rows, reference
 
 
+def states(case: Case, name: str, setting: float, horizon: float, peers: Sequence[Peer]
+           ) -> Iterator[np.ndarray]:
+    """Yield (q, p) at even instants of a run: of one of our methods, or of a peer's."""
+    duration = horizon / _LOOKS
+    if name in INTEGRATORS:
+        run = Simulation(case.hamiltonian, method_of(name), setting, case.q, case.p)
+        for _ in range(_LOOKS):
+            run.advance(round(duration / setting))
+            yield np.concatenate([run.q, run.p])
+        return
+    (peer,) = (one for one in peers if one.name == name)
+    z = np.concatenate([case.q, case.p])
+    for _ in range(_LOOKS):
+        z, _ = peer.solve(z, duration, setting)
+        yield z
+
+
+def drifts(case: Case, horizon: float) -> str:
+    """Return a table of what long runs of a top keep: H, L_z and the norm of the quaternion."""
+    lines = ['| | setting | energy error [J], first tenth | all | change of L_z | norm - 1 | '
+             'time [ms] |', '|---' * 7 + '|']
+    z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
+    for name, setting in _LONG.items():
+        for _ in states(case, name, setting, _LOOKS * setting, peers):
+            pass  # what is compiled
+        start = time.process_time()
+        z = np.array([z0, *states(case, name, setting, horizon, peers)])
+        taken = time.process_time() - start
+        energy, vertical, norm = invariants(case, z)
+        error = np.abs(energy - energy[0])
+        option = f'h = {setting:g} s' if setting > 1e-4 else f'tolerance {setting:g}'
+        shown = f'`{name}`' if name in INTEGRATORS else name
+        lines.append(
+            f'| {shown} | {option} | {error[:_LOOKS // 10 + 1].max():.1e} | {error.max():.1e} | '
+            f'{np.abs(vertical / vertical[0] - 1.0).max():.1e} | {np.abs(norm - 1.0).max():.1e} | '
+            f'{1e3 * taken:.3g} |')
+    return '\n'.join(lines) + '\n'
+
+
+def invariants(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return H, the vertical angular momentum and the norm of the quaternion, of a top."""
+    q, p = z[:, :4], z[:, 4:]
+    norm = np.linalg.norm(q, axis=1)
+    # Of the attitude that a quaternion stands for, whatever its norm.
+    energy = case.hamiltonian.energy(q / norm[:, None], p)
+    return energy, Rotation.from_quat(q).apply(p)[:, 2], norm
+
+
 def table(rows: Sequence[StudyRow]) -> str:
     """Return the cheapest row of each method within 1e-8, or else its most accurate."""
     lines = ['| | setting | largest error | energy band [J] | time [ms] |', '|---' * 5 + '|']
@@ -206,4 +259,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     for case in cases():
         found[case.scene] = measure(case, horizon, rounds, arguments.quick)
         sections.append(section(case, *found[case.scene]))
+    top, long = cases()[0], 100.0 if arguments.quick else LONG
+    sections.append(f'`{top.scene}` for {long:g} s, looked at {_LOOKS} times:\n\n'
+                    f'{drifts(top, long)}')
     write(arguments.docs, found, '\n'.join(sections))

@@ -43,7 +43,9 @@ def test_study_of_a_second_writes_the_page_and_rows_that_agree(docs: Path):
         assert page_data(docs / 'accuracy')['scenes'][scene]['horizons'].keys() == {'1.0'}
         assert (docs / 'accuracy' / f'{scene}_1s.png').stat().st_size > 1000
     page = (docs / 'turning-bodies.md').read_text()
-    assert page.count('| `kahan_li8` |') == 2 and page.count('| MuJoCo RK4 |') == 2
+    # The last table tells what is kept, of ours and of two of the peers.
+    assert page.count('| `kahan_li8` |') == 3 and page.count('| MuJoCo RK4 |') == 2
+    assert page.count('| RK4 on quaternions |') == 3
     assert page.index('## Limits') > page.index(turning_costs.END)
 
 
@@ -57,6 +59,15 @@ def test_table_has_the_cheapest_good_row_of_each_method_and_the_best_of_others()
         row('MuJoCo RK4', 0.1, math.nan, 1e-3, 'not finite at t = 1 s')])
     assert text.splitlines()[2:] == ['| `kahan_li8` | h = 0.2 s | 5.0e-09 | 0.0e+00 | 10 |',
                                      '| a peer | tolerance 1e-09 | 2.0e-07 | 0.0e+00 | 0.1 |']
+
+
+def test_what_a_top_keeps_is_that_of_its_attitude_whatever_the_norm():
+    case = turning_costs.cases()[0]
+    z = np.array([np.concatenate([share * case.q, case.p]) for share in (1.0, 1.5)])
+    energy, vertical, norm = turning_costs.invariants(case, z)
+    assert energy[1] == pytest.approx(energy[0], rel=1e-15)
+    assert vertical[1] == pytest.approx(vertical[0], rel=1e-15)
+    assert norm == pytest.approx([1.0, 1.5], rel=1e-15)
 
 
 def test_page_without_its_marks_is_one_line(docs: Path):
