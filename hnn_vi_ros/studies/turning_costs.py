@@ -43,7 +43,7 @@ _TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _STEPS = (0.01, 0.005, 0.0025, 0.00125)
 # Of the reference.
 _METHOD, _STEP = 'lie_gauss16', 0.1
-# A long run, and how often its invariants are looked at; methods with their step size or tolerance.
+# A long run, how often its invariants are looked at, and methods with step size or tolerance.
 LONG, _LOOKS = 10_000.0, 100
 _LONG = {'lie_leapfrog': 0.01, 'lie_stormer_verlet': 0.01, 'kahan_li8': 0.1,
          'RK4 on quaternions': 0.01, 'scipy RK45': 1e-7}
