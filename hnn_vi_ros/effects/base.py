@@ -118,6 +118,8 @@ class Effect(ABC):
         Whether it can act on several trajectories that step together.
     turns : bool
         Whether it acts on systems that turn as well.
+    limits : bool
+        Whether its parameters tell limits of joints: their places, positions and signs.
     knots : int
         How many knots of a path it may follow; see Reference.
     excludes : mapping of Place to str
@@ -130,6 +132,7 @@ class Effect(ABC):
     single: ClassVar[bool] = False
     lockstep: ClassVar[bool] = True
     turns: ClassVar[bool] = False
+    limits: ClassVar[bool] = False
     knots: ClassVar[int] = 0
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 

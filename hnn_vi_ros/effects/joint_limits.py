@@ -49,6 +49,8 @@ class JointLimits(Bouncing):
 
     """
 
+    limits = True
+
     def __init__(self, from_: Literal['urdf'] | None = None,
                  lower: dict[str, float] | None = None, upper: dict[str, float] | None = None,
                  restitution: float = 0.0):

@@ -223,8 +223,8 @@ def _read(path: Path) -> bytes:
             what = 'a folder' if stat.S_ISDIR(status.st_mode) else 'not a regular file'
             raise ModelError(f'{path}: is {what}; give the path of a .safetensors file')
         if status.st_size > MAX_BYTES:
-            raise ModelError(f'{path}: is of {status.st_size >> 20} MiB, and no model needs more '
-                             f'than {MAX_BYTES >> 20}; give the .safetensors file of a model')
+            raise ModelError(f'{path}: is larger than any model, of {status.st_size} bytes; '
+                             'give the .safetensors file of a model')
         return path.read_bytes()
     except FileNotFoundError as problem:
         raise ModelError(f'{path}: no such model file; train one with: '

@@ -9,7 +9,6 @@ from hnn_vi_ros.effects.base import Effect, Force
 from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION,
     POSITION)
-from hnn_vi_ros.effects.held import Stops
 import numpy as np
 
 # What digits of a limit leave, as a share of it and of one unit.
@@ -42,7 +41,7 @@ class Motors:
         self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
         driven = [(effect.names, own.places.size) for effect, own in self._effects
                   if NUMBERS in effect.takes]
-        self._stops = [own for _, own in effects if isinstance(own, Stops)]
+        self._stops: list[Any] = [own for effect, own in effects if effect.limits]
         # There is at most one.
         self.names: Sequence[str] = driven[0][0] if driven else ()
         self.size: int = driven[0][1] if driven else 0

@@ -179,6 +179,8 @@ class System:
 
         Raises
         ------
+        EffectError
+            Constraints depend on each other there, or a gradient is not that of its function.
         StateError
             It is not finite, behind a wall or off its rods, has another shape, or is of several
             trajectories, of which an effect takes one.
@@ -186,6 +188,8 @@ class System:
         """
         try:
             return self._checked(q, p)
+        except EffectError:
+            raise  # it tells which effect, and so its place in the scene
         except ValueError as problem:
             raise StateError(str(problem)) from problem
 

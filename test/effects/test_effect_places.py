@@ -130,5 +130,5 @@ def test_effect_in_the_middle_is_taken_by_methods_with_halves():
 
 def test_effect_that_takes_one_state_at_a_time_is_named():
     with pytest.raises(ValueError, match='one at a time is taken by Outermost; use simulate_many'):
-        system(Kick(), Outermost()).check_state(np.zeros(2), np.zeros(2))
+        system(Kick(), Outermost()).check_state(np.zeros((2, 1)), np.zeros((2, 1)))
     assert system(Kick()).lockstep

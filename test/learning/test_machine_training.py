@@ -250,7 +250,7 @@ def test_friction_that_depends_on_the_angle_is_learned():
         'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
         'family': {'kind': 'mechanical', 'mass': 'constant', 'friction': {
             'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['angle']}},
-        'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 200}})
+        'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}})
     train = [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)]
     network = MechanicalNetwork(config.structure(), config.hidden, scales_of(train), config.seed)
     fit(network, config, train)
