@@ -76,7 +76,8 @@ def test_notebook_is_committed_without_what_its_run_leaves(path):
     ('energy drift', 'concepts/energy'), ('URDF', 'tutorials/urdf-arm'),
     ('disk full', 'how-to/bags')])
 def test_search_of_the_site_finds_the_page(query, page):
-    english = pytest.importorskip('sphinx.search.en').SearchEnglish({})
+    english = pytest.importorskip(
+        'sphinx.search.en', reason='sphinx is not installed; see `make docs`').SearchEnglish({})
     index = json.loads(re.search(r'\((.*)\)', INDEX.read_text(encoding='utf-8'), re.S)[1])
 
     def pages(word: str, *tables: str) -> set[str]:
