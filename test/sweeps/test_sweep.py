@@ -334,14 +334,16 @@ def test_killed_sweep_goes_on_where_it_stopped(whole, tmp_path, jobs):
             'folder.SweepFolder.put = lambda self, *a: (time.sleep(1.0), put(self, *a)); '
             'sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()')
     with subprocess.Popen([sys.executable, '-c', code, str(path), '--out', str(out), '--jobs',
-                           str(jobs)], stdout=subprocess.DEVNULL) as run:
+                           str(jobs)], stdout=subprocess.DEVNULL, start_new_session=True) as run:
         deadline = time.monotonic() + 120.0
         while not list(out.glob('part-*')) and time.monotonic() < deadline:
             time.sleep(0.02)
-        os.kill(run.pid, signal.SIGKILL)
+        # Its processes as well: one that is left goes on with the shard that it has begun.
+        os.killpg(run.pid, signal.SIGKILL)
     there = contents(out)
     assert 'part-000000.parquet' in there or 'part-000001.parquet' in there
-    # What half a file would be left as.
+    # What half a file would be left as; workers of their own may have come to the whole one.
+    (out / 'part-000003.parquet').unlink(missing_ok=True)
     (out / '.part-000003.parquet.elsewhere.1').write_bytes(b'half')
     sweep(LENGTHS, out)
     assert {name: data for name, data in contents(out).items() if name != 'sweep.json'} == {
