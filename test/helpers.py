@@ -163,7 +163,9 @@ def exact_options(integrator: Integrator) -> tuple:
         return options._replace(solver=options.solver._replace(connected=False))
     if not isinstance(integrator, (Gauss, LieGauss)):
         return options
-    return Tableau(*exact_tableau(integrator.stages), options.solver)
+    # The eigenvectors are known to double precision: without them.
+    solver = options.solver._replace(solve=solvers.anderson)
+    return Tableau(*exact_tableau(integrator.stages), solver, options.modes)
 
 
 def exact_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

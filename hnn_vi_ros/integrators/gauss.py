@@ -11,7 +11,9 @@ from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
-from hnn_vi_ros.integrators.solvers import SolverOptions
+from hnn_vi_ros.integrators.simplified_newton import (
+    Modes, modes_of, ModesWork, simplified_newton)
+from hnn_vi_ros.integrators.solvers import anderson, SolverOptions
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -32,6 +34,8 @@ class Tableau(NamedTuple):
         The integral from 1 to 1 + c_i: the collocation polynomial, extrapolated by a step.
     solver : SolverOptions
         For the stages.
+    modes : Modes
+        The eigenvectors of the matrix.
 
     """
 
@@ -39,6 +43,7 @@ class Tableau(NamedTuple):
     weights: np.ndarray
     start: np.ndarray
     solver: SolverOptions
+    modes: Modes
 
 
 class StageSlopes(NamedTuple):
@@ -68,6 +73,8 @@ class GaussWork(NamedTuple):
         For the next start.
     solver : SolverWork
         What its solvers work on.
+    modes : ModesWork
+        What the simplified Newton method works on besides.
     stages : np.ndarray, shape (2 s n,)
         q of the stages one after another, then p.
 
@@ -75,6 +82,7 @@ class GaussWork(NamedTuple):
 
     kept: StageSlopes
     solver: SolverWork
+    modes: ModesWork
     stages: np.ndarray
 
 
@@ -84,6 +92,8 @@ class _Problem(NamedTuple):
     kernel: Kernel
     h: float
     matrix: np.ndarray
+    modes: Modes
+    work: ModesWork
     z: Point
     q: np.ndarray
     p: np.ndarray
@@ -126,7 +136,9 @@ class Collocation(ImplicitIntegrator):
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
         """Return the coefficients and the options of the solver."""
-        return Tableau(*gauss_tableau(self.stages), super().options(attempt, dimension))
+        matrix, weights, start = gauss_tableau(self.stages)
+        return Tableau(matrix, weights, start, super().options(attempt, dimension),
+                       modes_of(tuple(map(tuple, matrix.tolist()))))
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: position and momentum of each stage."""
@@ -155,11 +167,19 @@ class Gauss(Collocation):
     requirements = Requirements(symmetric=True, symplectic=True)
     kernel_name = 'Gauss'
 
+    def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
+        """Return the coefficients and the options; few coordinates have a solver of their own."""
+        options = super().options(attempt, dimension)
+        if options.solver.solve is not anderson or 2 * dimension > self.stages:
+            return options
+        return options._replace(solver=options.solver._replace(solve=simplified_newton))
+
     def memory(self, n: int, dtype: type = np.float64) -> tuple[GaussWork]:
         """Return the workspace of the equation; see Integrator."""
         (size,) = self.unknowns(n)
         kept = StageSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype))
-        return (GaussWork(kept, SolverWork.empty(size, dtype), np.zeros(size, dtype)),)
+        return (GaussWork(kept, SolverWork.empty(size, dtype), ModesWork.empty(self.stages, n),
+                          np.zeros(size, dtype)),)
 
     @property
     def partitioned(self) -> PartitionedTableau:
@@ -182,8 +202,8 @@ class Gauss(Collocation):
             scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
         _start(options, kept, z, h, x)
         # The slopes H_q and H_p at the stages stay in the workspace for the next start.
-        problem = _Problem(kernel, h, options.matrix, z, x[:s * n], x[s * n:],
-                           slopes[:s * n], slopes[s * n:])
+        problem = _Problem(kernel, h, options.matrix, options.modes, work.modes, z, x[:s * n],
+                           x[s * n:], slopes[:s * n], slopes[s * n:])
         outcome, residual, rounds = options.solver.solve(
             _equation, _tangent, problem, x, work.solver, options.solver.max_iterations)
         if outcome != OK:

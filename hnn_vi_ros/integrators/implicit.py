@@ -24,7 +24,8 @@ class ImplicitIntegrator(Integrator):
     A method whose step solves equations of n unknowns each, unless ``unknowns`` says otherwise.
 
     The chain of solvers: an extrapolated start; the secant method where the unknowns are
-    independent, else Anderson's; for a step that these do not solve, Newton's method: with a
+    independent, the simplified Newton method for the stages of Gauss methods in few coordinates,
+    else Anderson's; for a step that these do not solve, Newton's method: with a
     Jacobian up to 128 unknowns, without one beyond, and with one again, up to 512 unknowns, where
     that fails; for one that Newton's does not solve either, sub-steps of a symmetric method. Where
     ``no_solution`` says so, a step of up to 128 unknowns that is not solved quickly is solved by

@@ -99,7 +99,7 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
                                          stage, k == max_iterations)
         if outcome != GO_ON:
             return outcome, residual, k
-        if stage == COMMON and _is_hopeless(k, residual, previous):
+        if stage == COMMON and is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
         if k == 2:
             iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
@@ -139,7 +139,7 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
                                          stage, k == max_iterations)
         if outcome != GO_ON:
             return outcome, residual, k
-        if stage == COMMON and _is_hopeless(k, residual, previous):
+        if stage == COMMON and is_hopeless(k, residual, previous):
             return NO_CONVERGENCE, residual, k
         if k == 2:
             iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
@@ -244,7 +244,7 @@ def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
 
 
 @inlined
-def _is_hopeless(k: int, residual: float, previous: float) -> bool:
+def is_hopeless(k: int, residual: float, previous: float) -> bool:
     """Return whether there is no contraction to speak of: Newton's method will be cheaper."""
     return k > 5 and residual > 0.5 * previous and residual > 1e-8
 

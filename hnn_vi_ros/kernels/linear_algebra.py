@@ -84,6 +84,69 @@ def solve_factorised(matrix: np.ndarray, pivots: np.ndarray, right: np.ndarray) 
 
 
 @inlined
+def invert(matrix: np.ndarray, first: int, pivots: np.ndarray) -> bool:
+    """
+    Invert a complex matrix in place, by Gauss-Jordan elimination with row pivots.
+
+    Parameters
+    ----------
+    matrix : np.ndarray of complex, shape (N,)
+        Holds the n x n entries, row by row.
+    first : int
+        Where they begin.
+    pivots : np.ndarray, shape (n,)
+        Working space.
+
+    Returns
+    -------
+    bool
+        False if the matrix is singular.
+
+    """
+    n = pivots.size
+    if n == 2:
+        a, b = matrix[first], matrix[first + 1]
+        c, d = matrix[first + 2], matrix[first + 3]
+        determinant = a * d - b * c
+        if not abs(determinant) > 0.0:
+            return False
+        share = 1.0 / determinant
+        matrix[first], matrix[first + 1] = d * share, -b * share
+        matrix[first + 2], matrix[first + 3] = -c * share, a * share
+        return True
+    for k in range(n):
+        pivot, largest = k, 0.0
+        for i in range(k, n):
+            entry = matrix[first + i * n + k]
+            size = entry.real * entry.real + entry.imag * entry.imag
+            if size > largest:
+                pivot, largest = i, size
+        pivots[k] = pivot
+        if not largest > 0.0:
+            return False
+        if pivot != k:
+            for j in range(n):
+                own, other = first + k * n + j, first + pivot * n + j
+                matrix[own], matrix[other] = matrix[other], matrix[own]
+        share = 1.0 / matrix[first + k * n + k]
+        matrix[first + k * n + k] = 1.0
+        for j in range(n):
+            matrix[first + k * n + j] *= share
+        for i in range(n):
+            factor = matrix[first + i * n + k]
+            if i != k and factor != 0.0:
+                matrix[first + i * n + k] = 0.0
+                for j in range(n):
+                    matrix[first + i * n + j] -= factor * matrix[first + k * n + j]
+    for k in range(n - 1, -1, -1):
+        if pivots[k] != k:
+            for i in range(n):
+                own, other = first + i * n + k, first + i * n + pivots[k]
+                matrix[own], matrix[other] = matrix[other], matrix[own]
+    return True
+
+
+@inlined
 def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) -> int:
     """
     Solve in place by elimination without exchanges, for a matrix near a positive definite one.
