@@ -12,7 +12,13 @@ import sys
 import tempfile
 from typing import Any, IO
 
+from hypothesis import HealthCheck, settings
 import pytest
+
+# A machine that is busy is slow: that is no failure.
+settings.register_profile('any machine', deadline=None,
+                          suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile('any machine')
 
 # Domains above 101 use ports in Linux's ephemeral range, where any program may sit.
 _DOMAINS = range(1, 101)

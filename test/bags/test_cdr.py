@@ -17,7 +17,7 @@ NUMBERS = st.lists(st.floats(), max_size=5)
 
 @given(names=st.lists(st.text('abcé1_', max_size=9), max_size=4), frame=st.text('ab', max_size=5),
        seconds=st.integers(-2**31, 2**31 - 1), values=st.tuples(NUMBERS, NUMBERS, NUMBERS))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_joint_state_is_decoded_as_ros_serialises_it(names, frame, seconds, values):
     message = JointState(name=names, position=values[0], velocity=values[1], effort=values[2])
     message.header.frame_id = frame
@@ -30,7 +30,7 @@ def test_joint_state_is_decoded_as_ros_serialises_it(names, frame, seconds, valu
 
 
 @given(labels=st.lists(st.text('abc', max_size=9), max_size=3), values=NUMBERS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_array_is_decoded_as_ros_serialises_it(labels, values):
     message = Float64MultiArray(data=values, layout=MultiArrayLayout(
         dim=[MultiArrayDimension(label=label, size=3, stride=3) for label in labels]))

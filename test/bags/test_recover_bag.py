@@ -103,7 +103,7 @@ def test_whole_bag_stays_as_it_is_to_the_byte(tmp_path):
     assert path.read_bytes() == once
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(share=strategies.floats(0.0, 1.0))
 @example(share=0.0)
 @example(share=1.0)
@@ -153,7 +153,7 @@ def test_damaged_chunk_is_left_out_and_told(tmp_path, recorded):
     assert recovery.messages >= 3 * TICKS - len(lost) - 6
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(places=strategies.lists(strategies.tuples(
     strategies.floats(0.0, 1.0), strategies.integers(0, 255)), min_size=1, max_size=20))
 def test_file_with_any_bytes_changed_gives_a_whole_file_or_one_line(recorded, places):

@@ -165,7 +165,7 @@ DATA = strategies.recursive(
 
 
 @given(data=DATA)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_data_that_are_written_are_read_back_unchanged(data):
     found = parse(dump_yaml(data))
     assert found == data and repr(found) == repr(data)
@@ -182,7 +182,7 @@ def test_list_that_is_written_often_is_read_back():
         '[', ']', '{', '}', '- ', 'a: ', '? ', '&a ', '*a', '!t ', '|\n', '>', "'", '"', '\n  ',
         '\n', '%', '---', '...', '#', '\\x', '1', ',', '\t', '\x85', '<<', '\ud800']),
         max_size=60).map(''.join)))
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 def test_any_text_is_plain_data_or_a_refusal_of_one_line(text):
     try:
         parse(text)

@@ -350,7 +350,7 @@ def test_contradictory_log_description_is_refused(changes, words):
     st.text('0123456789.eE+- \n#naif', max_size=300).map(str.encode),
     st.lists(st.tuples(*[st.floats(allow_nan=False)] * 3), max_size=30).map(
         lambda rows: '\n'.join(' '.join(map(repr, row)) for row in sorted(rows)).encode())))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # overflow is what is tried here
 def test_random_log_gives_data_error_or_a_dataset(tmp_path_factory, raw):
     path = tmp_path_factory.getbasetemp() / 'random.txt'

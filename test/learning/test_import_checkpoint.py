@@ -286,7 +286,7 @@ def test_relu_network_is_imported_with_a_warning(tmp_path, capsys):
 
 @given(cuts=st.lists(st.tuples(st.integers(0, 3000), st.integers(0, 16),
                                st.binary(max_size=16)), min_size=1, max_size=3))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_mutated_file_gives_model_error_or_layers(tmp_path_factory, cuts):
     path = tmp_path_factory.getbasetemp() / 'mutated.tar'
     torch.save(LINEAR, path)

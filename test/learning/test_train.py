@@ -236,7 +236,7 @@ def test_shipped_training_configuration_is_valid(name):
 
 @given(start=st.integers(0, len(TINY)), length=st.integers(0, 20),
        replacement=st.text(max_size=10))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_mutated_configuration_gives_data_error_or_a_configuration(
         tmp_path_factory, start, length, replacement):
     path = tmp_path_factory.getbasetemp() / 'mutated.yaml'

@@ -209,7 +209,7 @@ def test_malicious_pickle_is_refused_and_not_executed(tmp_path, writer):
 @given(cuts=st.lists(st.tuples(
     st.one_of(st.integers(0, 1500), st.integers(0, len(SHIPPED))),
     st.integers(0, 16), st.binary(max_size=16)), min_size=1, max_size=4))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_mutated_model_gives_model_error_or_a_valid_model(tmp_path_factory, cuts):
     raw = SHIPPED
     for start, length, replacement in cuts:
@@ -225,7 +225,7 @@ def test_mutated_model_gives_model_error_or_a_valid_model(tmp_path_factory, cuts
 
 
 @given(offset=st.integers(0, 2000), byte=st.integers(0, 255))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_model_with_one_changed_byte_gives_model_error_or_a_valid_model(
         tmp_path_factory, offset, byte):
     raw = bytearray(SHIPPED)

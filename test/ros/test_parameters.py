@@ -135,8 +135,8 @@ def test_number_outside_its_range_is_refused_with_the_range(item):
         assert '\n' not in str(caught.value)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[
-    HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[
+    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(content=strategies.one_of(
     strategies.binary(max_size=200),
     strategies.tuples(strategies.integers(0, len(GOOD)), strategies.integers(0, 12),

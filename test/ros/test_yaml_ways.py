@@ -119,8 +119,8 @@ PIECES = strategies.one_of(
        changes=strategies.lists(strategies.tuples(
            strategies.integers(0, len(RESOLVED)), strategies.integers(0, 30), PIECES),
            min_size=1, max_size=3))
-@settings(max_examples=400, deadline=None, suppress_health_check=[
-    HealthCheck.function_scoped_fixture])
+@settings(max_examples=400, suppress_health_check=[
+    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes):
     for start, length, piece in changes:
         good = good[:start] + piece + good[start + length:]
@@ -137,8 +137,8 @@ def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes):
             lambda inner: strategies.lists(inner, max_size=3) | strategies.dictionaries(
                 strategies.sampled_from(['kind', 'q', 'p', 'model', 'factory']), inner),
             max_leaves=8)).map(dump_yaml)))
-@settings(max_examples=300, deadline=None, suppress_health_check=[
-    HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, suppress_health_check=[
+    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text):
     assert '\n' not in ways[way](text)
 
@@ -152,7 +152,7 @@ def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text):
             strategies.dictionaries(strategies.sampled_from(['sec', 'nsec']), strategies.one_of(
                 strategies.integers(), strategies.text(max_size=3), strategies.none())))),
         max_size=2).map(dump_yaml)))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_any_recorded_qos_gives_a_profile(text):
     assert isinstance(recorded_qos(text), QoSProfile)
     assert isinstance(qos_profiles(text), list)

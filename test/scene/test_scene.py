@@ -256,8 +256,8 @@ def test_model_path_is_found_beside_its_scene(write, tmp_path):
     assert scene.create_hamiltonian().dimension == 1
 
 
-FUZZ = settings(max_examples=150, deadline=2000,
-                suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=150,
+                suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 def load_and_build(path: Path) -> None:
