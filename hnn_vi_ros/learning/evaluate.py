@@ -33,7 +33,7 @@ from hnn_vi_ros.learning.machine_config import load_machine, Trajectory
 from hnn_vi_ros.learning.motion_arrays import ArraysData
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, read_motions
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.learning.plain_network import predicted_by
 from hnn_vi_ros.learning.rigid_body import best_rigid_body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -187,11 +187,11 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
     """
     Return the simulation that predicts motions, which share one interval.
 
-    Steps are the data's interval, or the largest whole part of it that is no longer than
-    ``step_size``.
+    Steps are the data's interval, or the largest whole part of it that is about ``step_size`` or
+    less.
     """
     spacing = motions[0].spacing
-    steps = 1 if step_size is None else max(1, math.ceil(spacing / step_size - 1e-9))
+    steps = 1 if step_size is None else steps_between(spacing, step_size)
     return Simulation(hamiltonian, integrator, spacing / steps, motions[0].q_smooth[0],
                       np.zeros(hamiltonian.dimension), effects)
 

@@ -19,7 +19,7 @@ from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, Unsuppo
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
-from hnn_vi_ros.learning.identify_input import check_times, steps_per_sample
+from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
 from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
@@ -28,6 +28,7 @@ from hnn_vi_ros.learning.identify_windows import Windows
 from hnn_vi_ros.learning.motion_arrays import ArraysData, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
+from hnn_vi_ros.learning.motions import steps_between
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 
@@ -95,7 +96,7 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
         raise DataError(f'{options.data[0]}: the motions were driven, but {scene.name} has no '
                         'effect external_force; add it, with the coordinates that are driven')
     spacing = motions[0].spacing
-    check_times(effects, motions, spacing / steps_per_sample(scene, spacing))
+    check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
     free = free_scene(scene, [name for name in options.free if name != STATES],
                       _bounds(options.bounds), folder, driven)
     _check_profiles(options.profile, free)

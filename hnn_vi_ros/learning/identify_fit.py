@@ -37,8 +37,8 @@ _TOLERANCE, _ROUGH, _EVALUATIONS = 1e-8, 1e-4, 60
 _LONGER, _GROWTH = 3.0, 1.5
 # Singular values of unit columns below this are rounding and differences, not data.
 _RANK = 1e-6
-# Changes of the noise, relatively, that are not worth another search.
-_SETTLED = 0.1
+# Changes of the noise, relatively, that are not worth another search; and most searches.
+_SETTLED, _ROUNDS = 0.1, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +176,9 @@ class Problem:
             self._key = key
         return self._best
 
-    def _evaluate(self, prediction: Prediction, starts: np.ndarray
-                  ) -> tuple[np.ndarray, np.ndarray]:
-        predicted, slopes = prediction.by_starts(starts)
+    def _evaluate(self, prediction: Prediction, starts: np.ndarray,
+                  only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        predicted, slopes = prediction.by_starts(starts, only)
         return self._scaled(predicted - self.windows.measured), self._scaled(slopes)
 
     def _descend(self, prediction: Prediction, starts: np.ndarray
@@ -203,7 +203,8 @@ class Problem:
             if not open_.any():
                 break
             tried = starts + np.where(open_[:, None], change, 0.0)
-            new_residuals, new_slopes = self._evaluate(prediction, tried)
+            # Most windows are done after a few steps: the others are simulated alone.
+            new_residuals, new_slopes = self._evaluate(prediction, tried, open_)
             new_cost = self.cost(new_residuals)
             better = open_ & (new_cost < cost)
             damping = np.where(better, 0.1 * damping, np.where(open_, 100.0 * damping, damping))
@@ -300,15 +301,16 @@ def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: f
     while True:
         windows = windows_of(motions, length, velocities)
         starts = _starts(free, values, windows, before)
-        solution, problem = _settled(free, windows, noise, starts, values, robust,
-                                     _TOLERANCE if length >= wanted else _ROUGH)
+        solution, problem = _settled(
+            free, windows, noise if before is None else before[0].noise, starts, values, robust,
+            _TOLERANCE if length >= wanted else _ROUGH, before is None)
         stages.append((length, solution.misfit * float(np.exp(np.log(
             solution.noise / noise).mean()))))
         grown = before is not None and stages[-1][1] > _GROWTH * stages[-2][1]
         if horizon is None and grown and before is not None:
             last, _ = before
             return *_settled(free, last.windows, last.noise, last.starts, last.values, robust,
-                             _TOLERANCE), stages
+                             _TOLERANCE, False), stages
         before, values = (solution, problem), solution.values
         if length >= wanted:
             return solution, problem, stages
@@ -316,21 +318,25 @@ def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: f
 
 
 def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.ndarray,
-             values: np.ndarray, robust: bool, tolerance: float) -> tuple[Solution, Problem]:
-    """Return the fit with the noise that its own residuals tell."""
+             values: np.ndarray, robust: bool, tolerance: float, guessed: bool
+             ) -> tuple[Solution, Problem]:
+    """Return the fit with the noise that its own residuals tell, which may begin guessed."""
     if windows.there.sum() * len(noise) <= starts.size + len(values):
         raise DataError(f'{int(windows.there.sum())} samples of {len(noise)} quantities in '
                         f'{len(starts)} windows are too few for {len(values)} numbers and '
                         f'{starts.size} of initial states; give more, or a longer --horizon')
-    for _ in range(5):
-        problem = Problem(free, windows, noise, starts, robust)
-        solution = search(problem, values, tolerance)
+    for k in range(_ROUNDS):
+        # A guess from the data alone is far too small for a scene that lacks something: beside it
+        # all residuals would be outliers. So squares of them tell the noise first.
+        squares = robust and guessed and k == 0
+        problem = Problem(free, windows, noise, starts, robust and not squares)
+        solution = search(problem, values, _ROUGH if squares else tolerance)
         told = noise_of(solution, robust)
         values, starts = solution.values, solution.starts
         ratio = told / noise
         noise = told
         # One factor for all moves nothing but the robust loss.
-        if np.ptp(np.log(ratio)) < _SETTLED and not (
+        if not squares and np.ptp(np.log(ratio)) < _SETTLED and not (
                 robust and abs(np.log(ratio)).max() > _SETTLED):
             break
     scale = ratio if solution.noise is not noise else np.ones_like(noise)

@@ -3,14 +3,12 @@
 """Input of measured motions: their forces in the steps of a scene, and its clock."""
 
 from collections.abc import Sequence
-import math
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.motions import Motion
-from hnn_vi_ros.scene import Scene
 import numpy as np
 
 # Of a step: times of samples that are further from whole steps shift the phase of a drive.
@@ -33,11 +31,6 @@ def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
     if not motion.held:
         slope[:-1] = np.diff(tau, axis=0) / spacing
     return whole[row] + rest * (tau[row] + 0.5 * np.where(rest > 0.0, rest, 0.0) * slope[row])
-
-
-def steps_per_sample(scene: Scene, spacing: float) -> int:
-    """Return how many steps are taken from one sample to the next, none longer than h."""
-    return max(1, math.ceil(spacing / scene.known_step_size - 1e-9))
 
 
 def command_names(effect: ExternalForce, coordinates: Sequence, motions: Sequence[Motion]

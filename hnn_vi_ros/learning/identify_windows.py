@@ -14,10 +14,10 @@ from hnn_vi_ros.errors import (
     HnnViRosError, StateError, StepFailure, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.learning.identify_input import command_names, impulse, steps_per_sample
+from hnn_vi_ros.learning.identify_input import command_names, impulse
 from hnn_vi_ros.learning.identify_numbers import DELAY, FreeScene
 from hnn_vi_ros.learning.measured_force import MeasuredForce
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.dependences import Dependence, difference, OnNumber, sum_of
 from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
@@ -130,7 +130,7 @@ class Prediction:
         self._free, self._values, self._windows = free, np.array(values, dtype=float), windows
         scene, self._delay = free.at(values)
         self.hamiltonian, self._integrator = scene.create_hamiltonian(), scene.create_integrator()
-        self._per_sample = steps_per_sample(scene, windows.spacing)
+        self._per_sample = steps_between(windows.spacing, scene.known_step_size)
         self._h = windows.spacing / self._per_sample
         self._samples = windows.measured.shape[1] - 1
         self._effects, self._force = self._acting(scene)
@@ -177,7 +177,7 @@ class Prediction:
             return self.hamiltonian
         return System(self.hamiltonian, self._effects, self._integrator).hamiltonian
 
-    def states(self, starts: np.ndarray) -> np.ndarray:
+    def states(self, starts: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
         """
         Return the states at the samples, not a number from where a simulation fails.
 
@@ -185,6 +185,8 @@ class Prediction:
         ----------
         starts : np.ndarray, shape (W, K, 2 d)
             K states from which each window begins.
+        only : np.ndarray of bool, shape (W,), optional
+            Windows to simulate; what is not is no number.
 
         Returns
         -------
@@ -193,7 +195,7 @@ class Prediction:
         """
         found = np.full((*starts.shape[:2], self._samples + 1, starts.shape[2]), np.nan)
         found[:, :, 0] = starts
-        for rows in self._runs():
+        for rows in self._runs(only):
             for begin in np.unique(self._first[rows]):
                 own = rows[self._first[rows] == begin]
                 flat = starts[own].reshape(-1, starts.shape[2])
@@ -203,17 +205,18 @@ class Prediction:
                 found[own, :, 1:] = into.reshape(found[own].shape)[:, :, 1:]
         return found
 
-    def _runs(self) -> Iterator[np.ndarray]:
+    def _runs(self, only: np.ndarray | None = None) -> Iterator[np.ndarray]:
         """Yield the windows of each run, with its measured forces in effect, or all together."""
+        wanted = np.ones(len(self._first), dtype=bool) if only is None else only
         if self._force is None:
-            yield np.arange(len(self._first))
+            yield np.flatnonzero(wanted)
             return
-        for run in np.unique(self._windows.run):
+        for run in np.unique(self._windows.run[wanted]):
             motion, force = self._windows.motions[run], self._force
             force.times[0] = round(float(motion.t[0]) / self._h) * self._h
             edges = self._h * np.arange(len(force.table) + 1) - self._delay
             force.table[:] = np.diff(impulse(motion, edges), axis=0) / self._h
-            yield np.flatnonzero(self._windows.run == run)
+            yield np.flatnonzero(wanted & (self._windows.run == run))
 
     def _record(self, starts: np.ndarray, found: np.ndarray, step: int) -> None:
         """Fill the states from some starts, one by one if they do not all go well together."""
@@ -227,7 +230,8 @@ class Prediction:
                 for k in range(len(starts)):
                     self._record(starts[k:k + 1], found[k:k + 1], step)
 
-    def by_starts(self, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
+                  ) -> tuple[np.ndarray, np.ndarray]:
         """
         Return what is predicted, and its derivative by the initial states.
 
@@ -235,6 +239,8 @@ class Prediction:
         ----------
         starts : np.ndarray, shape (W, 2 d)
             The states from which the windows begin.
+        only : np.ndarray of bool, shape (W,), optional
+            Windows to simulate; what is not is no number.
 
         Returns
         -------
@@ -243,11 +249,12 @@ class Prediction:
         """
         if self._run is not None:
             return self._exact(self._run, starts, [
-                Change(np.broadcast_to(unit, starts.shape)) for unit in np.eye(starts.shape[1])])
+                Change(np.broadcast_to(unit, starts.shape)) for unit in np.eye(starts.shape[1])],
+                               only)
         n = starts.shape[1]
         spacing = _SPACING * np.maximum(np.abs(starts).max(axis=0), 1e-3)
         offsets = np.concatenate([np.zeros((1, n)), np.diag(spacing), -np.diag(spacing)])
-        found = self.measured_at(self.states(starts[:, None] + offsets))
+        found = self.measured_at(self.states(starts[:, None] + offsets, only))
         slopes = (found[:, 1:n + 1] - found[:, n + 1:]) / (2.0 * spacing)[:, None, None]
         return found[:, 0], np.moveaxis(slopes, 1, -1)
 
@@ -285,12 +292,12 @@ class Prediction:
         except UnsupportedSystem:
             return None
 
-    def _exact(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change]
-               ) -> tuple[np.ndarray, np.ndarray]:
+    def _exact(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
+               only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return what is predicted, and how it changes with the starts or with numbers."""
         shape = self._windows.measured.shape
         found, slopes = np.full(shape, np.nan), np.full((*shape, len(changes)), np.nan)
-        for rows in self._runs():
+        for rows in self._runs(only):
             self._follow(run, starts, changes, rows, found, slopes)
         return found, slopes
 

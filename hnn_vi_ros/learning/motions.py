@@ -8,6 +8,7 @@ Runs come from arrays, bags or logs; what is bad in them is left out, counted an
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+import math
 from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
@@ -32,6 +33,8 @@ _MOST_BAD = 0.5
 _UNEXPLAINED = 0.25
 # Of the intervals of runs that are taken as one.
 _ALIKE = 0.01
+# Of a step: intervals of a log are off by what its clock is, which asks for no further step.
+_CLOCK = 0.01
 
 
 class MotionData(StrictModel):
@@ -332,3 +335,8 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
     v_smooth = rate(q_smooth) if v is None else smooth(v)
     return Motion(name, t, q, v_smooth if v is None else v, tau, q_smooth, v_smooth,
                   rate(v_smooth) if a is None else smooth(a), accelerations=a is not None)
+
+
+def steps_between(spacing: float, step_size: float) -> int:
+    """Return how many steps of about a size [s], or less, make the interval of samples [s]."""
+    return max(1, math.ceil(spacing / step_size - _CLOCK))
