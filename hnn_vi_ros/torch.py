@@ -244,7 +244,9 @@ class _OnNumberOfScene:
     @cached_property
     def _made(self) -> Dependence:
         try:
-            return on_number(self._kernel, self._value, self._rates)
+            # Rates are those of effects, on which numbers of H have no influence.
+            return on_number(self._kernel, self._value,
+                             self._rates if self._name.startswith('effects.') else None)
         except SceneError as problem:
             raise ValueError(f'{self._name} = {self._value:g} is too near to the end of its '
                              f'range to be differentiated by: {problem}') from problem

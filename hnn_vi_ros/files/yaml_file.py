@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read a YAML file into a pydantic model; every error names file, line and key."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import os
 from pathlib import Path
 import re
@@ -52,8 +52,9 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
     return validate(data, places, schema, error, trust_code=True), places
 
 
-def validate(data: Mapping[str, Any], places: KeyPlaces, schema: type[Model],
-             error: type[HnnViRosError], *, trust_code: bool = False) -> Model:
+def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces],
+             schema: type[Model], error: type[HnnViRosError], *, trust_code: bool = False
+             ) -> Model:
     """
     Return the model of data that were read from YAML.
 
@@ -61,8 +62,8 @@ def validate(data: Mapping[str, Any], places: KeyPlaces, schema: type[Model],
     ----------
     data : mapping
         What was read.
-    places : KeyPlaces
-        Where its keys stand.
+    places : KeyPlaces or callable
+        Where its keys stand, or what returns that; only an error asks for it.
     schema, error
         See ``read_yaml``.
     trust_code : bool, optional
@@ -72,7 +73,8 @@ def validate(data: Mapping[str, Any], places: KeyPlaces, schema: type[Model],
     try:
         return schema.model_validate(data, context=trusting(trust_code))
     except ValidationError as problem:
-        raise error(_describe(places, schema, problem)) from problem
+        known = places() if callable(places) else places
+        raise error(_describe(known, schema, problem)) from problem
 
 
 def _read(path: Path, error: type[HnnViRosError]) -> bytes:

@@ -25,6 +25,7 @@ from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part, part, Whole
 from hnn_vi_ros.kernels.sources import digest_of, reached
+from hnn_vi_ros.kernels.value_types import type_of
 import numba
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
@@ -78,7 +79,7 @@ def steps_by_address(steps: tuple[Step, ...], name: str, own: bool, kernel: Kern
 
     """
     inside = kernel, options
-    kinds = numba.typeof(inside), numba.typeof(memory)
+    kinds = type_of(inside), type_of(memory)
     with _compiling:
         entries = [_entry(step, kinds, _name(step, name, kinds, options), own) for step in steps]
     words = block(inside, *map(_address, entries), *[0] * (_ADDRESSES - len(steps)))

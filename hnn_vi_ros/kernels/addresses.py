@@ -24,6 +24,7 @@ from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
+from hnn_vi_ros.kernels.value_types import type_of
 from llvmlite import ir
 import numba
 from numba.core import types
@@ -103,7 +104,7 @@ def provide(kernel: Kernel, *which: int) -> None:
     for k in which:
         if k not in memory.entries:
             function = functions_of(memory.kernel)[k]
-            kind = numba.typeof(memory.kernel.parameters)
+            kind = type_of(memory.kernel.parameters)
             check_words(kind, len(target.words) - 3)
             memory.entries[k] = _entry(function, kind, _name(memory.kernel, kind, k), k)
             target.words[k] = memory.entries[k].address

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blocks of memory: values as numba lays them out, for code that is given their addresses."""
 
+from functools import cache
 from typing import Any
 
 from hnn_vi_ros.kernels.bare_arrays import without_owners
@@ -60,10 +61,16 @@ def block(value: Any, *before: int) -> np.ndarray:
 
 def check_words(kind: types.Type, count: int) -> None:
     """Raise TypeError if a value of a type takes another number of words in memory."""
-    context = cpu_target.target_context
-    if context.get_abi_sizeof(context.get_data_type(kind)) != 8 * count:
+    if _size_of(kind) != 8 * count:
         raise TypeError('parameters of a kernel, or options of a step, that are no whole words: '
                         'truth values beside each other; give them as int')
+
+
+@cache
+def _size_of(kind: types.Type) -> int:
+    """Return how many bytes a value of a type takes."""
+    context = cpu_target.target_context
+    return context.get_abi_sizeof(context.get_data_type(kind))
 
 
 def flat(value: object) -> list[int]:

@@ -13,6 +13,7 @@ from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
 from hnn_vi_ros.kernels.linking import find, keep, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
+from hnn_vi_ros.kernels.value_types import kind_of, type_of
 import numba
 from numba.core.dispatcher import Dispatcher
 
@@ -20,6 +21,8 @@ from numba.core.dispatcher import Dispatcher
 _Function = TypeVar('_Function', bound=Callable[..., Any])
 _LOOP: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 _naming = Lock()
+# By the function and the kinds of its arguments.
+_entries: dict[Any, Callable[..., Any]] = {}
 
 
 def kept(**options: Any) -> Callable[[_Function], _Function]:
@@ -74,14 +77,17 @@ def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..
     """
     if not isinstance(function, Dispatcher):
         return function
-    signature = tuple(numba.typeof(argument) for argument in arguments)
-    function.compile(signature)
-    return function.overloads[signature].entry_point
+    key = function, kind_of(arguments)
+    if key not in _entries:
+        signature = tuple(map(type_of, arguments))
+        function.compile(signature)
+        _entries[key] = function.overloads[signature].entry_point
+    return _entries[key]
 
 
 def is_compiled(function: Callable[..., Any], *arguments: object) -> bool:
     """Return whether a loop is compiled for these argument types, in this process or on disk."""
-    return find(function, tuple(numba.typeof(argument) for argument in arguments))
+    return find(function, tuple(map(type_of, arguments)))
 
 
 def compiled_options(options: Parameters) -> Parameters:

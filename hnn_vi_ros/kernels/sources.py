@@ -74,17 +74,30 @@ def _digest(paths: Iterator[Path] | set[Path]) -> str:
 
 def reached(*values: object) -> set[FunctionType]:
     """Return the functions of Python among values, however deep in tuples, and all they call."""
-    rest, found = list(values), set()
+    return set().union(*map(_reached_by, _functions(values)))
+
+
+def _functions(value: object) -> Iterator[FunctionType]:
+    """Yield the functions in a value, however deep in tuples."""
+    value = getattr(value, 'py_func', value)
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _functions(part)
+    elif isinstance(value, FunctionType):
+        yield value
+
+
+@cache
+def _reached_by(function: FunctionType) -> frozenset[FunctionType]:
+    """Return a function and all it calls, as it is compiled: by the globals of the first time."""
+    rest, found = [function], set()
     while rest:
-        value = rest.pop()
-        value = getattr(value, 'py_func', value)
-        if isinstance(value, tuple):
-            rest.extend(value)
-        elif isinstance(value, FunctionType) and value not in found:
-            found.add(value)
-            rest.extend(cell.cell_contents for cell in value.__closure__ or ())
-            rest.extend(_named(value))
-    return found
+        own = rest.pop()
+        if own not in found:
+            found.add(own)
+            rest.extend(_functions(tuple(cell.cell_contents for cell in own.__closure__ or ())))
+            rest.extend(_functions(tuple(_named(own))))
+    return frozenset(found)
 
 
 def names_in(code: CodeType) -> set[str]:

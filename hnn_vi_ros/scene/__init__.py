@@ -5,7 +5,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from keyword import iskeyword
 import os
 from pathlib import Path
@@ -67,7 +67,7 @@ class Scene(StrictModel):
             raise ValueError('step_size: Field required')
         return self
 
-    _origin: Origin = PrivateAttr(Origin())
+    _origin: Origin = PrivateAttr(default_factory=Origin)
 
     @classmethod
     def build(cls, *, hamiltonian: Choice, integrator: Choice,
@@ -339,7 +339,8 @@ class Scene(StrictModel):
 
 def _validated(data: dict[str, Any], where: str) -> Scene:
     """Return the scene of plain data that its user vouches for, or raise SceneError."""
-    return validate(data, KeyPlaces.of_data(data, where), Scene, SceneError, trust_code=True)
+    return validate(data, partial(KeyPlaces.of_data, data, where), Scene, SceneError,
+                    trust_code=True)
 
 
 def load_scene(scene: str | Path) -> Scene:
