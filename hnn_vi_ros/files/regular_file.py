@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Open files, and nothing that only looks like one."""
 
+import errno
 import os
 from pathlib import Path
 import stat
@@ -10,9 +11,18 @@ from typing import BinaryIO
 from hnn_vi_ros.errors import RecordingError
 
 
-def no_file(path: Path) -> str:
+def no_file(path: Path, missing: str = 'no such file') -> str:
     """Return what there is in the place of a file that cannot be read as one."""
-    return 'is a folder; give a file' if os.path.isdir(path) else 'no such file'
+    if os.path.isdir(path):
+        return 'is a folder'
+    return 'is no regular file' if os.path.exists(path) else missing
+
+
+def regular(path: Path) -> Path:
+    """Return a path to read, or raise OSError: a FIFO would be waited for, a device never end."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise OSError(errno.EINVAL, no_file(path))
+    return path
 
 
 def open_file(path: Path, name: Path) -> BinaryIO:

@@ -81,7 +81,7 @@ def _read(path: Path, error: type[HnnViRosError]) -> bytes:
     """Return the content of a regular file; of one that is too large as much as shows that."""
     try:
         if not os.path.isfile(path):
-            raise error(f'{path}: {no_file(path)}')
+            raise error(f'{path}: {no_file(path)}; give a YAML file')
         with path.open('rb') as stream:
             return stream.read(MAX_BYTES + 1)
     except OSError as problem:

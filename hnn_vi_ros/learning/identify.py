@@ -16,6 +16,7 @@ from typing import NamedTuple
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
+from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
@@ -163,7 +164,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
 def _arrays(path: Path, data: ArraysData) -> ArraysData:
     """Return the keys that arrays have; what is wrong with the file, its reader will tell."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(regular(path), allow_pickle=False) as archive:
             keys = {key.rpartition('/')[2] for key in archive.files}
     except (OSError, ValueError):
         return data

@@ -9,6 +9,7 @@ import re
 from typing import Literal, Protocol
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.dataset import (
     Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
@@ -115,8 +116,8 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
 def read_log(path: Path) -> bytes:
     """Return the bytes of a log of at most 256 MiB, or raise DataError."""
     if not os.path.isfile(path):
-        what = 'is a folder' if os.path.isdir(path) else 'no such data file'
-        raise DataError(f'{path}: {what}; pass the log with --data FILE')
+        raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
+                        '--data FILE')
     try:
         with path.open('rb') as stream:
             raw = stream.read(MAX_BYTES + 1)

@@ -8,6 +8,7 @@ from pathlib import Path
 import zipfile
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
@@ -53,7 +54,7 @@ def read_archive(path: Path) -> tuple[dict[str, np.ndarray], str]:
 
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if regular(path).stat().st_size > MAX_BYTES:
             raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
         digest = sha256(path.read_bytes()).hexdigest()[:16]
         with np.load(path, allow_pickle=False) as archive:

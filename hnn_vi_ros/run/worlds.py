@@ -9,6 +9,7 @@ from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
 
@@ -92,7 +93,7 @@ def open_world(uri: str) -> tuple[Scene, str]:
         raise WorldError('UNSUPPORTED_FORMAT', f'{_shown(uri)}: expected a scene file (.yaml)')
     if is_path('scene', name):
         if not os.path.isfile(name):
-            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: no such file')
+            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: {no_file(Path(name))}')
     elif name not in shipped_names('scene'):
         raise WorldError('RESULT_NOT_FOUND',
                          f'{_shown(uri)}: no such scene; ~/get_available_worlds lists them')

@@ -12,6 +12,7 @@ from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import did_you_mean, ModelError
 from hnn_vi_ros.files.named_code import find_beside
 from hnn_vi_ros.files.package_uri import package_file, SCHEME
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_text import KeyPlaces, parse_mapping
 from hnn_vi_ros.models.checkpoint import file_digest
@@ -117,10 +118,11 @@ class Origin:
             beside = self.path.parent / name
             file = beside if os.path.exists(beside) else Path(name)
         if not os.path.isfile(file):
-            what = (f'{str(file)!r} is a folder' if os.path.isdir(file) else
-                    f'no file {str(file)!r}')
-            raise ModelError(f'{place}: {what}; give a path from the folder of the scene or the '
-                             'working directory, or package://PACKAGE/PATH')
+            name = str(file)
+            what = f'{name!r} {no_file(file)}' if os.path.exists(file) else f'no file {name!r}'
+            raise ModelError(f'{place}: {what}; give a path from the '
+                             'folder of the scene or the working directory, or '
+                             'package://PACKAGE/PATH')
         self._check_digest(file, '.urdf', *key, 'file')
         return file
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.definition import (
     AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, PosteriorChoice, RepeatsChoice,
@@ -177,7 +178,7 @@ class FileAxis(Axis):
             if os.path.getsize(path) > _LARGEST_FILE:
                 raise DataError(f'{place}: {path} is larger than {_LARGEST_FILE} bytes; cut it '
                                 'into several sweeps')
-            raw = path.read_bytes()
+            raw = regular(path).read_bytes()
             text = raw.decode('utf-8')
         except (OSError, UnicodeDecodeError) as problem:
             raise DataError(f'{place}: {path}: {one_line(problem)}') from problem

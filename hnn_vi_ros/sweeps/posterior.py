@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError, did_you_mean
+from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.files.yaml_text import one_line
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -84,7 +85,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     """
     where = f'{place}: {path}'
     try:
-        raw = path.read_bytes()
+        raw = regular(path).read_bytes()
         if len(raw) > _LARGEST_FILE:
             raise DataError(f'{where} is larger than {_LARGEST_FILE} bytes; {_REMEDY}')
         found = _File.model_validate(json.loads(raw))

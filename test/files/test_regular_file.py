@@ -1,0 +1,58 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Readers of files, given what looks like one: a FIFO without a writer would hold them up."""
+
+from collections.abc import Callable
+import os
+from pathlib import Path
+
+from hnn_vi_ros.errors import DataError, HnnViRosError
+from hnn_vi_ros.files.yaml_file import load_yaml
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
+from hnn_vi_ros.learning.identify import _arrays
+from hnn_vi_ros.learning.measured_log import read_log
+from hnn_vi_ros.learning.motion_arrays import ArraysData, read_archive
+from hnn_vi_ros.run.worlds import open_world, WorldError
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.sweeps.axes import FileAxis
+from hnn_vi_ros.sweeps.definition import FileChoice
+from hnn_vi_ros.sweeps.posterior import read_posterior
+import pytest
+
+
+def robot_of_a_scene(path: Path) -> None:
+    scene = path.with_name('scene.yaml')
+    scene.write_text(f'hamiltonian: {{kind: urdf, file: {path.name}}}\nstep_size: 0.01\n'
+                     'integrator: {kind: variational_euler}\n'
+                     'initial_state: {q: [0.0], p: [0.0]}\n')
+    load_scene(scene).create_hamiltonian()
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    'urdf': read_urdf, 'robot of a scene': robot_of_a_scene, 'log': read_log,
+    'scene': load_scene, 'yaml': lambda path: load_yaml(path, Scene, DataError),
+    'arrays': read_archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
+    'axis': lambda path: FileAxis(
+        FileChoice(kind='file', path=path.name), path.parent, 'axis')}
+
+
+@pytest.mark.parametrize('reader', READERS)
+def test_fifo_is_no_missing_file_and_is_not_waited_for(reader, tmp_path):
+    os.mkfifo(tmp_path / 'pipe.yaml')
+    with pytest.raises(HnnViRosError, match=r'pipe\.yaml.*is no regular file') as caught:
+        READERS[reader](tmp_path / 'pipe.yaml')
+    assert 'no such' not in str(caught.value) and '\n' not in str(caught.value)
+    with pytest.raises(HnnViRosError, match=r'(?i)no (such|file)'):
+        READERS[reader](tmp_path / 'none.yaml')
+
+
+def test_keys_of_a_fifo_are_left_to_its_reader(tmp_path):
+    os.mkfifo(tmp_path / 'pipe.npz')
+    data = ArraysData()
+    assert _arrays(tmp_path / 'pipe.npz', data) is data
+
+
+def test_world_that_is_a_fifo_is_no_missing_one(tmp_path):
+    os.mkfifo(tmp_path / 'pipe.yaml')
+    with pytest.raises(WorldError, match='is no regular file'):
+        open_world(str(tmp_path / 'pipe.yaml'))
