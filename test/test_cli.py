@@ -276,3 +276,16 @@ def test_letter_that_an_output_cannot_show_is_printed_escaped():
         check=False)
     assert (result.returncode, result.stderr) == (0, b'')
     assert r'H\xe9non' in result.stdout.decode('ascii')
+
+
+def test_studies_run_as_modules():
+    # Where main is not called, python -m does nothing, silently.
+    studies = [file for file in sorted((ROOT / 'hnn_vi_ros' / 'studies').glob('*.py'))
+               if '\ndef main(' in file.read_text()]
+    assert len(studies) > 10
+    for file in studies:
+        assert file.read_text().endswith('main(sys.argv[1:])\n') or \
+            file.read_text().endswith('main(sys.argv[1:]))\n'), file
+    result = subprocess.run([sys.executable, '-m', 'hnn_vi_ros.studies.published_tables', '--help'],
+                            capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 0 and '--page' in result.stdout

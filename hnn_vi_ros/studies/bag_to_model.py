@@ -190,3 +190,7 @@ def _draw(path: Path, scene: Scene, exact: Trajectory, learned: Trajectory) -> N
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=120)
     print(path)
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

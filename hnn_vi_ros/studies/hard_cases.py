@@ -5,6 +5,7 @@
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from itertools import groupby
+import sys
 import time
 
 from hnn_vi_ros.errors import ParameterError
@@ -98,3 +99,7 @@ def _rows(jobs: Sequence[Job], processes: int) -> Iterator[CaseRow]:
 
 def _run_some(jobs: Sequence[Job]) -> list[CaseRow]:
     return [run_one(job) for job in jobs]
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

@@ -6,6 +6,7 @@ from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 import json
 from pathlib import Path
+import sys
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
@@ -195,3 +196,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         table['seeds'] = seed_losses(arguments.seeds, arguments.data)
     arguments.json.write_text(json.dumps(table, indent=1) + '\n', encoding='utf-8')
     draw(runs, arguments.picture)
+
+
+if __name__ == '__main__':
+    main(sys.argv[1:])

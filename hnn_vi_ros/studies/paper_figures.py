@@ -3,6 +3,7 @@
 """Regenerate figures 1 and 2 of the paper from the shipped model, as PNG and CSV."""
 
 from pathlib import Path
+import sys
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
@@ -106,3 +107,7 @@ def _panels(title: str) -> tuple:
 def _save(figure: object, path: Path) -> Path:
     figure.savefig(path, dpi=120)
     return path
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

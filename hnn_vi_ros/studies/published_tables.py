@@ -5,6 +5,7 @@
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+import sys
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.resources import share_folder
@@ -79,3 +80,7 @@ def run(plan: Plan, log: Path) -> Iterator[Result]:
         measures = run_table(table, system, getattr(plan, table)[system], seed, log)
         yield from (Result(table, system, seed, measure, value, *origin)
                     for measure, value in measures)
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

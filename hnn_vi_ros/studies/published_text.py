@@ -157,7 +157,7 @@ The family `rigid_body`, whose inertias, friction and offsets are identified, al
 network beside it; [identify a robot](identify-robot.md) says how. The network is chosen by models
 of the first three quarters of what is learned from, on the mean error of the last one, before any
 test data is looked at; all are shown. Written by `python -m hnn_vi_ros.studies.robot_tables`
-with `--data` and `--ur10`, the URDF of `example-robot-data`; the values are in
+with `--data` and, for the UR10, `--ur10`, the URDF of `example-robot-data`; the values are in
 [robots.json](learning/robots.json), of each model
 [robot_runs.json](learning/robot_runs.json).
 

@@ -100,9 +100,9 @@ def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[Motion
 
 
 _FORCES = 'squared error of the force over its variance, joints 1 to 6'
-_DFKI = 'real actuated double pendulum'
+_UR10, _DFKI = 'real UR10', 'real actuated double pendulum'
 ROBOTS_MEASURED = {
-    'real UR10': Robot(
+    _UR10: Robot(
         'ur10_unisa/ur10_exciting.npz',
         {'data': {'kind': 'arrays', 'smoothing': 3.0}, 'loss': {'kind': 'inverse'}},
         _forces, _FORCES, {_FORCES: [.023, .007, .004, .013, .019, .116]}),
@@ -120,7 +120,7 @@ def main(argv: Sequence[str]) -> None:
     """Measure what is not known yet, and write the tables."""
     parser = ArgumentParser('robot_tables', description=__doc__)
     parser.add_argument('--data', type=Path, required=True, help='folder of the data sets')
-    parser.add_argument('--ur10', type=Path, required=True, help=(
+    parser.add_argument('--ur10', type=Path, help=(
         'URDF of the UR10: robots/ur_description/urdf/ur10_robot.urdf of example-robot-data'))
     parser.add_argument('--out', type=Path, default=Path('docs/learning'))
     parser.add_argument('--robot', choices=list(ROBOTS_MEASURED))
@@ -130,7 +130,10 @@ def main(argv: Sequence[str]) -> None:
     known = {(run['robot'], run['model'], run['use']) for run in runs}
     jobs = [(name, model, use) for name in ROBOTS_MEASURED for model in MODELS
             for use in ('choice', 'test') if options.robot in (None, name)]
-    for name, model, use in tqdm([job for job in jobs if job not in known], disable=None):
+    jobs = [job for job in jobs if job not in known]
+    if options.ur10 is None and any(name == _UR10 for name, *_ in jobs):
+        parser.error(f'--ur10 is required for the {_UR10}: give its URDF, or --robot {_DFKI!r}')
+    for name, model, use in tqdm(jobs, disable=None):
         measures = measure(name, model, use, options.data, options.ur10)
         runs.append({'robot': name, 'model': model, 'use': use, 'measures': measures})
         file.write_text(json.dumps(runs, indent=1) + '\n', encoding='utf-8')
@@ -172,7 +175,7 @@ def rows_of(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
-def measure(name: str, model: str, use: str, data: Path, ur10: Path) -> Measures:
+def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> Measures:
     """Identify a robot, and return its measures on test data, or on those of the choice."""
     robot = ROBOTS_MEASURED[name]
     with tempfile.TemporaryDirectory() as folder:
@@ -180,6 +183,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path) -> Measures
         if name == _DFKI:
             urdf = Path(folder) / 'robot.urdf'
             urdf.write_text(DFKI_URDF, encoding='utf-8')
+        assert urdf is not None
         config, motions = read_robot(robot, MODELS[model], urdf, data / robot.file, Path(folder))
         train, test = split_motions(motions, config.data.test_runs)
         if use == 'choice':

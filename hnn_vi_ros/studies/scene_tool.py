@@ -194,3 +194,7 @@ def _lacks_a_model(scene: Scene) -> bool:
     except ModelError:
         return True
     return False
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

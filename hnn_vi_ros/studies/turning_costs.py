@@ -8,6 +8,7 @@ import csv
 from dataclasses import replace
 import json
 from pathlib import Path
+import sys
 import time
 from typing import NamedTuple
 
@@ -263,3 +264,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     sections.append(f'`{top.scene}` for {long:g} s, looked at {_LOOKS} times:\n\n'
                     f'{drifts(top, long)}')
     write(arguments.docs, found, '\n'.join(sections))
+
+
+if __name__ == '__main__':
+    main(sys.argv[1:])

@@ -5,6 +5,7 @@
 from dataclasses import replace
 import math
 from pathlib import Path
+import sys
 
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.arguments import SCENES
@@ -156,3 +157,7 @@ def _as_duration(seconds: float) -> str:
 
 def _as_step(step_size: float) -> str:
     return '' if math.isnan(step_size) else f'h = {step_size:g} s'
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

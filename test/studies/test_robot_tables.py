@@ -6,7 +6,7 @@ import json
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
-from hnn_vi_ros.studies import rigid_body_coverage
+from hnn_vi_ros.studies import rigid_body_coverage, robot_tables
 from hnn_vi_ros.studies.published_page import _robots_table, ROBOTS
 from hnn_vi_ros.studies.robot_tables import (
     DFKI_URDF, MODELS, read_runs, ROBOTS_MEASURED, rows_of, two_runs)
@@ -63,3 +63,22 @@ def test_coverage_counts_each_base_parameter_once():
     (names, hits), = rigid_body_coverage.held([3], 1)
     # Two inertias, first moments along and across each link, and offsets.
     assert len(names) == len(set(names)) == len(hits) == 8 and sum(hits) >= 5
+
+
+def test_urdf_of_the_ur10_is_asked_for_only_where_it_is_measured(tmp_path, monkeypatch, capsys):
+    words = ['--data', str(tmp_path), '--out', str(tmp_path)]
+    with pytest.raises(SystemExit) as caught:
+        robot_tables.main(words)
+    assert caught.value.code == 2
+    assert '--ur10 is required for the real UR10' in capsys.readouterr().err
+    other = next(name for name in ROBOTS_MEASURED if name != UR10)
+    error = {ROBOTS_MEASURED[other].chosen_by: [0.1, 0.2]}
+    monkeypatch.setattr(robot_tables, 'measure', lambda *job: {
+        **dict.fromkeys(ROBOTS_MEASURED[other].references, [0.1, 0.2]), **error})
+    robot_tables.main([*words, '--robot', other])
+    assert {row['robot'] for row in json.loads((tmp_path / ROBOTS).read_text())} == {other}
+    # Nor where the UR10 was measured before.
+    runs = json.loads((tmp_path / robot_tables.RUNS).read_text())
+    runs += [run_of(model, use, 0.1) for model in MODELS for use in ('choice', 'test')]
+    (tmp_path / robot_tables.RUNS).write_text(json.dumps(runs))
+    robot_tables.main(words)
