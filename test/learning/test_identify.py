@@ -11,13 +11,13 @@ import hnn_vi_ros
 from hnn_vi_ros.cli import _call
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.learning.identify import main
-from hnn_vi_ros.learning.identify_fit import fit
+from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
 from hnn_vi_ros.learning.identify_scene import edited
 from hnn_vi_ros.learning.identify_statistics import (
     correlations_of, Estimates, estimates_of, profile)
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
-from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.motions import Motion, smoothed, steps_between
 from hnn_vi_ros.run.dependences import difference
 from hnn_vi_ros.run.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
@@ -233,6 +233,39 @@ def test_outliers_move_a_robust_fit_less(pendulum, tmp_path):
     plain, robust = (estimated(free, spoilt, robust).estimates[0] for robust in (False, True))
     assert abs(robust.value - 1.0) < 4.0 * robust.standard_error
     assert robust.standard_error < 0.7 * plain.standard_error
+
+
+def test_robust_fit_of_a_scene_that_lacks_something_finds_each_start_in_a_few_steps(
+        pendulum, tmp_path, monkeypatch):
+    # Noise of the data alone is nothing beside friction that the scene has not: had it been taken
+    # for that of the residuals, all would be outliers, and no search would end by itself.
+    damped = pendulum.with_overrides(effects=[{'kind': 'damping', 'rate': 0.3}])
+    free, searches = freed(pendulum, tmp_path, length=1.05), []
+    descend, evaluate = Problem._descend, Problem._evaluate
+    monkeypatch.setattr(Problem, '_descend', lambda *arguments: (
+        searches.append(0), descend(*arguments))[1])
+    monkeypatch.setattr(Problem, '_evaluate', lambda *arguments: (
+        searches.append(searches.pop() + 1), evaluate(*arguments))[1])
+    solution, _, _ = fit(free, [swing(damped, 2.0, 4, None)], True, 0.5, True)
+    assert max(searches) <= _INNER // 2
+    # The largest residuals count less, none is cut off.
+    assert solution.misfit < 3.0
+
+
+def test_windows_that_are_done_are_not_simulated_and_change_no_others(pendulum, tmp_path):
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    prediction = Prediction(freed(pendulum, tmp_path, length=1.0), np.ones(1), windows)
+    starts = np.random.default_rng(2).normal(size=(len(windows.run), 2))
+    only = np.arange(len(starts)) % 2 == 1
+    for whole, part in zip(prediction.by_starts(starts), prediction.by_starts(starts, only),
+                           strict=True):
+        assert np.array_equal(part[only], whole[only]) and np.isnan(part[~only]).all()
+
+
+@pytest.mark.parametrize('spacing, steps', [
+    (0.002, 1), (0.0020000935, 1), (0.00203, 2), (0.004, 2), (0.0005, 1), (0.0059, 3)])
+def test_clock_of_a_log_that_is_a_little_off_asks_for_no_further_step(spacing, steps):
+    assert steps_between(spacing, 0.002) == steps
 
 
 def test_profile_of_a_number_is_its_interval_where_all_is_nearly_linear(pendulum, tmp_path):
