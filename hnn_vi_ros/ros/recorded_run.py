@@ -5,6 +5,7 @@
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -199,10 +200,12 @@ class RecordedRun:
                 try:
                     command = one.read(self.decoded(message, one.message_type), message.time)
                 except ValueError as problem:
+                    if not self.own:
+                        continue  # Others record as well what the simulator refuses.
                     raise RecordingError(f'{self.reader.path}: {topic}: {problem}') from problem
                 yield self.step_of(message.time), topic, command
 
-    @property
+    @cached_property
     def own(self) -> bool:
         """Return whether the simulator recorded the bag: then it holds all samples of the run."""
         try:

@@ -185,10 +185,13 @@ def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
 
 
 def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Command) -> None:
+    """Let a recorded command act if it did: the simulator records none that it refuses."""
     try:
-        simulation.set_command(command)
+        # Limits of before they were looked at held nothing back.
+        simulation.set_command(command, limited=not run.own)
     except ValueError as problem:
-        raise RecordingError(f'{run.reader.path}: {topic}: {problem}') from problem
+        if run.own:
+            raise RecordingError(f'{run.reader.path}: {topic}: {problem}') from problem
 
 
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:

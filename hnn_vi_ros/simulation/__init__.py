@@ -152,9 +152,9 @@ class Simulation:
         self._kernel.gradient(
             self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
 
-    def set_command(self, command: Command) -> None:
+    def set_command(self, command: Command, limited: bool = True) -> None:
         """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
-        self.motors.command(command, self.q.reshape(-1, self.hamiltonian.dimension)[0])
+        self.motors.command(command, self.q.reshape(-1, self.hamiltonian.dimension)[0], limited)
         self._evaluate_gradient()
         self._update_gradient()
 

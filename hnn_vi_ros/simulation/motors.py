@@ -46,7 +46,7 @@ class Motors:
         self.names: Sequence[str] = driven[0][0] if driven else ()
         self.size: int = driven[0][1] if driven else 0
 
-    def command(self, command: Command, q: np.ndarray) -> None:
+    def command(self, command: Command, q: np.ndarray, limited: bool = True) -> None:
         """
         Pass a command to the effects that take it.
 
@@ -56,6 +56,8 @@ class Motors:
             Of forces, of joints or of a path.
         q : np.ndarray, shape (d,)
             The coordinates now.
+        limited : bool, optional
+            Whether positions beyond the joint limits of the scene are refused.
 
         Raises
         ------
@@ -71,9 +73,9 @@ class Motors:
             raise ValueError(f'no effect of the scene is {kind} of joints: it takes no {content}')
         prepared = [effect.prepare(command, own, q) for effect, own in self._effects
                     if effect.takes & held]
-        if isinstance(command, JointCommand):
+        if limited and isinstance(command, JointCommand):
             self._check_limits(command.names, command.position[None])
-        elif isinstance(command, JointPath) and len(command.times):
+        elif limited and isinstance(command, JointPath) and len(command.times):
             self._check_limits(command.names, command.positions)
         for put in prepared:
             put()

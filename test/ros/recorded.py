@@ -33,12 +33,14 @@ EPOCH = 1_700_000_000 * 10**9
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                change: Callable[[Sample], Sample] = lambda sample: sample, close: bool = True,
                commands: Mapping[int, Sequence[object]] | None = None, begin: int = 0,
-               state: bool = True, qos: QoSProfile = TICKS, **described: object) -> Path:
+               state: bool = True, qos: QoSProfile = TICKS, limited: bool = True,
+               refuse: bool = False, **described: object) -> Path:
     """
     Record a run; `change` returns what is recorded in place of a sample.
 
     Of each step, `commands` are what is heard before it, numbers or messages; the bag may begin at
     a later one. It is one of before ~/state without `state`. Replay offers its samples by `qos`.
+    Without `limited`, commands beyond limits act; with `refuse` those are recorded that do not.
     """
     simulation = build(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
@@ -55,7 +57,11 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
             message = Float64MultiArray(data=heard) if isinstance(heard, list) else heard
             # Joint states are commands before they are observations.
             one = next(one for one in INPUTS if isinstance(message, one.message_type))
-            simulation.set_command(one.read(message, sampler.stamp))
+            try:
+                simulation.set_command(one.read(message, sampler.stamp), limited)
+            except ValueError:
+                if not refuse:
+                    raise
             if sink is not None:
                 sink.write_other(_topic(one.topic, one.message_type, qos), sampler.stamp,
                                  serialize(message))

@@ -26,7 +26,7 @@ from processes import finish, read_bag, start
 import pytest
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
-from recorded import record_run
+from recorded import as_received, record_run
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -196,3 +196,44 @@ def test_simulator_does_what_joints_are_told_and_its_bag_is_verified(tmp_path, a
         if time in told:
             assert list(told[time].points[2].positions) == message.points[2].positions.tolist()
     assert BagReader(tmp_path / 'bag-2').attachment('state.safetensors')
+
+
+LIMITED = """\
+hamiltonian: {kind: double_pendulum}
+effects:
+  - {kind: servo, coordinates: [angle1, angle2], stiffness: 60.0, damping: 4.0}
+  - {kind: joint_limits, upper: {angle1: 0.5}}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.0025
+initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
+"""
+BEYOND = {0: [joints(position=[0.1, 0.2])], 21: [joints(position=[0.9, 0.0])],
+          50: [path((0.1, [0.8, 0.3]))]}
+
+
+def test_commands_beyond_limits_that_a_bag_tells_to_have_acted_act_again(tmp_path):
+    # As simulators recorded them before they refused such commands: they pressed on the stop.
+    (tmp_path / 'limited.yaml').write_text(LIMITED)
+    scene = load_scene(tmp_path / 'limited.yaml')
+    refusing = build(scene)
+    with pytest.raises(ValueError, match='position of angle1 is 0.9, beyond its upper limit 0.5'):
+        refusing.set_command(read_joints(BEYOND[21][0], 0))
+    bag = record_run(tmp_path / 'bag', scene, 40, commands=BEYOND, limited=False)
+    verdict = check_replay(bag)
+    assert verdict.good, verdict.text
+
+
+def test_commands_that_were_refused_are_so_again_where_others_recorded_them(tmp_path):
+    # By simulated time, so that log times are stamps; what acted is not told apart.
+    (tmp_path / 'limited.yaml').write_text(LIMITED)
+    scene = load_scene(tmp_path / 'limited.yaml')
+    refused = {
+        20: BEYOND[0], 21: BEYOND[21], 30: [joints(['wrist'], position=[0.0])],
+        35: [JointState(name=NAMES, position=[1.0])], 50: BEYOND[50],
+        60: [path((0.5, [0.1, 0.1], [1.0, 1.0]))]}
+    own = record_run(tmp_path / 'own', scene, 40, commands=refused, refuse=True)
+    bag = as_received(own, tmp_path / 'others.mcap', jitter=0.0, epoch=0)
+    run = RecordedRun(bag)
+    assert run.stamped and not run.own
+    verdict = check_replay(bag)
+    assert '40 samples agree bit by bit' in verdict.text
