@@ -286,6 +286,7 @@ def test_studies_run_as_modules():
     for file in studies:
         assert file.read_text().endswith('main(sys.argv[1:])\n') or \
             file.read_text().endswith('main(sys.argv[1:]))\n'), file
-    result = subprocess.run([sys.executable, '-m', 'hnn_vi_ros.studies.published_tables', '--help'],
-                            capture_output=True, text=True, timeout=60, check=False)
+    result = subprocess.run(
+        [sys.executable, '-m', 'hnn_vi_ros.studies.published_tables', '--help'],
+        capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 0 and '--page' in result.stdout

@@ -72,9 +72,9 @@ def test_urdf_of_the_ur10_is_asked_for_only_where_it_is_measured(tmp_path, monke
     assert caught.value.code == 2
     assert '--ur10 is required for the real UR10' in capsys.readouterr().err
     other = next(name for name in ROBOTS_MEASURED if name != UR10)
-    error = {ROBOTS_MEASURED[other].chosen_by: [0.1, 0.2]}
+    kinds = [*ROBOTS_MEASURED[other].references, ROBOTS_MEASURED[other].chosen_by]
     monkeypatch.setattr(robot_tables, 'measure', lambda *job: {
-        **dict.fromkeys(ROBOTS_MEASURED[other].references, [0.1, 0.2]), **error})
+        kind: [0.1, 0.2] for kind in kinds})
     robot_tables.main([*words, '--robot', other])
     assert {row['robot'] for row in json.loads((tmp_path / ROBOTS).read_text())} == {other}
     # Nor where the UR10 was measured before.
