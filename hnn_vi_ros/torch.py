@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.weights import OnWeights, with_weights
 from hnn_vi_ros.models.learned import warn_of_scheme
@@ -261,6 +262,9 @@ class _OnNumberOfScene:
         scene = with_numbers(self._scene, {self._name: value})
         hamiltonian = self._hamiltonian if self._name.startswith('effects.') \
             else scene.create_hamiltonian()
+        if not scene.effects:
+            # Then a system is H and the method themselves, which the run has checked.
+            return by_address(hamiltonian.kernel)
         return System(hamiltonian, scene.create_effects(), scene.create_integrator()).kernel
 
 
