@@ -288,5 +288,5 @@ def test_studies_run_as_modules():
             file.read_text().endswith('main(sys.argv[1:]))\n'), file
     result = subprocess.run(
         [sys.executable, '-m', 'hnn_vi_ros.studies.published_tables', '--help'],
-        capture_output=True, text=True, timeout=60, check=False)
+        capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0 and '--page' in result.stdout
