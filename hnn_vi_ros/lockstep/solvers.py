@@ -18,10 +18,10 @@ from hnn_vi_ros.integrators.workspaces import DEPTH
 import numpy as np
 import torch
 
-_EPS = float(np.finfo(np.float64).eps)
+EPS = float(np.finfo(np.float64).eps)
 # As in integrators.solvers: residuals that are not rounding alone; residuals above which, after so
 # many iterations, there is no contraction to speak of.
-_NOISE, _HOPELESS, _PATIENCE = 1e-11, 1e-8, 5
+NOISE, HOPELESS, PATIENCE = 1e-11, 1e-8, 5
 # What an equation knows of its trajectories, each of shape (..., m); G(x), shape (N, m), and what
 # else is found on the way there.
 Known = tuple[torch.Tensor, ...]
@@ -247,12 +247,12 @@ def solve(iteration: Iteration, equation: Equation, known: Known, x: torch.Tenso
                             torch.empty_like(found), torch.zeros_like(stage), slow.clone())
         judged = _judge(value, x, scales, previous, stage, accepted, k == max_iterations)
         outcome, common = judged.outcome, judged.stage == COMMON
-        if not iteration.patient and k > _PATIENCE:
+        if not iteration.patient and k > PATIENCE:
             outcome = torch.where((outcome == GO_ON) & common
                                   & (judged.residual > 0.5 * previous)
-                                  & (judged.residual > _HOPELESS), NO_CONVERGENCE, outcome)
+                                  & (judged.residual > HOPELESS), NO_CONVERGENCE, outcome)
         if k == 2:
-            slow = (judged.residual > 0.5 * previous) & (0.5 * previous > _NOISE)
+            slow = (judged.residual > 0.5 * previous) & (0.5 * previous > NOISE)
         if k == max_iterations:
             outcome = torch.where(outcome == GO_ON, NO_CONVERGENCE, outcome)
         done, left = (outcome != GO_ON).nonzero()[:, 0], (outcome == GO_ON).nonzero()[:, 0]
@@ -289,12 +289,12 @@ def _residual(value: torch.Tensor, x: torch.Tensor, scale: torch.Tensor
 def _judge(value: torch.Tensor, x: torch.Tensor, scales: Scales, previous: torch.Tensor,
            stage: torch.Tensor, accepted: torch.Tensor, is_last: bool) -> _Judged:
     """Say of each iterate whether it is good enough; see ``judge`` of integrators.solvers."""
-    bound = max(8, len(x)) * _EPS
+    bound = max(8, len(x)) * EPS
     defect, residual = _residual(value, x, scales.common)
     own_defect, own = _residual(value, x, scales.own)
     finite, last = residual.isfinite(), torch.full_like(stage, is_last, dtype=torch.bool)
     back = (stage == OWN) & (residual > bound) & ~last
-    on = (stage == COMMON) & ~((residual <= _EPS)
+    on = (stage == COMMON) & ~((residual <= EPS)
                                | ((residual <= bound) & ((residual >= previous) | last)))
     enough = (stage == BACK) | (own <= bound) | last | ((stage == OWN) & (own > 0.5 * previous))
     # In this order: what is not finite is nothing else, and so on.

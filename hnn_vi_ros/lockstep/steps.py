@@ -49,6 +49,28 @@ class State(NamedTuple):
                      self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
 
+class Progress(NamedTuple):
+    """
+    What is counted of m trajectories, each of shape (m,), changed in place.
+
+    Parameters
+    ----------
+    todo : torch.Tensor
+        Steps that are to do.
+    most, at : torch.Tensor
+        The most gradients of a step, and its number.
+
+    """
+
+    todo: torch.Tensor
+    most: torch.Tensor
+    at: torch.Tensor
+
+    def of(self, chosen: torch.Tensor) -> 'Progress':
+        """Return that of some trajectories."""
+        return Progress(*(part[chosen] for part in self))
+
+
 class Stepped(NamedTuple):
     """
     Result of a step.

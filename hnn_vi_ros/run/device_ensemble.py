@@ -10,6 +10,7 @@ import os
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
+from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, Recorded
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -50,7 +51,7 @@ def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], devi
         q and p, shape (n, m, d), NaN from a failure on; and the failures by number.
 
     """
-    size = min(_TOGETHER, len(q)) if device == 'cpu' else len(q)
+    size = min(_TOGETHER, len(q)) if open_device(device).type == 'cpu' else len(q)
     blocks = range(0, len(q), size)
     workers = min(threads or os.cpu_count() or 1, len(blocks))
     ensembles = [make() for _ in range(workers)]
@@ -76,7 +77,7 @@ def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], devi
 def _one_thread_each(device: str) -> Iterator[None]:
     """Let torch take no threads of its own, beside those that call it."""
     before = torch.get_num_threads()
-    if device == 'cpu':
+    if open_device(device).type == 'cpu':
         torch.set_num_threads(1)
     try:
         yield

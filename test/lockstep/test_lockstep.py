@@ -10,12 +10,13 @@ from hnn_vi_ros.lockstep import devices
 from hnn_vi_ros.lockstep.devices import captured, open_device
 from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
 from hnn_vi_ros.lockstep.gradient import make_gradient
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, load_checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from lockstep_scenes import random_network
 import numpy as np
 import pytest
 
@@ -107,24 +108,6 @@ def test_trajectories_are_the_same_bits_in_any_order_and_company(method):
         assert np.array_equal(part.counts.costliest, whole.counts.costliest[chosen])
 
 
-def random_network(tmp_path: Path, size: float) -> Scene:
-    """Return a scene of a network with large second derivatives, so that steps are hard."""
-    from hnn_vi_ros.models.checkpoint import save_checkpoint
-    checkpoint = load_checkpoint(Path('resource/models/stepwise_pendulum.safetensors'))
-    rng = np.random.default_rng(4)
-    layers = checkpoint.networks['energy']
-    scaled = Layers(tuple(size * rng.normal(size=w.shape) / np.sqrt(w.shape[1])
-                          for w in layers.weights), layers.biases)
-    save_checkpoint(tmp_path / 'network.safetensors',
-                    Checkpoint(checkpoint.card, {'energy': scaled}))
-    path = tmp_path / 'scene.yaml'
-    path.write_text(
-        'hamiltonian: {kind: hnn, model: ./network.safetensors}\n'
-        'integrator: {kind: variational_euler}\nstep_size: 0.1\n'
-        'initial_state: {q: [0.1], p: [0.2]}\n')
-    return load_scene(path)
-
-
 @pytest.mark.filterwarnings('ignore')
 @pytest.mark.parametrize('on_failure', ['substep', 'stop'])
 def test_steps_that_are_hard_are_taken_and_fail_as_in_the_compiled_loops(tmp_path, on_failure):
@@ -153,6 +136,8 @@ def test_steps_that_are_hard_are_taken_and_fail_as_in_the_compiled_loops(tmp_pat
     taken = [i for i in range(60) if i not in failed]
     assert found.counts.several_solutions[taken].tolist() == several[taken].tolist()
     assert found.counts.rescued[taken].tolist() == rescued[taken].tolist()
+    # The costliest step has a number, also where the compiled loops took it.
+    assert set(found.counts.at.tolist()) == {1, 2}
     assert several.any() and (rescued.any() if on_failure == 'substep' else len(failed) > 5)
 
 
