@@ -108,7 +108,7 @@ class LockstepEnsemble:
             hamiltonian.kernel.gradient_scale, step_size, options)
         self._launch, self._at_once = self._take_one, 1
         if kernels_of(device) == STEPS:
-            from hnn_vi_ros.lockstep.fused import ManySteps
+            from hnn_vi_ros.lockstep.many_steps import ManySteps
             many = ManySteps(hamiltonian, integrator, step_size, options, self._device)
             self._launch, self._at_once = many.take, _AT_ONCE
 

@@ -51,7 +51,7 @@ class State(NamedTuple):
 
 class Progress(NamedTuple):
     """
-    What is counted of m trajectories, each of shape (m,), changed in place.
+    Counts of m trajectories, each of shape (m,), changed in place.
 
     Parameters
     ----------

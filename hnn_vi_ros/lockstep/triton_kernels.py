@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Kernels in Triton, float64, for networks of tanh; ``fused`` launches them, and says for which.
+Kernels in Triton, float64, for networks of tanh; ``fused`` and ``many_steps`` launch them.
 
 All arrays have the trajectories along their last axis, of which each program has a block. Sums
 over a layer are in the same order for each trajectory, whatever others there are.
