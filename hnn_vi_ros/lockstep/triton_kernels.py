@@ -78,6 +78,8 @@ def forward(x, w1, b1, w2, b2, last, value, slope, m, n1, n2, INPUTS: tl.constex
         To fill with f(Z_2) and f'(Z_2).
     m, n1, n2 : int
         Columns, a multiple of COLUMNS; and the widths.
+    INPUTS : int
+        How many there are.
     LAST : bool
         Whether the output follows.
     ROWS, COLUMNS, DEPTH : int

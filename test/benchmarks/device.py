@@ -15,7 +15,7 @@ from itertools import pairwise
 import json
 import time
 
-from benchmarks.random_networks import random_network
+from helpers import random_checkpoint
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.lockstep.devices import description, FUSED, open_device, STEPS, TORCH
@@ -49,7 +49,7 @@ def gradients(device: str, widths: tuple[int, ...], batches: tuple[int, ...], re
     place = open_device(device)
     for width in widths:
         layers = [2, width, width, 1]
-        hamiltonian = NeuralHamiltonian(random_network(layers, SEED))
+        hamiltonian = NeuralHamiltonian(random_checkpoint(layers, SEED))
         paths = {kernels: make_gradient(hamiltonian, place, kernels) for kernels in (TORCH, FUSED)}
         for m in batches:
             z = torch.from_numpy(np.random.default_rng(SEED).uniform(-1.0, 1.0, (2, m))).to(place)
@@ -70,7 +70,7 @@ def steps(device: str, widths: tuple[int, ...], batches: tuple[int, ...], count:
            'largest difference from torch, a step |')
     yield '|---|---|---|---|---|'
     for width in widths:
-        hamiltonian = NeuralHamiltonian(random_network([2, width, width, 1], SEED))
+        hamiltonian = NeuralHamiltonian(random_checkpoint([2, width, width, 1], SEED))
         for method in _METHODS:
             for m in batches:
                 q, p = np.random.default_rng(SEED).uniform(-1.0, 1.0, (2, m, 1))

@@ -5,8 +5,7 @@
 from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
-from benchmarks.networks import jax_gradient
-from benchmarks.random_networks import random_network
+from benchmarks.networks import jax_gradient, random_network
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 import jax

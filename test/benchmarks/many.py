@@ -9,7 +9,7 @@ from pathlib import Path
 import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from benchmarks.random_networks import random_network
+from benchmarks.networks import random_network
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.run.ensemble import BLOCK, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene

@@ -8,8 +8,7 @@ Kernels in Triton against the products of torch, in the interpreter of Triton.
 
 import json
 
-from benchmarks.random_networks import random_network as random_weights
-from helpers import EPS
+from helpers import EPS, random_checkpoint
 from hnn_vi_ros.errors import RecordingError, UnsupportedSystem
 from hnn_vi_ros.lockstep import triton_kernels
 from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble, Recorded
@@ -49,7 +48,7 @@ def test_tanh_is_that_of_extended_precision():
 
 
 def network(widths: list[int]) -> NeuralHamiltonian:
-    return NeuralHamiltonian(random_weights(widths, seed=6))
+    return NeuralHamiltonian(random_checkpoint(widths, seed=6))
 
 
 @pytest.mark.parametrize('name', [
