@@ -261,7 +261,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         found[case.scene] = measure(case, horizon, rounds, arguments.quick)
         sections.append(section(case, *found[case.scene]))
     top, long = cases()[0], 100.0 if arguments.quick else LONG
-    sections.append(f'`{top.scene}` for {long:g} s, looked at {_LOOKS} times:\n\n'
+    sections.append(f'`{top.scene}` for {long:g} s, sampled {_LOOKS} times:\n\n'
                     f'{drifts(top, long)}')
     write(arguments.docs, found, '\n'.join(sections))
 
