@@ -19,28 +19,30 @@ PAGE, PICTURES = 'hard-cases.md', 'hard_cases'
 _PAGE = """\
 # Hard cases
 
-Written by `ros2 run hnn_vi_ros hard_cases --docs docs`, from a full run on {machine}.
+Fourteen cases in which integrators are known to fail, with an exact H and with a trained network. The page is for users who want
+to know the limits of each method, and whether a failure raises an alarm.
 
-Fourteen cases in which integrators are known to fail, with H from a formula and from a trained
-network. Each row must come out as it is committed in
-[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, where every gate
-holds and no measured value exceeds its limit; *alarm*, where a guard said that the run is not to
-be trusted; *stopped*, where a step failed with a typed error and the last good state was kept; or
-*unstable*, where a gate fails and nothing was said, which only methods that are neither
-symplectic nor energy-conserving may do.
+**Main result.** Only methods that are neither symplectic nor energy-conserving fail without an alarm.
 
-| gate | holds when |
+Each row must have the verdict that is committed in
+[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, every gate holds and no measured value exceeds its
+limit; *alarm*, a guard reported that the run is not reliable; *stopped*, a step failed with a typed error and the last good state
+was kept; or *unstable*, a gate fails without an alarm, which is accepted only for methods that are neither symplectic nor
+energy-conserving.
+
+| gate | holds if |
 |---|---|
 | G1 | all states are finite and below 1e10 |
 | G2 | every implicit step is solved to max(8, n) eps of its scale |
-| G3 | over 100 blocks the energy's drift is at most 10 % of its band, and its range in the last \
-tenth at most 1.5 times that in the first; or the band is one of rounding |
+| G3 | over 100 blocks the energy drift is at most 10 % of its band, and its range in the last \
+tenth at most 1.5 times that in the first; or the band is at rounding level |
 | G4 | a step forward and one back end within 2e-8 of their start, for symmetric methods |
 | G5 | the symplectic defect of a step is at most 1e-9 in the method's own 2-form |
 
-A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the value that was
-measured when it was committed; that value stands beside it. `make hard-cases` runs everything
-again and fails when a verdict differs. Every row: [hard_cases.csv](hard_cases/hard_cases.csv).
+A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the measured value at the time of its commit;
+the table shows both. `make hard-cases` repeats all runs and fails if a verdict differs. The page is written by
+`ros2 run hnn_vi_ros hard_cases --docs docs`, from a full run on {machine}. All rows:
+[hard_cases.csv](hard_cases/hard_cases.csv).
 
 """
 
@@ -124,8 +126,8 @@ def main_page(cases: Sequence[Case], rows: Sequence[CaseRow],
 def case_page(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]) -> str:
     """Return the page of one case."""
     text = '\n'.join([f'# Case {case.number}: {case.title}\n',
-                      'One of the [hard cases](../hard-cases.md), which tell what the gates and '
-                      'the verdicts are.\n', *_section(case, rows, expected)])
+                      'One of the [hard cases](../hard-cases.md), where gates and verdicts are '
+                      'defined.\n', *_section(case, rows, expected)])
     return text.rstrip('\n') + '\n'
 
 

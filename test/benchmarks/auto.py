@@ -43,11 +43,11 @@ def _row(name: str, tolerance: Tolerance, settings: Settings) -> Row:
         f'auto on {name}, {tolerance.kind} {tolerance.error:g}: time a simulated second',
         times[:, 0],
         times[:, 1], target=1.5, scale=1e6 / _TIMED, peer_name=f'{label}, h = {h:g}',
-        note=f'auto took {chosen}, h = {choice.step_size:.3g}; the peer is the fastest '
+        note=f'auto chose {chosen}, h = {choice.step_size:.3g}; the peer is the fastest '
              'row of the grid that holds the tolerance',
-        miss='auto counts gradients, so that its answer does not depend on how busy the machine '
-             'is; what else an implicit step costs, a microsecond or two, is most of it where a '
-             'gradient takes some nanoseconds.')
+        miss='auto counts gradients, so that its choice does not depend on the load of the machine; '
+             'the fixed cost of an implicit step, one or two microseconds, dominates if a gradient '
+             'takes some nanoseconds.')
 
 
 def _contestant(problem: InitialValueProblem, method: str | Method, h: float) -> Callable:

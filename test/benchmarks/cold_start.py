@@ -22,9 +22,9 @@ _TARGET = 2.5
 _FEW = 3
 _TOPICS = {'simulator': '/hnn_simulator/q', 'bare': '/bare'}
 _PARAMETERS = ('scene:=harmonic_oscillator', 'rerun_sink:=none', 'record:=false')
-_MISS = ("numba compiles the method's loop and the Hamiltonian, each once and by itself; later "
-         'starts of any scene with that method, or that Hamiltonian, find it on disk, and '
-         '`make build` compiles what the shipped scenes run.')
+_MISS = ("numba compiles the method's loop and the Hamiltonian separately; later starts of any "
+         'scene with that method, or that Hamiltonian, load it from disk, and `make build` '
+         'compiles those of the shipped scenes.')
 # A user's simulator and publisher are not kept to one thread.
 OURS_ALONE = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 

@@ -75,8 +75,8 @@ def _conservative(name: str, steps: int, settings: Settings) -> Row:
                        settings.repetitions)
     return compare(f'{name}, no effect listed: time a step', times[:, 0], times[:, 1],
                    target=1.02, scale=1e6 / steps, peer_name='the method alone',
-                   note='the same steps, bit by bit; the other side is the loop over the method '
-                        'and H, put together without scene, system or effects')
+                   note='bit-identical steps; the peer is the loop over the method and H, without '
+                        'scene, system or effects')
 
 
 def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, p: np.ndarray,

@@ -63,7 +63,7 @@ def _row(node: Node, folder: Path, settings: Settings) -> Row:
         note='what the node does for each sample, at one sample a step: the step, the sample, '
              'its figures, five messages published and recorded in the bag; no picture, no '
              'subscriber, and without the executor; the guards are timed inside of the tick',
-        miss='guards in Python take a microsecond or two a sample, whatever a step costs.')
+        miss='guards in Python take one or two microseconds a sample, whatever a step costs.')
 
 
 def _ticks(tick: Callable[[], None]) -> Callable[[], None]:

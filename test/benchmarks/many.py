@@ -21,9 +21,8 @@ _TRAJECTORIES = 10_000
 # Trajectories that run one by one, each as long as the many.
 _ALONE = 50
 _MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. A '
-         'block of states goes one by one through each tile of weights, which saves reading them '
-         'from a farther cache and nothing else; there is a gradient and an energy more at each '
-         'end.')
+         'block of states uses each tile of weights before the next, which only saves reading '
+         'them from a slower cache; a gradient and an energy are added at each end.')
 _RANDOM_SCENE = """\
 hamiltonian: {kind: hnn, model: ./network.safetensors}
 integrator: {kind: variational_euler}
@@ -76,7 +75,7 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         lambda: product.run], settings.repetitions, one_thread=False)
     single = times[:, 2] / (_ALONE * steps)
     note = (f'{gradients / (m * steps):.2f} gradients a step; {steps} steps; "one" is the mean of '
-            f'the first {_ALONE}, one by one, their set-up not timed')
+            f'the first {_ALONE}, one after another, without their set-up')
     peer, miss = 'one trajectory', _MISS.format(np.median(times[:, 3] / (m * steps) / single))
     yield compare(f'{m} trajectories of {name}, one thread', times[:, 0] / (m * steps), single,
                   target=0.6, scale=1e6, unit='us a step', peer_name=peer, note=note,

@@ -18,10 +18,14 @@ _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 
 _HEADING = """\
 # Benchmarks
 
-Every row is measured against its peer in turns, in one run, one thread each unless it says
-otherwise; `make bench` writes this file anew, `make bench ARGS='--rows robots'` one group of rows.
-A ratio is the median of the turns' ratios, ours over the peer's, with its quartiles; at most its
-target is good.
+The speed of this package, compared with its peers: other tools, or the same task without a
+feature. It is for users who choose a tool, and for developers who look for regressions.
+
+A ratio is ours over the peer's: below 1 we are faster, and a row meets its target if its ratio is
+at most the target. Rows that miss it are explained [below](#rows-that-miss-their-target). Ours and
+the peer are measured in turns, in one run, with one thread each unless stated otherwise; the ratio
+is the median over the turns, with its quartiles. `make bench` measures again and writes this page,
+`make bench ARGS='--rows robots'` one group of rows.
 """
 
 
@@ -98,7 +102,7 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
     misses = [f'- **{row.name}**, {_number(row.ratio)} for {row.target:g}: '
               f'{row.miss or "not explained yet."}' for row in missed]
     notes = [f'- {row.name}: {row.note}.' for row in rows if row.note]
-    # Groups that were measured on the same are told together.
+    # Groups that were measured on the same machine share a line.
     wheres: dict[str, list[str]] = {}
     for name, group in groups.items():
         wheres.setdefault(group.where, []).append(name)

@@ -127,8 +127,8 @@ def _dynamics_rows(arm: Arm, settings: Settings) -> Iterator[Row]:
                   target=1.0, scale=1e6 / _STATES, peer_name='pin.aba in a loop', note=told)
     yield compare(f"{arm.name}: forward dynamics, q''", times[:, 1], times[:, 2], target=1.0,
                   scale=1e6 / _STATES, peer_name='pin.aba in a loop',
-                  note=f"{told}; ours is the second derivative of H along (q', p'), of which no "
-                       'method has need',
+                  note=f"{told}; ours is the second derivative of H along (q', p'), which no "
+                       'method needs',
                   miss='gradient and second derivative place the tree, and factorise M, one after '
                        'the other.')
 
