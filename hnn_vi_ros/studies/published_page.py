@@ -142,8 +142,8 @@ def _summary(results: ResultTable) -> str:
     found = [(results.values(*key), published) for key, published in PUBLISHED.items()]
     reached = [is_reached(values, published) for values, published in found if len(values)]
     first, mean = (sum(part) for part in zip(*reached, strict=True)) if reached else (0, 0)
-    return (f'Of {len(PUBLISHED)} published numbers {len(reached)} are measured here; ours are at '
-            f'or below {first} of them on the published data, and {mean} in the mean over seeds.')
+    return (f'{len(reached)} of {len(PUBLISHED)} published errors are reproduced here: on the '
+            f'published data ours are at or below {first} of them, in the mean over seeds {mean}.')
 
 
 def _published_table(results: ResultTable, table: str) -> Iterator[str]:
@@ -205,7 +205,7 @@ def _machines_table(path: Path) -> Iterator[str]:
     if not path.is_file():
         yield 'Not measured.'
         return
-    yield ('| machine | measure | model | others | goal | ours, mean (worst of seeds) '
+    yield ('| machine | measure | model | others | target | ours, mean (worst of seeds) '
            '| baselines | met |')
     yield '|---' * 8 + '|'
     for row in json.loads(path.read_text(encoding='utf-8')):
