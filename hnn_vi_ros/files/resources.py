@@ -2,7 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the files that are shipped with the package, installed or in a source checkout."""
 
+import os
 from pathlib import Path
+
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError
+from hnn_vi_ros.files.regular_file import no_file
 
 _FOLDERS = {
     'scene': ('config/scenes', '.yaml'),
@@ -10,6 +14,8 @@ _FOLDERS = {
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
+# What users call a kind, where that is another word.
+_WHAT = {'training': 'training configuration'}
 
 
 def share_folder() -> Path:
@@ -43,3 +49,35 @@ def is_path(kind: str, name: str) -> bool:
     """Return whether a name is a path: it has a separator or the kind's suffix."""
     suffixes = (_FOLDERS[kind][1], '.yml') if kind != 'model' else (_FOLDERS[kind][1],)
     return '/' in name or name.endswith(suffixes)
+
+
+def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
+    """
+    Return the YAML file that a user names.
+
+    Parameters
+    ----------
+    kind : str
+        ``scene``, ``sweep`` or ``training``.
+    text : str
+        The name of a shipped file, or the path of a file.
+    error : type of HnnViRosError
+        The exception to raise where there is no such file, with one line: the valid names, and the
+        nearest one.
+
+    """
+    named = is_path(kind, text)
+    path = Path(text) if named else shipped_file(kind, text)
+    if os.path.isfile(path):
+        return path
+    names, what = shipped_names(kind), _WHAT.get(kind, kind)
+    if os.path.isdir(text) or named and os.path.exists(text):
+        raise error(f'{text}: {no_file(Path(text))}; give the path of a {what} (.yaml)')
+    if not named:
+        beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''
+        raise error(f'no {what} {text!r}{did_you_mean(text, names)}{beside}; shipped: '
+                    f'{", ".join(names)}; or give the path of a .yaml file')
+    files = map(str, path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ())
+    hint = did_you_mean(str(path), files) or did_you_mean(path.stem, names)
+    raise error(f'{text}: no such file{hint}; give the path of a {what}, or the name of a shipped '
+                f'one: {", ".join(names)}')

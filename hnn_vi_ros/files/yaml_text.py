@@ -107,7 +107,8 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
         decoded = raw.decode('utf-8')
     except UnicodeDecodeError as problem:
         line = raw.count(b'\n', 0, problem.start) + 1
-        raise error(f'{where}:{line}: not UTF-8: {problem.reason}') from problem
+        raise error(f'{where}:{line}: not UTF-8 ({problem.reason}); expected YAML, which is '
+                    'text') from problem
     for pattern, what in ((Reader.NON_PRINTABLE, 'a character that YAML has not'),
                           (_DIRECTIVE, 'a directive; leave out what begins with %')):
         if found := pattern.search(decoded):
@@ -116,7 +117,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
         loader = _Loader(decoded)
         root = loader.get_single_node()
         if root is None:
-            raise error(f'{where}:1: holds nothing')
+            raise error(f'{where}:1: is empty; expected YAML')
         return loader.construct_document(root), KeyPlaces(
             str(where), dict(_lines(root, (), root.start_mark.line + 1)))
     except yaml.MarkedYAMLError as problem:

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The schema of a training configuration, and where the shipped ones lie."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError, did_you_mean
-from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
 from hnn_vi_ros.learning.sources import dimension, Source
@@ -90,17 +89,10 @@ def find_config(config: str) -> Path:
     Raises
     ------
     DataError
-        No such shipped configuration; lists the valid names.
+        No such configuration; lists the valid names.
 
     """
-    if is_path('training', config):
-        return Path(config)
-    path = shipped_file('training', config)
-    if not os.path.isfile(path):
-        names = shipped_names('training')
-        raise DataError(f'no training configuration {config!r}{did_you_mean(config, names)}; '
-                        f'shipped: {", ".join(names)}; or give the path of a .yaml file')
-    return path
+    return find_yaml('training', config, DataError)
 
 
 def load_config(path: Path) -> TrainingConfig:

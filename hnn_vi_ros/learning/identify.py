@@ -26,7 +26,7 @@ from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.identify_windows import Windows
-from hnn_vi_ros.learning.motion_arrays import ArraysData, split_runs
+from hnn_vi_ros.learning.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.motions import steps_between
@@ -166,7 +166,7 @@ def _arrays(path: Path, data: ArraysData) -> ArraysData:
     try:
         with np.load(regular(path), allow_pickle=False) as archive:
             keys = {key.rpartition('/')[2] for key in archive.files}
-    except (OSError, ValueError):
+    except (OSError, *NOT_ARRAYS):
         return data
     return data.model_copy(update={
         'v': next((name for name in _VELOCITIES if name in keys), None),

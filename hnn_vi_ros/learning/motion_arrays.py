@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 import zipfile
+import zlib
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.regular_file import regular
@@ -14,6 +15,8 @@ import numpy as np
 from pydantic import Field
 
 MAX_BYTES = 1 << 30
+# What numpy raises of a file that is no .npz file of plain arrays, or a damaged one.
+NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 class ArraysData(MotionData):
@@ -60,10 +63,12 @@ def read_archive(path: Path) -> tuple[dict[str, np.ndarray], str]:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
     except OSError as problem:
-        raise DataError(f'{path}: cannot be read: {problem.strerror or problem}') from problem
-    except (ValueError, zipfile.BadZipFile, AttributeError) as problem:
-        raise DataError(f'{path}: not an .npz file of plain arrays ({problem}); write it with '
-                        'numpy.savez') from problem
+        raise DataError(f'{path}: cannot be read ({problem.strerror or problem}); give an .npz '
+                        'file that numpy.savez wrote') from problem
+    except NOT_ARRAYS as problem:
+        # Not numpy's own words, which advise to unpickle what anybody may have written.
+        raise DataError(f'{path}: not an .npz file of plain arrays; give one that numpy.savez '
+                        'wrote') from problem
     return arrays, digest
 
 

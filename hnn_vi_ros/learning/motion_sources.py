@@ -68,6 +68,8 @@ def guessed(path: str) -> ArraysData | BagMotions:
         return ArraysData()
     if file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml'):
         return BagMotions()
+    if not os.path.exists(file):
+        raise DataError(f'{file}: no such file; give a bag, or an .npz file of arrays')
     raise DataError(f'{file}: expected a bag, or an .npz file of arrays; of a text file, name the '
                     'columns in the data of a training configuration, and give that with --config')
 

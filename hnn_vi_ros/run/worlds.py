@@ -93,7 +93,8 @@ def open_world(uri: str) -> tuple[Scene, str]:
         raise WorldError('UNSUPPORTED_FORMAT', f'{_shown(uri)}: expected a scene file (.yaml)')
     if is_path('scene', name):
         if not os.path.isfile(name):
-            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: {no_file(Path(name))}')
+            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: {no_file(Path(name))}; '
+                             'give a scene file (.yaml)')
     elif name not in shipped_names('scene'):
         raise WorldError('RESULT_NOT_FOUND',
                          f'{_shown(uri)}: no such scene; ~/get_available_worlds lists them')

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from keyword import iskeyword
-import os
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +14,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError
 from hnn_vi_ros.errors import (
     CalibrationError, did_you_mean, ModelError, SceneError, UnsupportedSystem)
-from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
@@ -363,12 +362,7 @@ def load_scene(scene: str | Path) -> Scene:
         No such scene, or a file that is not a valid one; names file, line and key.
 
     """
-    text = str(scene)
-    path = Path(text) if is_path('scene', text) else shipped_file('scene', text)
-    if not is_path('scene', text) and not os.path.isfile(path):
-        names = shipped_names('scene')
-        raise SceneError(f'no scene {text!r}{did_you_mean(text, names)}; shipped: '
-                         f'{", ".join(names)}; or give the path of a .yaml file')
+    path = find_yaml('scene', str(scene), SceneError)
     loaded, places = read_yaml(path, Scene, SceneError)
     # A module beside the scene is found like one that is installed.
     loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))

@@ -19,15 +19,18 @@ PAGE, PICTURES = 'hard-cases.md', 'hard_cases'
 _PAGE = """\
 # Hard cases
 
-Fourteen cases in which integrators are known to fail, with an exact H and with a trained network. The page is for users who want
-to know the limits of each method, and whether a failure raises an alarm.
+Fourteen cases in which integrators are known to fail, with an exact H and with a trained network.
+The page is for users who want to know the limits of each method, and whether a failure raises an
+alarm.
 
-**Main result.** Only methods that are neither symplectic nor energy-conserving fail without an alarm.
+**Main result.** Only methods that are neither symplectic nor energy-conserving fail without an
+alarm.
 
 Each row must have the verdict that is committed in
-[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, every gate holds and no measured value exceeds its
-limit; *alarm*, a guard reported that the run is not reliable; *stopped*, a step failed with a typed error and the last good state
-was kept; or *unstable*, a gate fails without an alarm, which is accepted only for methods that are neither symplectic nor
+[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, every gate holds and
+no measured value exceeds its limit; *alarm*, a guard reported that the run is not reliable;
+*stopped*, a step failed with a typed error and the last good state was kept; or *unstable*, a gate
+fails without an alarm, which is accepted only for methods that are neither symplectic nor
 energy-conserving.
 
 | gate | holds if |
@@ -39,10 +42,10 @@ tenth at most 1.5 times that in the first; or the band is at rounding level |
 | G4 | a step forward and one back end within 2e-8 of their start, for symmetric methods |
 | G5 | the symplectic defect of a step is at most 1e-9 in the method's own 2-form |
 
-A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the measured value at the time of its commit;
-the table shows both. `make hard-cases` repeats all runs and fails if a verdict differs. The page is written by
-`ros2 run hnn_vi_ros hard_cases --docs docs`, from a full run on {machine}. All rows:
-[hard_cases.csv](hard_cases/hard_cases.csv).
+A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the measured value at the
+time of its commit; the table shows both. `make hard-cases` repeats all runs and fails if a verdict
+differs. The page is written by `ros2 run hnn_vi_ros hard_cases --docs docs`, from a full run on
+{machine}. All rows: [hard_cases.csv](hard_cases/hard_cases.csv).
 
 """
 

@@ -3,13 +3,12 @@
 """The schema of a sweep's YAML: a scene, what varies, and what is kept."""
 
 from collections.abc import Mapping
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from hnn_vi_ros.errors import DataError, did_you_mean
 from hnn_vi_ros.files.named_code import NAMES_CODE
-from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from pydantic import Field, model_validator
@@ -188,11 +187,6 @@ def load_sweep(sweep: str | Path | Mapping[str, Any]) -> tuple[Sweep, KeyPlaces,
     if not isinstance(sweep, str | Path):
         raise TypeError(f'sweep is a {type(sweep).__name__}: give the name of a shipped sweep, '
                         'the path of a YAML file, or a mapping')
-    text = str(sweep)
-    path = Path(text) if is_path('sweep', text) else shipped_file('sweep', text)
-    if not is_path('sweep', text) and not os.path.isfile(path):
-        names = shipped_names('sweep')
-        raise DataError(f'no sweep {text!r}{did_you_mean(text, names)}; shipped: '
-                        f'{", ".join(names)}; or give the path of a .yaml file')
+    path = find_yaml('sweep', str(sweep), DataError)
     loaded, places = read_yaml(path, Sweep, DataError)
     return loaded, places, path.parent

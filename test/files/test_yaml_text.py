@@ -58,8 +58,8 @@ def test_scalar_is_read_as_plain_data(text, value):
     ('a: &a [*a]', 'here:1: an alias within what it stands for'), ('a: *b', "undefined alias 'b'"),
     (BOMB, 'here:3: aliases repeat more than 100 keys and values'),
     ('a: [', 'here:2: while parsing a flow'), ('a: b: c', 'here:1: mapping values'),
-    ('a: 1\n--- b', 'here:2: expected a single document'), ('', 'here:1: holds nothing'),
-    ('a: \x00', 'a character that YAML has not'), (b'a: 1\nb: \xff', 'here:2: not UTF-8'),
+    ('a: 1\n--- b', 'here:2: expected a single document'), ('', 'here:1: is empty; expected YAML'),
+    ('a: \x00', 'a character that YAML has not'), (b'a: 1\nb: \xff', 'here:2: not UTF-8 '),
     ('\ud800', 'not UTF-8'), ('a: ' + 'x' * yaml_text.MAX_BYTES, 'larger than 1048576 bytes'),
 ], ids=range(26))
 def test_refusal_is_one_line_that_names_the_place(text, words):

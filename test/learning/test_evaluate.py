@@ -168,7 +168,8 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(tmp_path, capsys)
 
 
 @pytest.mark.parametrize('words, message', [
-    (['--data', 'arm.txt'], 'expected a bag, or an .npz file'),
+    (['--data', __file__], 'expected a bag, or an .npz file'),
+    (['--data', 'arm.txt'], 'arm.txt: no such file; give a bag, or an .npz file'),
     (['--data', 'nothing.npz'], 'cannot be read'),
     (['--data', 'arm.npz', '--horizons', '-1'], 'expected positive numbers'),
     (['--data', 'arm.npz', '--keys', 'q'], 'expected those of t, q, v, tau'),

@@ -17,6 +17,7 @@ from hnn_vi_ros.learning.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
+from hnn_vi_ros.learning.identify import _arrays
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
@@ -362,9 +363,18 @@ def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
     path = write(tmp_path / 'arm.npz')
     with pytest.raises(DataError, match="no run 'two'.*its runs: one"):
         read_arrays(path, ArraysData(), 1, ['two'])
-    (tmp_path / 'text.npz').write_text('hello')
-    for name in ('text.npz', 'nothing.npz'):
-        with pytest.raises(DataError, match='cannot be read|not an .npz file'):
+    (tmp_path / 'folder.npz').mkdir()
+    whole = path.read_bytes()
+    for name, content in (('text.npz', b'hello'), ('empty.npz', b''), ('cut.npz', whole[:-40]),
+                          ('damaged.npz', whole[:300] + bytes(40) + whole[340:])):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(DataError, match=f'{name}: not an .npz file of plain arrays; give') as no:
+            read_arrays(tmp_path / name, ArraysData(), 1)
+        assert 'pickle' not in str(no.value)
+        # What keys there are is asked before, when nothing is said of them.
+        assert _arrays(tmp_path / name, ArraysData()) == ArraysData()
+    for name in ('nothing.npz', 'folder.npz'):
+        with pytest.raises(DataError, match=f'{name}: cannot be read .*; give an .npz file'):
             read_arrays(tmp_path / name, ArraysData(), 1)
     assert split_runs(f'{path}:a,b') == (path, ['a', 'b'])
     assert split_runs(str(path)) == (path, [])

@@ -198,10 +198,24 @@ def test_scene_file_that_is_no_mapping_is_refused(write, content):
         load_scene(write(content))
 
 
-def test_scene_path_that_is_missing_or_a_folder_is_refused(tmp_path):
-    for path in (tmp_path / 'none.yaml', tmp_path):
-        with pytest.raises(SceneError):
-            load_scene(f'{path}/' if path == tmp_path else path)
+@pytest.mark.parametrize('given, says', [
+    ('nothing.yaml', "nothing.yaml: no such file; give the path of a scene, or the name of a shipped "
+     'one: air_track, '),
+    ('mime.yaml', 'mime.yaml: no such file; did you mean mine.yaml?; give the path'),
+    ('doube_pendulum.yaml', 'no such file; did you mean double_pendulum?; give the path'),
+    ('none/mine.yaml', 'none/mine.yaml: no such file; '),
+    ('\0.yaml', 'no such file; '),
+    ('folder', 'folder: is a folder; give the path of a scene (.yaml)'),
+    ('folder/', 'folder/: is a folder; give the path of a scene (.yaml)'),
+    ('bare', "no scene 'bare'; for the file bare give ./bare; shipped: air_track, ")])
+def test_scene_that_is_not_there_is_told_with_what_there_is(tmp_path, monkeypatch, given, says):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'folder').mkdir()
+    for name in ('mine.yaml', 'bare'):
+        (tmp_path / name).write_text('')
+    with pytest.raises(SceneError) as caught:
+        load_scene(given)
+    assert says in str(caught.value)
 
 
 @pytest.mark.parametrize('old, new, error, expected', [
