@@ -5,7 +5,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from hnn_vi_ros.errors import DataError, did_you_mean
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField

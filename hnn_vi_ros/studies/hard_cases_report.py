@@ -27,10 +27,10 @@ alarm.
 alarm.
 
 Each row must have the verdict that is committed in
-[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, every gate holds and
-no measured value exceeds its limit; *alarm*, a guard reported that the run is not reliable;
-*stopped*, a step failed with a typed error and the last good state was kept; or *unstable*, a gate
-fails without an alarm, which is accepted only for methods that are neither symplectic nor
+[hard_cases_expected.csv](../config/studies/hard_cases_expected.csv): *stable*, every gate holds
+and no measured value exceeds its limit; *alarm*, a guard reported that the run is not reliable;
+*stopped*, a step failed with a typed error and the last good state was kept; or *unstable*, a
+gate fails without an alarm, which is accepted only for methods that are neither symplectic nor
 energy-conserving.
 
 | gate | holds if |
