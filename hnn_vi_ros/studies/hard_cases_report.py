@@ -42,10 +42,10 @@ tenth at most 1.5 times that in the first; or the band is at rounding level |
 | G4 | a step forward and one back end within 2e-8 of their start, for symmetric methods |
 | G5 | the symplectic defect of a step is at most 1e-9 in the method's own 2-form |
 
-A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the measured value at the
-time of its commit; the table shows both. `make hard-cases` repeats all runs and fails if a verdict
-differs. The page is written by `ros2 run hnn_vi_ros hard_cases --docs docs`, from a full run on
-{machine}. All rows: [hard_cases.csv](hard_cases/hard_cases.csv).
+A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the measured value at
+the time of its commit; the table shows both. `make hard-cases` repeats all runs and fails if a
+verdict differs. The page is written by `ros2 run hnn_vi_ros hard_cases --docs docs`, from a full
+run on {machine}. All rows: [hard_cases.csv](hard_cases/hard_cases.csv).
 
 """
 

@@ -7,10 +7,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 import numpy as np
 
-_FONT = 6.5
+_FONT = 7.5
 # Offsets from a point to the near corner of its label [points], the preferred ones first.
 _OFFSETS = ((6, 0), (6, 6), (6, -6), (-6, 0), (-6, 6), (-6, -6), (0, 9), (0, -9))
 
@@ -54,7 +55,8 @@ def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray])
     taken: list[Bbox] = []
     for label in labels:
         text = ax.annotate(label.text, label.point, (0, 0), fontsize=_FONT, color=label.color,
-                           zorder=6, textcoords='offset points')
+                           zorder=6, textcoords='offset points',
+                           path_effects=[withStroke(linewidth=1.5, foreground='white')])
         box = text.get_window_extent(renderer)
         places = [place for place in _candidates(ax.transData.transform(label.point), box, pixels)
                   if _is_free(place[1], taken, inside)]

@@ -50,7 +50,11 @@ _OTHER = ('#555555', '*')
 INK, FAINT = '#222222', '#8a8a8a'
 # Larger errors say only that the run is lost.
 _LOST = 100.0
-_DPI = 100
+# A page shows a picture about as wide as this [inch], so texts keep their size on it.
+_DPI, _WIDTH = 125, 8.6
+# Of a group of lines: heights of its titles, its panels, ticks with their label, an entry of its
+# legend [inch]; then of what the whole picture has above and below.
+_TITLE, _PANEL, _TICKS, _ENTRY, _TOP, _BOTTOM = 0.55, 3.5, 0.55, 0.19, 0.35, 0.7
 _GROUPS = {'ours': 'Ours, solved to round-off', 'peers': 'Peers',
            'variants': 'Not solved to round-off, or float32'}
 # Marks of their own for what stops early and for what is rounded.
@@ -71,11 +75,11 @@ class Panel(NamedTuple):
 
 
 PANELS = (
-    Panel('seconds_per_simulated_second', 'path_error', 'How far from the true path',
+    Panel('seconds_per_simulated_second', 'path_error', 'Global (path) error',
           'wall time per simulated second [s/s]',
           'path error, largest component\n'
           r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]'),
-    Panel('gradients_per_simulated_second', 'energy_band', 'How far from the energy',
+    Panel('gradients_per_simulated_second', 'energy_band', 'Energy error',
           'gradients per simulated second [1/s]', 'energy band, largest $|H - H_0|$ [J]'),
 )
 
@@ -94,7 +98,7 @@ def panels_of(rows: Iterable[StudyRow]) -> tuple[Panel, Panel]:
     if any(row.finished and not math.isnan(row.path_error) for row in rows):
         return left, right
     return right._replace(x=left.x, x_label=left.x_label, title=(
-        'How far from the energy (no path can be followed so far)')), right
+        'Energy error (no path in chaos)')), right
 
 
 def is_peer(name: str) -> bool:
@@ -123,7 +127,7 @@ def line_style(name: str) -> dict[str, Any]:
 def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
          model: ModelDiscrepancy | None) -> Path:
     """
-    Draw the rows of one horizon into a PNG file: a column of panels for each group of lines.
+    Draw the rows of one horizon into a PNG file: two panels for each group of lines.
 
     Parameters
     ----------
@@ -141,27 +145,25 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
     """
     series = series_of(rows)
     groups = [group for group in _GROUPS if any(group_of(name) == group for name in series)]
-    figure = Figure(figsize=(max(5.6 * len(groups), 9.0), 10.5), dpi=_DPI, facecolor='white')
+    legends = {group: _handles(series, group) for group in groups or ['ours']}
+    heights = [_TITLE + _PANEL + _TICKS + _ENTRY * math.ceil(len(handles) / 2)
+               for handles in legends.values()]
+    figure = Figure(figsize=(_WIDTH, _TOP + sum(heights) + _BOTTOM), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13, color=INK)
-    grid = figure.subplots(2, max(len(groups), 1), squeeze=False)
-    figure.subplots_adjust(left={1: 0.16, 2: 0.1}.get(len(groups), 0.075), right=0.985,
-                           bottom=0.21, top=0.92, wspace=0.13, hspace=0.34)
-    drawn = []
-    for i, (line, panel) in enumerate(zip(grid, panels_of(rows), strict=True)):
-        floor = getattr(model, _FLOORS[panel.y]) if model else math.nan
-        limits = _limits_of(panel, rows, floor)
-        for ax, group in zip(line, groups or ['ours'], strict=True):
-            _begin_panel(ax, panel, limits, '' if i else _GROUPS[group])
+    figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.2 / figure.get_figheight())
+    drawn, panels = [], panels_of(rows)
+    floors = [getattr(model, _FLOORS[panel.y]) if model else math.nan for panel in panels]
+    for k, (group, handles) in enumerate(legends.items()):
+        top = figure.get_figheight() - _TOP - sum(heights[:k]) - _TITLE
+        for panel, floor, left in zip(panels, floors, (0.95, 5.35), strict=True):
+            ax = _add_panel(figure, left, top)
+            _begin_panel(ax, panel, _limits_of(panel, rows, floor), _GROUPS[group])
             drawn.append((ax, _draw_lines(ax, panel, series, group)))
             _draw_levels(ax, panel, floor, reference, model)
-        for ax in line[1:]:
-            ax.set_ylabel('')
-    for ax, group in zip(grid[1], groups, strict=False):
-        ax.legend(handles=_handles(series, group), loc='upper center', bbox_to_anchor=(0.5, -0.17),
-                  frameon=False, fontsize=7.5, ncols=2)
+        figure.legend(handles=handles, loc='upper center', frameon=False, fontsize=8.5, ncols=2,
+                      bbox_to_anchor=(0.5, (top - _PANEL - _TICKS + 0.1) / figure.get_figheight()))
     figure.legend(handles=_common_handles(reference, model), loc='lower center', frameon=False,
-                  fontsize=8, ncols=5 if len(groups) > 2 else 3)
+                  fontsize=8.5, ncols=2)
     # Last: the layout is final only now.
     figure.draw_without_rendering()
     for ax, labels in drawn:
@@ -172,6 +174,14 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
         small = picture.convert('RGB').quantize(128)
     small.save(path, optimize=True)
     return path
+
+
+def _add_panel(figure: Figure, left: float, top: float) -> Axes:
+    """Return axes whose upper left corner is so far from the figure's lower left one [inch]."""
+    width, height = figure.get_size_inches()
+    ax = figure.add_axes((left / width, (top - _PANEL) / height, 3.1 / width, _PANEL / height))
+    ax.tick_params(labelsize=8.5)
+    return ax
 
 
 def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
@@ -188,8 +198,10 @@ def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
 
 def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, float] | None,
                  group: str) -> None:
-    ax.set(xscale='log', yscale='log', xlabel=panel.x_label, ylabel=panel.y_label)
-    ax.set_title(f'{group}\n{panel.title}' if group else panel.title, fontsize=10, pad=10.0)
+    ax.set(xscale='log', yscale='log')
+    ax.set_xlabel(panel.x_label, fontsize=9.0)
+    ax.set_ylabel(panel.y_label, fontsize=9.0)
+    ax.set_title(f'{group}\n{panel.title}', fontsize=10, pad=8.0)
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
     ax.spines[['top', 'right']].set_visible(False)
     if limits is None:
