@@ -21,8 +21,8 @@ FOLDER = Path(__file__).resolve().parent / 'recordings'
 # Scene, and simulated time [s].
 SCENES = {'harmonic_oscillator': 20.0, 'double_pendulum': 10.0, 'kepler': 20.0,
           'henon_heiles': 100.0, 'fput_chain': 60.0, 'spherical_pendulum': 10.0,
-          'heavy_top': 10.0, 'six_joint_arm': 3.0}
-_WINDOW, _WIDTH, _COLOURS = '1400x900', 1400, 128
+          'heavy_top': 10.0, 'exact_damped_driven_pendulum': 3.0, 'six_joint_arm': 2.6}
+_WINDOW, _WIDTH, _COLOURS = '1400x900', 1400, 256
 
 
 def write_screenshot(name: str, duration: float, path: Path) -> None:
@@ -37,7 +37,9 @@ def write_screenshot(name: str, duration: float, path: Path) -> None:
                         '--screenshot-to', shot, '--port', port], check=True, timeout=120.0)
         picture = Image.open(shot).convert('RGB')
         picture.thumbnail((_WIDTH, _WIDTH), Image.Resampling.LANCZOS)
-        picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+        # Every colour has its share, however few points it has: that of an arrow, or of a curve.
+        picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+            path, optimize=True)
 
 
 if __name__ == '__main__':

@@ -23,7 +23,8 @@ def record(trajectory: TrajectoryData, target: str | Path | int) -> None:
     # The work of effects is not part of a trajectory: its error is that of H alone.
     sink = RerunSink(
         scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,
-        mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None, modified=False,
+        mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
+        effects=scene.create_effects(), step_size=h, modified=False,
         interval=0, begin=(stamps[0], round(run.t[0] / h)))
     try:
         told = [(event.t, f'event {event}', 'INFO') for event in run.events] + [

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show samples in the rerun viewer: to a file, to a running viewer, or as a server."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+import math
 import time
 from typing import final
 
+from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
@@ -15,6 +18,7 @@ from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_layout as layout
 from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
+from hnn_vi_ros.viewer.rerun_forces import ForceArrows
 from hnn_vi_ros.viewer.rerun_portraits import Portraits
 from hnn_vi_ros.viewer.rerun_robot import (
     bounds_of_path, bounds_of_robot, collisions_of, RobotPicture)
@@ -39,7 +43,7 @@ class RerunSink:
     A recording of one run: state and energy series, phase portraits, the mechanism, events.
 
     A robot that a URDF describes is drawn as the SDK reads it, with an arrow at each joint whose
-    motor works. Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three
+    motor works. On the bodies of a mechanism arrows show the forces of effects; see ForceArrows. Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three
     timelines: ``sim_time`` (simulated time), ``step`` and ``ros_time``. Samples are thinned out in
     simulated time and gathered for a moment of wall time between sends.
 
@@ -58,6 +62,10 @@ class RerunSink:
         Lowest and highest q and p of the training data.
     mechanism : callable, optional
         What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
+    effects : sequence of Effect, optional
+        Of the scene, whose forces are shown on the bodies of the mechanism.
+    step_size : float
+        h [s], for forces that depend on time.
     conservative : bool
         Whether no effect does work; else the work is shown.
     modified : bool
@@ -82,7 +90,8 @@ class RerunSink:
 
     def __init__(self, name: str, target: Target, hamiltonian: Hamiltonian, q0: np.ndarray,
                  p0: np.ndarray, *, box: tuple[np.ndarray, np.ndarray] | None = None,
-                 mechanism: Mechanism | None = None, conservative: bool = True,
+                 mechanism: Mechanism | None = None, effects: Sequence[Effect] = (),
+                 step_size: float = math.nan, conservative: bool = True,
                  modified: bool = True, band: bool = False, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
@@ -99,6 +108,10 @@ class RerunSink:
         self._newest: Sample | None = None
         self._kept: Sample | None = None
         self._reach = 0.0
+        # Of effects: all, h, the arrows, and which of them have been styled.
+        self._effects, self._step_size = effects, step_size
+        self._forces: ForceArrows | None = None
+        self._arrows: set[str] = set()
         # Where trails end, by name.
         self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
@@ -196,6 +209,10 @@ class RerunSink:
             self._reach = reach_of(hamiltonian, ends)
             parts = self._mechanism(ends, self._reach)
             bounds = bounds_of(parts)
+            if not hamiltonian.rotations:
+                self._forces = ForceArrows(
+                    self._effects, hamiltonian, self._mechanism, self._step_size, self._reach,
+                    0.5 * float(np.ptp(bounds, axis=0).max()))
         hidden = ''
         if self._robot is not None:
             own, hidden = bounds_of_robot(self._robot), collisions_of(self._robot)
@@ -259,6 +276,8 @@ class RerunSink:
         self._portraits.send(times, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, q)
+        if self._forces is not None:
+            self._send_forces(self._forces, times, samples)
         if self._robot is not None:
             self._show(bounds_of_path(self._robot, [c.name for c in self._coordinates], q))
         if self._picture is not None:
@@ -309,6 +328,19 @@ class RerunSink:
                     strips=np.stack([points[:-1], points[1:]], axis=1)))
             elif part.moves:
                 self._columns(layout.part_path(name), times, _moved(part))
+
+    def _send_forces(self, forces: ForceArrows, times: list[rr.TimeColumn],
+                     samples: Sequence[Sample]) -> None:
+        found = dict(forces.columns(samples))
+        if new := [name for name in found if name not in self._arrows]:
+            self._arrows.update(new)
+            self._events.append((samples[0].stamp, samples[0].step, forces.legend(new), 'INFO'))
+            self._send_events()
+        for name, columns in found.items():
+            path = f'/world/forces/{rr.escape_entity_path_part(name)}'
+            if name in new:
+                self._stream.recording.log(path, forces.style(name), static=True, strict=True)
+            self._columns(path, times, columns)
 
     def _times(self, stamps: list[int], steps: list[int]) -> list[rr.TimeColumn]:
         stamp = np.array(stamps, dtype=np.int64)
