@@ -71,7 +71,7 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
     if os.path.isfile(path):
         return path
     names, what = shipped_names(kind), _WHAT.get(kind, kind)
-    if os.path.isdir(text) or named and os.path.exists(text):
+    if os.path.isdir(text) or (named and os.path.exists(text)):
         raise error(f'{text}: {no_file(Path(text))}; give the path of a {what} (.yaml)')
     if not named:
         beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''

@@ -26,8 +26,8 @@ def arrows(kind: str, effects: list, one: Sample, hamiltonian=None) -> tuple[dic
     """Return vectors [N] of each force, shape (bodies, 3), and the scale."""
     hamiltonian = hamiltonian or HAMILTONIANS['free_particle'](names=['x', 'z'])
     made = ForceArrows(effects, hamiltonian, MECHANISMS[kind], 0.5, 1.0, 1.0)
-    found = {name: np.array([list(batch.as_arrow_array().to_pylist()) for batch in columns
-                             if 'vectors' in str(batch.component_descriptor())][0])
+    found = {name: np.array(next(batch.as_arrow_array().to_pylist() for batch in columns
+                                 if 'vectors' in str(batch.component_descriptor())))
              for name, columns in made.columns([one])}
     return {name: vectors[0] / made.scale for name, vectors in found.items()}, made.scale
 
