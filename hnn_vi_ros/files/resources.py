@@ -77,7 +77,9 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''
         raise error(f'no {what} {text!r}{did_you_mean(text, names)}{beside}; shipped: '
                     f'{", ".join(names)}; or give the path of a .yaml file')
-    files = map(str, path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ())
-    hint = did_you_mean(str(path), files) or did_you_mean(path.stem, names)
+    # By what stands before the suffix: all files share that.
+    files = path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ()
+    hint = did_you_mean(path.stem, [file.stem for file in files])
+    hint = hint.replace('?', f'{path.suffix}?') or did_you_mean(path.stem, names)
     raise error(f'{text}: no such file{hint}; give the path of a {what}, or the name of a shipped '
                 f'one: {", ".join(names)}')

@@ -8,7 +8,6 @@ from typing import Any, final
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
-from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism
 from hnn_vi_ros.simulation.sample import Sample
@@ -114,7 +113,7 @@ class ForceArrows:
 
     def _force(self, effect: Effect, own: Any, sample: Sample) -> np.ndarray:
         """Return the generalised force of an effect at a sample, shape (d,)."""
-        if isinstance(effect, MagneticField):
+        if isinstance(effect, EFFECTS['magnetic_field']):
             return self._curl @ sample.dH_dp
         f_q, f_p = np.zeros((2, sample.q.size))
         if isinstance(effect, Potential):

@@ -203,6 +203,8 @@ def test_scene_file_that_is_no_mapping_is_refused(write, content):
      'one: air_track, '),
     ('mime.yaml', 'mime.yaml: no such file; did you mean mine.yaml?; give the path'),
     ('doube_pendulum.yaml', 'no such file; did you mean double_pendulum?; give the path'),
+    # A suffix that all have is no likeness.
+    ('nope.yaml', 'nope.yaml: no such file; give the path'),
     ('none/mine.yaml', 'none/mine.yaml: no such file; '),
     ('\0.yaml', 'no such file; '),
     ('folder', 'folder: is a folder; give the path of a scene (.yaml)'),
