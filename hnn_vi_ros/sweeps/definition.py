@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from hnn_vi_ros.errors import DataError, did_you_mean
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.named_code import NAMES_CODE
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate

@@ -43,8 +43,9 @@ class RerunSink:
     A recording of one run: state and energy series, phase portraits, the mechanism, events.
 
     A robot that a URDF describes is drawn as the SDK reads it, with an arrow at each joint whose
-    motor works. On the bodies of a mechanism arrows show the forces of effects; see ForceArrows. Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three
-    timelines: ``sim_time`` (simulated time), ``step`` and ``ros_time``. Samples are thinned out in
+    motor works. On the bodies of a mechanism arrows show the forces of effects; see ForceArrows.
+    Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three timelines:
+    ``sim_time`` (simulated time), ``step`` and ``ros_time``. Samples are thinned out in
     simulated time and gathered for a moment of wall time between sends.
 
     Parameters
