@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 import re
 import runpy
+import tomllib
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -61,6 +62,12 @@ def test_only_what_ros_finds_by_the_package_has_generic_names(
     names = {row.partition(' = ')[0] for row in run_setup()['entry_points']['console_scripts']}
     assert 'hnn' in names and ('train' in names) == generic
     assert generic or names == {'hnn'}
+
+
+def test_every_pip_builds_a_wheel():
+    # Without a backend an older pip runs `setup.py install`, and `hnn` is on nobody's PATH.
+    system = tomllib.loads((ROOT / 'pyproject.toml').read_text())['build-system']
+    assert system == {'requires': ['setuptools'], 'build-backend': 'setuptools.build_meta'}
 
 
 def test_every_command_that_is_named_anywhere_is_an_executable(run_setup, monkeypatch):
