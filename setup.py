@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 
 NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
-TRAIN = ['matplotlib>=3.8', 'plotly>=6,<7', 'torch>=2.3,<3', 'tqdm>=4.60']
+TRAIN = ['plotly>=6,<7', 'torch>=2.3,<3', 'tqdm>=4.60']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [
@@ -77,6 +77,7 @@ setup(
     python_requires='>=3.11',
     install_requires=[
         'contourpy>=1.2',
+        'matplotlib>=3.8',
         'mcap>=1.6,<2',
         'numba>=0.61,<0.70',
         'numpy>=2.0',
@@ -90,8 +91,7 @@ setup(
     extras_require={
         # What training and the studies take besides.
         'train': TRAIN,
-        # What figures, tables and completion take besides.
-        'plot': ['matplotlib>=3.8'],
+        # What tables and completion take besides.
         'tables': ['pandas>=2.2', 'xarray>=2024.1'],
         'completion': ['shtab>=1.7'],
         # What `hnn_vi_ros.envs` takes besides.

@@ -32,7 +32,7 @@ _PIP_NAMES = {
     'yaml': 'pyyaml',
 }
 # The packages of the extra `train`, which simulating does without.
-_TRAINING = ('matplotlib', 'torch', 'tqdm')
+_TRAINING = ('plotly', 'torch', 'tqdm')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
 # The status of a process that SIGINT has ended, as shells give it.

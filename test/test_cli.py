@@ -63,13 +63,13 @@ def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, pa
 
 
 @pytest.mark.parametrize('executable, hidden', [
-    ('train', 'torch'), ('published_tables', 'tqdm'), ('bag_to_model', 'matplotlib')])
+    ('train', 'torch'), ('published_tables', 'tqdm'), ('published_tables', 'torch')])
 def test_missing_package_of_training_is_one_line_with_the_command(executable, hidden):
     result = run(executable, hidden)
     assert result.returncode == 1
     assert result.stderr.count('\n') == 1
     assert f'the Python package {hidden} is missing' in result.stderr
-    assert re.search('with: (make -C .* build TORCH=any|.* -m pip install "matplotlib" "torch")',
+    assert re.search('with: (make -C .* build TORCH=any|.* -m pip install "plotly" "torch")',
                      result.stderr)
 
 
@@ -80,7 +80,7 @@ def test_remedy_for_a_package_of_training_suits_the_environment(
     if made_by_make:
         (tmp_path / '.installed').write_text('wheels /a/checkout\nrun 1-2\n')
     expected = ('make -C /a/checkout build TORCH=any' if made_by_make
-                else f'{sys.executable} -m pip install "matplotlib" "torch" "tqdm"')
+                else f'{sys.executable} -m pip install "plotly" "torch" "tqdm"')
     assert f'with: {expected}' in cli._missing('torch')
     assert '-m pip install "numba"' in cli._missing('numba')
 
