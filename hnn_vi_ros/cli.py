@@ -18,6 +18,7 @@ from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
+from hnn_vi_ros.ros.environment import check_ros_environment
 
 # Import names whose package on PyPI has another name.
 _PIP_NAMES = {
@@ -199,9 +200,13 @@ def _call(name: str, argv: list[str], shown: str) -> int | str | None:
     """Return the status of a module's ``main``; of an error that a user can mend, one line."""
     try:
         _answer_at_once(name, argv)
+        module = module_of(name, argv)
+        if module.startswith('hnn_vi_ros.ros.'):
+            # Before any library of ROS is loaded: some end the process.
+            check_ros_environment()
         # Libraries in C turn an interrupt of their import into errors of their own.
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
-        found = import_module(module_of(name, argv))
+        found = import_module(module)
         _merge_interrupts()
         return found.main(argv)
     except HnnViRosError as problem:

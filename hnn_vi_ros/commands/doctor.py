@@ -13,7 +13,9 @@ import sys
 from typing import NamedTuple
 
 from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.resources import share_folder, shipped_names
+from hnn_vi_ros.ros.environment import check_ros_environment
 from hnn_vi_ros.version import __version__
 
 # What is imported, by what it is installed as; what simulating takes, and what some of it takes.
@@ -107,6 +109,11 @@ def _ros() -> Iterator[Finding]:
     if found is None:
         yield Finding('ROS 2', 'absent', 'only for simulator, replay, listener and rerun_bridge: '
                       'source ROS 2 Jazzy, or take `make build` of the checkout')
+        return
+    try:
+        check_ros_environment()
+    except ParameterError as problem:
+        yield Finding('ROS 2', 'wrong', str(problem))
         return
     distribution = os.environ.get('ROS_DISTRO', 'not sourced')
     place = Path(found.origin or '').parent

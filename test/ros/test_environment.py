@@ -1,0 +1,63 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Variables of the shell that ROS cannot take are one line, before a library of it is loaded."""
+
+import os
+import subprocess
+import sys
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.ros.environment import check_ros_environment
+import pytest
+
+NAMES = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'RMW_IMPLEMENTATION')
+
+
+@pytest.fixture(autouse=True)
+def middlewares(tmp_path, monkeypatch):
+    """Let two middlewares be installed, and nothing be set."""
+    folder = tmp_path / 'share' / 'ament_index' / 'resource_index' / 'rmw_typesupport'
+    folder.mkdir(parents=True)
+    for name in ('rmw_implementation', 'rmw_fastrtps_cpp', 'rmw_zenoh_cpp'):
+        (folder / name).touch()
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'/nowhere:{tmp_path}')
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize('name, value', [
+    ('ROS_DOMAIN_ID', ''), ('ROS_DOMAIN_ID', '0'), ('ROS_DOMAIN_ID', '232'),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF'), ('RMW_IMPLEMENTATION', 'rmw_zenoh_cpp'),
+    ('RMW_IMPLEMENTATION', '')])
+def test_values_of_ros_pass(name, value, monkeypatch):
+    monkeypatch.setenv(name, value)
+    check_ros_environment()
+
+
+@pytest.mark.parametrize('name, value, message', [
+    *[('ROS_DOMAIN_ID', value, 'set a number from 0 to 232') for value in
+      ('abc', '-1', '233', '1.0', '0x1', '٣')],
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHSOT', 'did you mean LOCALHOST?; valid: SUBNET, '),
+    ('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp', 'there: rmw_fastrtps_cpp, rmw_zenoh_cpp')])
+def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, value, message, monkeypatch):
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ParameterError) as caught:
+        check_ros_environment()
+    text = str(caught.value)
+    assert text.startswith(f'{name}={value!r} is n') and message in text and '\n' not in text
+
+
+def test_middleware_is_not_judged_where_no_index_tells_of_any(monkeypatch):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '/nowhere')
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
+    check_ros_environment()
+
+
+def test_node_says_it_before_ros_ends_the_process():
+    # The wheels' library ends the process, with status 102, while it is loaded.
+    result = subprocess.run(
+        [sys.executable, '-m', 'hnn_vi_ros', 'listener'], capture_output=True, text=True,
+        env={**os.environ, 'RMW_IMPLEMENTATION': 'rmw_of_nobody'}, timeout=60, check=False)
+    assert (result.returncode, result.stdout) == (1, '')
+    assert result.stderr.count('\n') == 1
+    assert "hnn listener: RMW_IMPLEMENTATION='rmw_of_nobody' is not installed" in result.stderr
