@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 import signal
 import sys
-import tempfile
 import time
 from types import FrameType
 from typing import NoReturn
@@ -18,6 +17,7 @@ from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
+from hnn_vi_ros.files.user_folders import private_folder, usual_cache_folder
 from hnn_vi_ros.ros.environment import check_ros_environment
 
 # Import names whose package on PyPI has another name.
@@ -142,14 +142,14 @@ def scene() -> NoReturn:
 
 
 def _choose_cache() -> None:
-    """Let numba keep compiled code in a temporary folder where it could keep it nowhere else."""
-    home = Path(os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache')
-    while not home.exists() and home != home.parent:
-        home = home.parent
-    if 'NUMBA_CACHE_DIR' not in os.environ and not any(
-            os.access(folder, os.W_OK) for folder in (Path(__file__).parent, home)):
-        os.environ['NUMBA_CACHE_DIR'] = str(
-            Path(tempfile.gettempdir()) / f'hnn_vi_ros-cache-{os.getuid()}')
+    """Let libraries keep their caches in a temporary folder where they could keep them nowhere."""
+    if usual_cache_folder() is not None:
+        return
+    # matplotlib would make another one each time, and say so.
+    if 'MPLCONFIGDIR' not in os.environ:
+        os.environ['MPLCONFIGDIR'] = str(private_folder() / 'matplotlib')
+    if 'NUMBA_CACHE_DIR' not in os.environ and not os.access(Path(__file__).parent, os.W_OK):
+        os.environ['NUMBA_CACHE_DIR'] = str(private_folder())
 
 
 def _merge_interrupts() -> None:
@@ -179,7 +179,11 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     guard_streams()
     # The viewer's library would write lines of its own to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
-    _choose_cache()
+    try:
+        _choose_cache()
+    except OSError as problem:
+        sys.exit(f'{shown}: neither the home nor a folder for temporary files can be written '
+                 f'({problem.strerror}); set TMPDIR to one that can')
     try:
         # Libraries look it up while they are imported.
         os.getcwd()

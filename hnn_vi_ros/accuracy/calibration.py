@@ -20,6 +20,7 @@ from hnn_vi_ros.accuracy.survey import PathSurvey, survey
 from hnn_vi_ros.accuracy.trials import (
     EnergyJudge, InitialValueProblem, Judge, Method, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, UnsupportedSystem
+from hnn_vi_ros.files.user_folders import cache_folder
 from hnn_vi_ros.version import __version__
 import numba
 import numpy as np
@@ -242,5 +243,4 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
 
 
 def _cache_folder() -> Path:
-    home = os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache'
-    return Path(home) / 'hnn_vi_ros' / 'calibration'
+    return cache_folder() / 'hnn_vi_ros' / 'calibration'

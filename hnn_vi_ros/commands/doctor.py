@@ -15,6 +15,7 @@ from typing import NamedTuple
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.resources import share_folder, shipped_names
+from hnn_vi_ros.files.user_folders import cache_folder, can_be_written
 from hnn_vi_ros.ros.environment import check_ros_environment
 from hnn_vi_ros.version import __version__
 
@@ -90,15 +91,11 @@ def _kernels() -> Finding:
     elif os.access(package, os.W_OK):
         folder = package
     else:
-        folder = Path(os.environ.get('XDG_CACHE_HOME') or Path('~').expanduser() / '.cache') \
-            / 'numba'
+        folder = cache_folder() / 'numba'
     files = [file for suffix in ('nbi', 'nbc') for file in folder.rglob(f'*.{suffix}')] \
         if folder.is_dir() else []
     size = sum(file.stat().st_size for file in files) / 1e6
-    there = folder
-    while not there.exists():
-        there = there.parent
-    if not os.access(there, os.W_OK):
+    if not can_be_written(folder):
         return Finding('kernel cache', 'wrong', f'{folder} cannot be written: each start compiles '
                        'anew; set NUMBA_CACHE_DIR to a folder of yours')
     return Finding('kernel cache', 'ok', f'{len(files)} files, {size:.0f} MB in {folder}')

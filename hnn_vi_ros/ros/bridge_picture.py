@@ -10,6 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.state_message import State
 from hnn_vi_ros.errors import ParameterError, RecordingError
+from hnn_vi_ros.files.user_folders import expand_user
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros.accuracy import ENTRIES
@@ -154,4 +155,4 @@ def target_of(settings: BridgeSettings) -> Target:
         return int(port)
     if not path:
         raise ParameterError('parameter rerun_path: expected the .rrd file to write')
-    return Path(path).expanduser()
+    return expand_user(path)

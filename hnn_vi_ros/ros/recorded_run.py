@@ -13,6 +13,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.user_folders import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.remapped_topics import own_topics
@@ -315,4 +316,4 @@ class RecordedRun:
 
 def resume(bag: str | Path, trust_code: bool = False) -> Resumption:
     """Return what a simulator needs to go on from the last state of a bag; see RecordedRun."""
-    return RecordedRun(Path(bag).expanduser(), trust_code).resumption()
+    return RecordedRun(expand_user(bag), trust_code).resumption()

@@ -1,0 +1,85 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Caches of a user without a home, of one whose home is read-only, and of one among others."""
+
+from pathlib import Path
+import subprocess
+import sys
+import tempfile
+
+from hnn_vi_ros.files import user_folders
+from hnn_vi_ros.files.user_folders import cache_folder, expand_user, usual_cache_folder
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path, monkeypatch):
+    """Return the folder of temporary files; nothing else is set."""
+    monkeypatch.delenv('XDG_CACHE_HOME', raising=False)
+    folder = tmp_path / 'tmp'
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, 'tempdir', str(folder))
+    return folder
+
+
+@pytest.fixture
+def no_home(monkeypatch):
+    """Let the user be in no list of users, as in a container with `--user`, and HOME not be set."""
+    monkeypatch.delenv('HOME', raising=False)
+    monkeypatch.setattr('pwd.getpwuid', lambda number: {}[number])
+
+
+def test_cache_is_in_the_home_or_where_it_was_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', str(tmp_path))
+    assert cache_folder() == tmp_path / '.cache'
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'mine'))
+    assert cache_folder() == tmp_path / 'mine'
+
+
+def test_cache_without_a_home_is_private_and_the_same_each_time(no_home, temporary):
+    assert usual_cache_folder() is None
+    folder = cache_folder()
+    assert folder == cache_folder() and folder.parent == temporary
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert expand_user('~/a') == Path('~/a')
+
+
+def test_cache_is_private_where_the_home_is_read_only(monkeypatch, temporary):
+    # Nobody, not even root, makes files there.
+    monkeypatch.setenv('HOME', '/proc/nobody')
+    monkeypatch.setattr(user_folders.os, 'access', lambda folder, mode: folder != Path('/proc'))
+    assert usual_cache_folder() is None
+    assert cache_folder().parent == temporary
+
+
+@pytest.mark.parametrize('planted', ['writable by others', 'a link', "another's"])
+def test_cache_that_others_could_write_is_not_taken(planted, no_home, tmp_path, monkeypatch):
+    first = cache_folder()
+    if planted == 'writable by others':
+        first.chmod(0o777)
+    elif planted == 'a link':
+        first.rmdir()
+        (tmp_path / 'theirs').mkdir()
+        first.symlink_to(tmp_path / 'theirs')
+    else:
+        number = first.stat().st_uid
+        first.rename(first.with_name(f'hnn_vi_ros-cache-{number + 1}'))
+        monkeypatch.setattr(user_folders.os, 'getuid', lambda: number + 1)
+    second = cache_folder()
+    assert second != first and not second.is_symlink()
+    assert second.stat().st_mode & 0o777 == 0o700
+
+
+def test_command_of_a_user_without_a_home_runs(tmp_path):
+    code = """
+import os, pwd, sys
+os.environ.pop('HOME', None)
+os.environ.pop('XDG_CACHE_HOME', None)
+pwd.getpwuid = lambda number: {}[number]
+sys.argv = ['hnn', 'doctor']
+from hnn_vi_ros.cli import main
+main()
+"""
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            timeout=120, check=False)
+    assert (result.returncode, result.stderr) == (0, '')
