@@ -17,7 +17,7 @@ from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
-from hnn_vi_ros.files.user_folders import private_folder, usual_cache_folder
+from hnn_vi_ros.files.user_folders import private_folder, usual_folder
 from hnn_vi_ros.ros.environment import check_ros_environment
 
 # Import names whose package on PyPI has another name.
@@ -143,7 +143,9 @@ def scene() -> NoReturn:
 
 def _choose_cache() -> None:
     """Let libraries keep their caches in a temporary folder where they could keep them nowhere."""
-    if usual_cache_folder() is not None:
+    if 'ROS_LOG_DIR' not in os.environ and usual_folder('ROS_HOME', '.ros') is None:
+        os.environ['ROS_LOG_DIR'] = str(private_folder() / 'ros_log')
+    if usual_folder() is not None:
         return
     # matplotlib would make another one each time, and say so.
     if 'MPLCONFIGDIR' not in os.environ:

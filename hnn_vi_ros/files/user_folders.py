@@ -13,15 +13,15 @@ def expand_user(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))
 
 
-def usual_cache_folder() -> Path | None:
-    """Return the folder that XDG_CACHE_HOME names, or that in the home; None if it is read-only."""
-    folder = Path(os.environ.get('XDG_CACHE_HOME') or expand_user('~') / '.cache')
+def usual_folder(variable: str = 'XDG_CACHE_HOME', name: str = '.cache') -> Path | None:
+    """Return the folder that a variable names, or that in the home; None if it is read-only."""
+    folder = Path(os.environ.get(variable) or expand_user('~') / name)
     return folder if folder.is_absolute() and can_be_written(folder) else None
 
 
 def cache_folder() -> Path:
     """Return where caches of the user are: the usual folder, else a private one."""
-    return usual_cache_folder() or private_folder()
+    return usual_folder() or private_folder()
 
 
 def private_folder() -> Path:

@@ -8,7 +8,7 @@ import sys
 import tempfile
 
 from hnn_vi_ros.files import user_folders
-from hnn_vi_ros.files.user_folders import cache_folder, expand_user, usual_cache_folder
+from hnn_vi_ros.files.user_folders import cache_folder, expand_user, usual_folder
 import pytest
 
 
@@ -37,7 +37,7 @@ def test_cache_is_in_the_home_or_where_it_was_asked_for(tmp_path, monkeypatch):
 
 
 def test_cache_without_a_home_is_private_and_the_same_each_time(no_home, temporary):
-    assert usual_cache_folder() is None
+    assert usual_folder() is None
     folder = cache_folder()
     assert folder == cache_folder() and folder.parent == temporary
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -48,7 +48,7 @@ def test_cache_is_private_where_the_home_is_read_only(monkeypatch, temporary):
     # Nobody, not even root, makes files there.
     monkeypatch.setenv('HOME', '/proc/nobody')
     monkeypatch.setattr(user_folders.os, 'access', lambda folder, mode: folder != Path('/proc'))
-    assert usual_cache_folder() is None
+    assert usual_folder() is None
     assert cache_folder().parent == temporary
 
 
@@ -70,16 +70,28 @@ def test_cache_that_others_could_write_is_not_taken(planted, no_home, tmp_path, 
     assert second.stat().st_mode & 0o777 == 0o700
 
 
-def test_command_of_a_user_without_a_home_runs(tmp_path):
+def run_without_a_home(*words: str) -> subprocess.CompletedProcess:
+    """Run a command of a user who is in no list of users."""
     code = """
 import os, pwd, sys
-os.environ.pop('HOME', None)
-os.environ.pop('XDG_CACHE_HOME', None)
+for name in ('HOME', 'XDG_CACHE_HOME', 'ROS_HOME', 'ROS_LOG_DIR'):
+    os.environ.pop(name, None)
 pwd.getpwuid = lambda number: {}[number]
-sys.argv = ['hnn', 'doctor']
+sys.argv = ['hnn', *sys.argv[1:]]
 from hnn_vi_ros.cli import main
 main()
 """
-    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            timeout=120, check=False)
+    return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
+                          timeout=120, check=False)
+
+
+def test_command_of_a_user_without_a_home_runs():
+    result = run_without_a_home('doctor')
     assert (result.returncode, result.stderr) == (0, '')
+
+
+def test_log_of_ros_has_a_place_without_a_home():
+    # ROS opens its log before it makes the node, which cannot have that name.
+    result = run_without_a_home('listener', '--ros-args', '-r', '__node:=no+name')
+    assert result.returncode == 1
+    assert 'name' in result.stderr and 'logging' not in result.stderr
