@@ -10,7 +10,7 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import find, keep, Part, set_identity, Whole
+from hnn_vi_ros.kernels.linking import find, keep, keep_loop, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 from hnn_vi_ros.kernels.value_types import kind_of, type_of
@@ -141,7 +141,7 @@ def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
     digest = sha256('/'.join(names).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
-    return numba.njit(copy, cache=True, **_LOOP)
+    return keep_loop(numba.njit(copy, **_LOOP))
 
 
 def identify(dispatcher: Dispatcher) -> str:

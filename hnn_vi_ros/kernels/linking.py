@@ -12,14 +12,17 @@ This is the one file that uses numba's compiler passes, code libraries and cache
 """
 
 from collections.abc import Callable
-from typing import Any
+from functools import cache
+import pickle
+from typing import Any, cast
+import warnings
 
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite.binding import Linkage
 from numba import _dynfunc
 from numba.core import types
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock, require_global_compiler_lock
@@ -206,8 +209,55 @@ def _register(function: Callable[..., Any], inline: bool) -> None:
 register_by(_register)
 
 
-class _Cache(FunctionCache):
-    """Numba's cache on disk, that looks at all sources which a function comes from."""
+class _Files(IndexDataCacheFile):
+    """Numba's files of a function, of which those that a power cut has damaged are absent."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return cast('dict[Any, str]', super()._load_index())
+        except _DAMAGED:
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        try:
+            return super()._load_data(name)
+        except _DAMAGED as problem:
+            # As numba has it of a file that was removed.
+            raise FileNotFoundError(name) from problem
+
+
+# What pickle raises of bytes that it did not write.
+_DAMAGED = (pickle.UnpicklingError, EOFError, ValueError, TypeError, IndexError, KeyError,
+            AttributeError, ImportError)
+
+
+class _LoopCache(FunctionCache):
+    """Numba's cache on disk, without which, as on a full disk, compiled code runs as well."""
+
+    _cache_file: Any
+
+    def __init__(self, py_func: Callable[..., Any]):
+        super().__init__(py_func)
+        files = self._cache_file
+        self._cache_file = _Files(self._cache_path, files._index_name.removesuffix('.nbi'),
+                                  files._source_stamp)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function; warn, once for all, that it cannot be kept."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as problem:
+            _warn_of_lost(self._cache_path, problem.strerror or str(problem))
+
+
+@cache
+def _warn_of_lost(folder: str, reason: str) -> None:
+    warnings.warn(f'compiled code cannot be kept in {folder} ({reason}): the next start compiles '
+                  'again; free space, or set NUMBA_CACHE_DIR to another folder', stacklevel=2)
+
+
+class _Cache(_LoopCache):
+    """A cache that looks at all sources which a function comes from."""
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         digest = digest_of(frozenset([self._py_func.__module__]))
@@ -238,4 +288,10 @@ def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:
 def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """Have a function of this package found again on disk while its sources stay as they are."""
     dispatcher._cache = _Cache(dispatcher.py_func)
+    return dispatcher
+
+
+def keep_loop(dispatcher: CPUDispatcher) -> CPUDispatcher:
+    """Have a loop, whose name tells what it is compiled from, found again on disk."""
+    dispatcher._cache = _LoopCache(dispatcher.py_func)
     return dispatcher
