@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 import os
 import time
 from typing import Any
@@ -14,6 +14,7 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.run.deaf_children import deaf_children
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.build import build
@@ -60,8 +61,17 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
     """
     with ProcessPoolExecutor(min(os.cpu_count() or 1, _MOST, len(names)),
                              get_context('spawn')) as pool:
-        for future in as_completed([pool.submit(_compile, name) for name in names]):
-            yield future.result()
+        with deaf_children():
+            futures = [pool.submit(_compile, name) for name in names]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except BaseException:
+            # What is being compiled takes a minute, and nobody waits for it any more.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in active_children():
+                process.terminate()
+            raise
 
 
 def _compile(name: str) -> CompiledScene:

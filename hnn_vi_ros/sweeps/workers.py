@@ -16,6 +16,7 @@ from threading import Thread
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.run.deaf_children import deaf_children
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
@@ -96,7 +97,9 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
                 while pending or running:
                     # No more than keeps them busy: a shard that waits is not lost with them.
                     while pending and len(running) < 2 * processes:
-                        running[pool.submit(_make, job, folder.path, pending[0])] = pending[0]
+                        with deaf_children():
+                            future = pool.submit(_make, job, folder.path, pending[0])
+                        running[future] = pending[0]
                         pending.popleft()
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
                         future.result()
