@@ -45,7 +45,7 @@ COMMANDS = sorted({(page.relative_to(ROOT).as_posix(), tuple(words)) for page in
 def test_pages_show_commands_and_all_of_them_are_read():
     assert len(COMMANDS) > 40
     assert {'README.md', 'docs/tutorials/urdf-arm.md'} < {page for page, _ in COMMANDS}
-    assert words_of("srun ros2 run hnn_vi_ros scene --list > a  # b") == ['scene', '--list']
+    assert words_of('srun ros2 run hnn_vi_ros scene --list > a  # b') == ['scene', '--list']
 
 
 @pytest.mark.parametrize('page, words', COMMANDS, ids=lambda one: ' '.join(one)[:60]

@@ -4,7 +4,6 @@
 
 from collections.abc import Mapping
 import math
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray

@@ -24,7 +24,7 @@ def temporary(tmp_path, monkeypatch):
 
 @pytest.fixture
 def no_home(monkeypatch):
-    """Let the user be in no list of users, as in a container with `--user`, and HOME not be set."""
+    """Let the user be in no list of users, as in some containers, and HOME not be set."""
     monkeypatch.delenv('HOME', raising=False)
     monkeypatch.setattr('pwd.getpwuid', lambda number: {}[number])
 
