@@ -1,0 +1,366 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled functions of H = p . M(q)^-1 p / 2 + V(q), M and V being networks of q."""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.models.features import (
+    add_covector, add_covector_change, Features, see, see_change)
+from hnn_vi_ros.models.outputs import (
+    evaluate_outputs, output_tangents, PackedOutputs, part_gradient, weigh)
+from hnn_vi_ros.models.priors import Prior
+from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
+import numpy as np
+
+
+class MassNetwork(NamedTuple):
+    """
+    The network of M of k entries.
+
+    Parameters
+    ----------
+    outputs : PackedOutputs
+        The network of y.
+    seen : Features
+        What it sees of q.
+    places : np.ndarray of int, shape (k, 2)
+        Row and column of each entry in L.
+    scale : np.ndarray, shape (d,)
+        The diagonal of S.
+    floor : float
+        What is added to the diagonal of L L^T.
+
+    """
+
+    outputs: PackedOutputs
+    seen: Features
+    places: np.ndarray
+    scale: np.ndarray
+    floor: float
+
+
+class PotentialNetwork(NamedTuple):
+    """The network of V, and what it sees of q."""
+
+    network: PackedPerceptron
+    seen: Features
+
+
+class MechanicalWork(NamedTuple):
+    """
+    Space for one state; what ends in ``_v`` is a change along a direction.
+
+    Parameters
+    ----------
+    y, y_v, c, c_v : np.ndarray, shape (k,)
+        The entries, and their cotangent u_i w_j L_ij'(y): the derivative of -H by them.
+    L, L_v, factor : np.ndarray, shape (d, d)
+        L, and the Cholesky factor of S^-1 M S^-1.
+    v, u, u_v, w, w_v : np.ndarray, shape (d,)
+        The velocity, u = S v and w = L^T u.
+    turned : np.ndarray, shape (d,)
+        L'^T u of the change L' of L.
+
+    """
+
+    y: np.ndarray
+    y_v: np.ndarray
+    c: np.ndarray
+    c_v: np.ndarray
+    L: np.ndarray
+    L_v: np.ndarray
+    factor: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+    u_v: np.ndarray
+    w: np.ndarray
+    w_v: np.ndarray
+    turned: np.ndarray
+
+    @classmethod
+    def empty(cls, entries: int, d: int) -> 'MechanicalWork':
+        """Return space for so many entries and coordinates."""
+        return cls(*np.zeros((4, entries)), *np.zeros((3, d, d)), *np.zeros((6, d)))
+
+
+class MechanicalParameters(NamedTuple):
+    """Parameters of the functions of a mechanism: M, V, what a prior adds, and space."""
+
+    mass: MassNetwork
+    potential: PotentialNetwork
+    prior: Prior
+    work: MechanicalWork
+
+
+@kept(error_model='numpy')
+def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> float:
+    """Return H; see Kernel."""
+    potential, prior, v = parameters.potential, parameters.prior, parameters.work.v
+    _solve(parameters, q, p)
+    see(potential.seen, q)
+    x = potential.seen.inputs
+    half = x.size // 2
+    energy = (perceptron.energy(potential.network, x[:half], x[half:])
+              + prior.potential(prior.own, q))
+    for i in range(p.size):
+        energy += 0.5 * p[i] * v[i]
+    return energy
+
+
+@kept(error_model='numpy')
+def gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
+             dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    """Fill the gradient; see Kernel."""
+    d, v = parameters.mass.scale.size, parameters.work.v
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        _fill_slope(parameters, q[a:b], dH_dq[a:b])
+        for i in range(d):
+            dH_dp[a + i] = v[i]
+
+
+@kept(error_model='numpy')
+def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
+                   v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                   product_p: np.ndarray) -> None:
+    """Fill the change of the gradient along (v_q, v_p): that of its lines, one by one."""
+    scale, u_v, factor = parameters.mass.scale, parameters.work.u_v, parameters.work.factor
+    d = scale.size
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        # A u = S^-1 p with A = L L^T + floor + S^-1 M S^-1 of the prior, so
+        # A u' = S^-1 p' - L' w - L (L'^T u) - S^-1 M' v.
+        for i in range(d):
+            u_v[i] = v_p[a + i] / scale[i]
+        _turn_mass(parameters, q[a:b], v_q[a:b], product_q[a:b])
+        solve_lower(factor, u_v)
+        solve_upper(factor, u_v)
+        for i in range(d):
+            product_p[a + i] = u_v[i] / scale[i]
+        _change_slope(parameters, q[a:b], v_q[a:b], product_p[a:b], product_q[a:b])
+
+
+@kept(error_model='numpy')
+def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -> float:
+    """
+    Fill M(q) on and below its diagonal, row by row, shape (d d,); q is padded to that size.
+
+    This, ``slope`` and ``slope_change`` are by address what a mean of members needs of each: they
+    take the arrays that a kernel's three functions take, and are called in this order.
+    """
+    scale, factor = parameters.mass.scale, parameters.work.factor
+    d = scale.size
+    _fill_mass(parameters, q[:d])
+    for i in range(d):
+        for j in range(i + 1):
+            mass[i * d + j] = scale[i] * factor[i, j] * scale[j]
+    return 0.0
+
+
+@kept(error_model='numpy')
+def slope(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray, dH_dq: np.ndarray,
+          unused: np.ndarray) -> None:
+    """Fill V' - (v . M v)_q / 2 at held v: H_q where p is M v."""
+    _set_velocity(parameters, v)
+    _fill_slope(parameters, q, dH_dq)
+
+
+@kept(error_model='numpy')
+def slope_change(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray,
+                 v_q: np.ndarray, v_change: np.ndarray, change: np.ndarray,
+                 turned: np.ndarray) -> None:
+    """Fill the change of ``slope`` with q and with v, and M' v, of M that changes with q."""
+    scale, u_v = parameters.mass.scale, parameters.work.u_v
+    _set_velocity(parameters, v)
+    u_v[:] = 0.0
+    _turn_mass(parameters, q, v_q, change)
+    for i in range(scale.size):
+        turned[i] = -scale[i] * u_v[i]
+        u_v[i] = scale[i] * v_change[i]
+    _change_slope(parameters, q, v_q, v_change, change)
+
+
+@part(error_model='numpy')
+def _seen_gradient(network: PackedPerceptron, seen: Features) -> None:
+    """Fill the cotangent: the derivative of a network of one output by its inputs."""
+    x, c = seen.inputs, seen.cotangent
+    half = x.size // 2
+    part_gradient(network, x[:half], x[half:], c[:half], c[half:])
+
+
+@part(error_model='numpy')
+def _seen_hessian_vector(network: PackedPerceptron, seen: Features) -> None:
+    """Fill the change of the cotangent with that of the inputs."""
+    x, x_v, c_v = seen.inputs, seen.change, seen.cotangent_change
+    half = x.size // 2
+    perceptron.hessian_vector(network, x[:half], x[half:], x_v[:half], x_v[half:],
+                              c_v[:half], c_v[half:])
+
+
+@part(error_model='numpy')
+def _differentiate_potential(potential: PotentialNetwork, q: np.ndarray, v_q: np.ndarray,
+                             product_q: np.ndarray) -> None:
+    """Add V''(q) v_q."""
+    seen = potential.seen
+    see(seen, q)
+    see_change(seen, v_q)
+    _seen_gradient(potential.network, seen)
+    _seen_hessian_vector(potential.network, seen)
+    add_covector(seen, 1.0, seen.cotangent_change, product_q)
+    add_covector_change(seen, 1.0, product_q)
+
+
+@part(error_model='numpy')
+def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
+               product_q: np.ndarray) -> None:
+    """Subtract S^-1 M' v from u_v, and fill the change of -sum_ij u_i w_j L_ij' at held u, w."""
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
+    outputs, seen, places, scale = mass.outputs, mass.seen, mass.places, mass.scale
+    y, y_v = work.y, work.y_v
+    L, L_v, turned = work.L, work.L_v, work.turned
+    u, u_v, w = work.u, work.u_v, work.w
+    d = scale.size
+    product_q[:] = 0.0
+    _weigh_entries(parameters)
+    see_change(seen, v_q)
+    weigh(outputs, work.c)
+    _seen_gradient(outputs.network, seen)
+    _seen_hessian_vector(outputs.network, seen)
+    add_covector(seen, -1.0, seen.cotangent_change, product_q)
+    add_covector_change(seen, -1.0, product_q)
+    output_tangents(outputs, y_v)
+    for k in range(y.size):
+        i, j = places[k]
+        L_v[i, j] = y_v[k] * _slope(y[k]) if i == j else y_v[k]
+    for j in range(d):
+        turned[j] = 0.0
+        for i in range(j, d):
+            turned[j] += L_v[i, j] * u[i]
+    for i in range(d):
+        for j in range(i + 1):
+            u_v[i] -= L_v[i, j] * w[j] + L[i, j] * turned[j]
+    prior.subtract_turned_mass(prior.own, q, v_q, work.v, scale, u_v)
+
+
+@part(error_model='numpy')
+def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
+                  v_change: np.ndarray, product_q: np.ndarray) -> None:
+    """Add what the slope changes by with u, w and V; after _turn_mass, of u_v = S v_change."""
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
+    outputs, seen, places = mass.outputs, mass.seen, mass.places
+    y, y_v, c_v = work.y, work.y_v, work.c_v
+    L, turned = work.L, work.turned
+    u, u_v, w, w_v = work.u, work.u_v, work.w, work.w_v
+    d = u.size
+    for j in range(d):
+        w_v[j] = turned[j]
+        for i in range(j, d):
+            w_v[j] += L[i, j] * u_v[i]
+    for k in range(y.size):
+        i, j = places[k]
+        c_v[k] = u_v[i] * w[j] + u[i] * w_v[j]
+        if i == j:
+            rise = _slope(y[k])
+            c_v[k] = c_v[k] * rise + u[i] * w[j] * rise * (1.0 - rise) * y_v[k]
+    weigh(outputs, c_v)
+    _seen_gradient(outputs.network, seen)
+    add_covector(seen, -1.0, seen.cotangent, product_q)
+    _differentiate_potential(parameters.potential, q, v_q, product_q)
+    prior.add_slope_change(prior.own, q, work.v, v_q, v_change, product_q)
+
+
+@part(error_model='numpy')
+def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill y, L, the Cholesky factor of S^-1 M S^-1, and v, u, w; NaN where there is none."""
+    scale, work = parameters.mass.scale, parameters.work
+    L, factor, v, u, w = work.L, work.factor, work.v, work.u, work.w
+    d = scale.size
+    _fill_mass(parameters, q)
+    for i in range(d):
+        u[i] = p[i] / scale[i]
+    if not factorise(factor):
+        u[:] = np.nan
+    solve_lower(factor, u)
+    solve_upper(factor, u)
+    for j in range(d):
+        v[j], w[j] = u[j] / scale[j], 0.0
+        for i in range(j, d):
+            w[j] += L[i, j] * u[i]
+
+
+@part(error_model='numpy')
+def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
+    """Fill y, L, and S^-1 M S^-1 on and below its diagonal in the place of its factor."""
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
+    seen, places, scale = mass.seen, mass.places, mass.scale
+    L, factor, y = work.L, work.factor, work.y
+    see(seen, q)
+    x = seen.inputs
+    half = x.size // 2
+    evaluate_outputs(mass.outputs, x[:half], x[half:], y)
+    for k in range(y.size):
+        i, j = places[k]
+        L[i, j] = y[k]
+        if i == j:
+            # log(1 + exp(y)) without overflow.
+            L[i, j] = max(y[k], 0.0) + np.log1p(np.exp(-abs(y[k])))
+    for i in range(scale.size):
+        for j in range(i + 1):
+            factor[i, j] = mass.floor if i == j else 0.0
+            for k in range(j + 1):
+                factor[i, j] += L[i, k] * L[j, k]
+    prior.add_mass(prior.own, q, scale, factor)
+
+
+@part(error_model='numpy')
+def _set_velocity(parameters: MechanicalParameters, velocity: np.ndarray) -> None:
+    """Fill v, u and w, of a velocity; after _fill_mass."""
+    scale, work = parameters.mass.scale, parameters.work
+    L, v, u, w = work.L, work.v, work.u, work.w
+    for i in range(scale.size):
+        v[i] = velocity[i]
+        u[i] = scale[i] * v[i]
+    for j in range(scale.size):
+        w[j] = 0.0
+        for i in range(j, scale.size):
+            w[j] += L[i, j] * u[i]
+
+
+@part(error_model='numpy')
+def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
+    """Fill V' - (v . M v)_q / 2 at held v; after _solve or _set_velocity."""
+    mass, potential, work = parameters.mass, parameters.potential, parameters.work
+    prior = parameters.prior
+    _weigh_entries(parameters)
+    weigh(mass.outputs, work.c)
+    _seen_gradient(mass.outputs.network, mass.seen)
+    see(potential.seen, q)
+    _seen_gradient(potential.network, potential.seen)
+    dH_dq[:] = 0.0
+    add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq)
+    add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq)
+    prior.add_slope(prior.own, q, work.v, dH_dq)
+
+
+@part(error_model='numpy')
+def _weigh_entries(parameters: MechanicalParameters) -> None:
+    """Fill the cotangent of y, u_i w_j times the slope of the diagonal's softplus."""
+    places, y, c = parameters.mass.places, parameters.work.y, parameters.work.c
+    u, w = parameters.work.u, parameters.work.w
+    for k in range(places.shape[0]):
+        i, j = places[k]
+        c[k] = u[i] * w[j]
+        if i == j:
+            c[k] *= _slope(y[k])
+
+
+@part(error_model='numpy')
+def _slope(y: float) -> float:
+    """Return the derivative of log(1 + exp(y))."""
+    return 1.0 / (1.0 + np.exp(-y))
