@@ -93,8 +93,16 @@ def seen(card: MechanicalCard, features: list[list[float]], q: torch.Tensor) -> 
 
 
 def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
-    """Return H, written as the family defines it, with an inverse matrix."""
-    card, (q, p) = model.card.mechanical, z.chunk(2)
+    """Return H, written as the family defines it, with an inverse matrix; of several the mean."""
+    q, p = z.chunk(2)
+    found = [mass_and_potential(member, q) for member in model.members or (model,)]
+    mass, potential = (sum(parts) / len(found) for parts in zip(*found, strict=True))
+    return 0.5 * p @ torch.linalg.inv(mass) @ p + potential
+
+
+def mass_and_potential(model: Checkpoint, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return M and V."""
+    card = model.card.mechanical
     d = len(q)
     entries = network(model.networks['mass'], seen(card, card.mass_features, q))
     L = torch.zeros(d, d, dtype=torch.float64)
@@ -109,7 +117,7 @@ def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
     potential = network(model.networks['potential'], seen(card, card.features, q))[0]
     if card.prior is not None:
         mass, potential = mass + prior_mass(q), potential + prior_potential(q)
-    return 0.5 * p @ torch.linalg.inv(mass) @ p + potential
+    return mass, potential
 
 
 def prior_mass(q: torch.Tensor) -> torch.Tensor:

@@ -36,13 +36,15 @@ class ExternalForce(Force, Commanded):
         How long a command holds, > 0 [s].
     model : str, optional
         A model with an input map (family control_affine, or mechanical or lie_group with
-        ``input_map: learned``), in place of the coordinates.
+        ``input_map: learned``), in place of the coordinates; of an ensemble with their mean.
+    member : int, optional
+        Of an ensemble, that member's map alone, from 1 on.
 
     Raises
     ------
     ModelError, ValueError
         The model has no input map, or is none; a time-out that is not positive, no coordinate, or
-        one twice; both, or none, of coordinates and model.
+        one twice; both, or none, of coordinates and model; a member without a model.
 
     References
     ----------
@@ -56,19 +58,18 @@ class ExternalForce(Force, Commanded):
     depends_on_momentum, single, turns = False, True, True
 
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
-                 model: str | None = None):
+                 model: str | None = None, member: int | None = None):
         check_positive(timeout=timeout)
-        if (coordinates is None) == (model is None):
-            raise ValueError('coordinates is required, or a model in its place')
-        if coordinates is not None and (
-                not coordinates or len(set(coordinates)) < len(coordinates)):
+        if (coordinates is None) == (model is None) or (member and model is None):
+            raise ValueError('coordinates is required, or a model in its place, with its member')
+        if coordinates is not None and len(set(coordinates)) < max(1, len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
-        self._model: Checkpoint | None = None
         self.takes = frozenset({NUMBERS} if model else {NUMBERS, EFFORT})
+        self._model: Checkpoint | None = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map
-            self._model = load_map(model)
+            self._model = load_map(model, member)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the numbers' places, and what adds their forces."""

@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.body_forces import add_body_drag, body_network, BodyNetwork
 from hnn_vi_ros.kernels.compilation import identify, kept
-from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
+from scipy.linalg import block_diag
 
 
 class FrictionNetwork(NamedTuple):
@@ -77,33 +78,44 @@ def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork 
     assert card is not None, 'checked by the effect: the family has one'
     if card.friction_features is None:
         return add_none, (0,)
-    d = len(card.kinds)
+    d, members = len(card.kinds), model.members or (model,)
+    layers = _together([member.networks['friction'] for member in members])
     own = FrictionNetwork(
-        pack_layers(even_layers(model.networks['friction']), model.card.activation),
-        pack_features(card, card.friction_features), np.zeros(d * (d + 1) // 2), np.zeros(d))
+        pack_layers(even_layers(layers), model.card.activation),
+        pack_features(card, card.friction_features), np.zeros(layers.biases[-1].size), np.zeros(d))
     return add_by_network, own
+
+
+def _together(networks: Sequence[Layers]) -> Layers:
+    """Return networks of the same inputs as one, whose outputs are theirs over the root of N."""
+    first, *others = zip(*(layers.weights for layers in networks), strict=True)
+    share = 1.0 / np.sqrt(len(networks))
+    *weights, last = np.vstack(first), *(block_diag(*layer) for layer in others)
+    *biases, end = map(np.concatenate, zip(*(layers.biases for layers in networks), strict=True))
+    return Layers((*weights, share * last), (*biases, share * end))
 
 
 @kept(error_model='numpy')
 def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray
                    ) -> None:
-    """Add -B (B^T v), with the entries of the lower triangular B row by row."""
+    """Add -B (B^T v), with the entries of each lower triangular B row by row; of several all."""
     entries, product = own.entries, own.product
     see(own.seen, q)
     x = own.seen.inputs
     half = x.size // 2
     evaluate_outputs(own.outputs, x[:half], x[half:], entries)
-    product[:] = 0.0
-    k = 0
-    for i in range(q.size):
-        for j in range(i + 1):
-            product[j] += entries[k] * velocity[i]
-            k += 1
-    k = 0
-    for i in range(q.size):
-        for j in range(i + 1):
-            f_p[i] -= entries[k] * product[j]
-            k += 1
+    for begin in range(0, entries.size, q.size * (q.size + 1) // 2):
+        product[:] = 0.0
+        k = begin
+        for i in range(q.size):
+            for j in range(i + 1):
+                product[j] += entries[k] * velocity[i]
+                k += 1
+        k = begin
+        for i in range(q.size):
+            for j in range(i + 1):
+                f_p[i] -= entries[k] * product[j]
+                k += 1
 
 
 @kept(error_model='numpy')

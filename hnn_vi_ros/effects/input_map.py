@@ -16,17 +16,17 @@ from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
 
-def load_map(model: str) -> Checkpoint:
+def load_map(model: str, member: int | None = None) -> Checkpoint:
     """
-    Return a model that has an input map.
+    Return a model that has an input map, or a member of an ensemble of such.
 
     Raises
     ------
     ModelError
-        The model does not exist, is damaged, or has none.
+        The model does not exist, is damaged, or has none; there is no such member.
 
     """
-    checkpoint = load_checkpoint(model)
+    checkpoint = load_checkpoint(model, ensembles=True).member(member)
     if not has_map(checkpoint):
         raise ModelError(f'{model}: this model of the family {checkpoint.card.family} has no '
                          'input map, as the family control_affine has, and mechanical and '

@@ -31,12 +31,14 @@ class LearnedFriction(Force):
     ----------
     model : str
         A shipped model, one trained into models/ of the working directory, or the path of a
-        .safetensors file; that of H as a rule.
+        .safetensors file; that of H as a rule. Of an ensemble the mean of the members' friction.
+    member : int, optional
+        Of an ensemble, that member alone, from 1 on.
 
     Raises
     ------
     ModelError
-        The model does not exist, is damaged, or is of another family.
+        The model does not exist, is damaged, or is of another family; there is no such member.
 
     References
     ----------
@@ -47,8 +49,8 @@ class LearnedFriction(Force):
 
     depends_on_momentum = turns = True
 
-    def __init__(self, model: str):
-        checkpoint = load_checkpoint(model)
+    def __init__(self, model: str, member: int | None = None):
+        checkpoint = load_checkpoint(model, ensembles=True).member(member)
         card = checkpoint.card
         if card.mechanical is None and (
                 card.lie_group is None or 'dissipation' not in checkpoint.networks):

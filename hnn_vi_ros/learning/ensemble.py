@@ -16,7 +16,8 @@ from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.model_card import averaged_families, EnsembleCard, MOST_MEMBERS
+from hnn_vi_ros.models.mechanical_card import MOST_MEMBERS
+from hnn_vi_ros.models.model_card import averaged_families, EnsembleCard
 from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.run.spread import deviation, member_scenes
 from hnn_vi_ros.scene import Scene
@@ -57,10 +58,15 @@ class Held(NamedTuple):
     inside: np.ndarray
 
 
-def check_ensemble(config: TrainingConfig, count: int) -> None:
-    """Raise ParameterError if no ensemble of so many can be trained by a configuration."""
+def check_count(count: int) -> None:
+    """Raise ParameterError if an ensemble cannot have so many members."""
     if not 2 <= count <= MOST_MEMBERS:
         raise ParameterError(f'--ensemble {count}: expected 2 to {MOST_MEMBERS} members')
+
+
+def check_ensemble(config: TrainingConfig, count: int) -> None:
+    """Raise ParameterError if no ensemble of so many can be trained by a configuration."""
+    check_count(count)
     if not FAMILIES[config.family.kind].averaged:
         raise ParameterError(
             f'--ensemble: models of the family {config.family.kind} have momenta or forces of '

@@ -89,6 +89,26 @@ class Checkpoint:
         """Return the biases of the network of H, in families that have one."""
         return self.networks['energy'].biases
 
+    def member(self, number: int | None) -> 'Checkpoint':
+        """
+        Return a member of an ensemble, from 1 to N; None: the whole, as it is.
+
+        Raises
+        ------
+        ModelError
+            There is no such member.
+
+        """
+        count = len(self.members)
+        if number is None:
+            return self
+        if not count:
+            raise ModelError(f'member = {number}: the file holds one model, no ensemble; leave '
+                             'member out')
+        if not 1 <= number <= count:
+            raise ModelError(f'member = {number}: the members are 1 to {count}')
+        return self.members[number - 1]
+
 
 def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
     """
@@ -127,8 +147,9 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
                          ) from problem
     card, digest = _card(path, metadata or {}), sha256(raw).hexdigest()
     if card.ensemble is not None and not ensembles:
-        raise ModelError(f'{path}: an ensemble of {len(card.ensemble.members)} models, of which '
-                         'only hamiltonian: {kind: learned} takes any; give one model here')
+        raise ModelError(f'{path}: an ensemble of {len(card.ensemble.members)} models; the '
+                         'Hamiltonian of a scene takes it, and friction and forces of the family '
+                         'mechanical; give one model here')
     members = () if card.ensemble is None else tuple(
         Checkpoint(member, _networks(path, member, tensors, f'member{k}.'), digest)
         for k, member in enumerate(card.ensemble.members, start=1))

@@ -3,9 +3,8 @@
 """The mean of several learned Hamiltonians, and its members."""
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address, Target
 from hnn_vi_ros.kernels.compilation import composed, functions_of
@@ -37,12 +36,11 @@ class MeanParameters(NamedTuple):
     part_p: np.ndarray
 
 
-class EnsembleHamiltonian(LearnedHamiltonian):
+class MeanHamiltonian(LearnedHamiltonian):
     """
-    H = (H_1 + ... + H_N) / N of N networks that were trained apart.
+    Base of the means of several networks that were trained apart.
 
-    It is a Hamiltonian like any other, so a variational method holds its modified energy. A
-    gradient costs N of those of a member.
+    Each is a Hamiltonian like any other, so a variational method holds its modified energy.
 
     Parameters
     ----------
@@ -64,13 +62,26 @@ class EnsembleHamiltonian(LearnedHamiltonian):
     def __init__(self, checkpoint: Checkpoint):
         super().__init__(checkpoint)
         family = FAMILIES[checkpoint.card.family].hamiltonian
-        self.members: tuple[LearnedHamiltonian, ...] = tuple(
-            family(member) for member in checkpoint.members)
+        self.members: tuple[Any, ...] = tuple(family(member) for member in checkpoint.members)
         self.separable = all(member.separable for member in self.members)
 
     def copy(self) -> Hamiltonian:
         """Return the same function with working memory of its own."""
-        return EnsembleHamiltonian(self.checkpoint)
+        return type(self)(self.checkpoint)
+
+
+class EnsembleHamiltonian(MeanHamiltonian):
+    """
+    H = (H_1 + ... + H_N) / N of members that share their momenta.
+
+    A gradient costs N of those of a member.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of an ensemble.
+
+    """
 
     def _kernel(self) -> Kernel:
         kernels = [by_address(member.kernel) for member in self.members]
@@ -94,17 +105,10 @@ def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonia
         There is no such member.
 
     """
-    count = len(checkpoint.members)
-    if member is not None:
-        if not count:
-            raise ModelError(f'member = {member}: the file holds one model, no ensemble; leave '
-                             'member out')
-        if not 1 <= member <= count:
-            raise ModelError(f'member = {member}: the members are 1 to {count}')
-        checkpoint = checkpoint.members[member - 1]
-    elif count:
-        return EnsembleHamiltonian(checkpoint)
-    hamiltonian: LearnedHamiltonian = FAMILIES[checkpoint.card.family].hamiltonian(checkpoint)
+    checkpoint = checkpoint.member(member)
+    family = FAMILIES[checkpoint.card.family]
+    kind = family.mean if checkpoint.members else family.hamiltonian
+    hamiltonian: LearnedHamiltonian = kind(checkpoint)
     return hamiltonian
 
 

@@ -49,9 +49,10 @@ class Family:
         Whether the coordinates are.
     dissipation : str
         The network that may be the D of the effect learned_dissipation; '' if none.
-    averaged : bool
-        Whether the mean H of several models means something: their momenta are the same, those
-        of the data, and nothing is learned beside H.
+    averaged : str
+        ``room.module:Class`` of the mean of several models, where there is one; '' if none.
+    measured_momenta : bool
+        Whether p is that of the data; else it is the model's own, p = M(q) q' with its own M.
 
     """
 
@@ -62,12 +63,18 @@ class Family:
     conservative: bool = True
     canonical: bool = True
     dissipation: str = ''
-    averaged: bool = False
+    averaged: str = ''
+    measured_momenta: bool = True
 
     @property
     def hamiltonian(self) -> type:
         """Return the class of the compiled Hamiltonian, which takes a checkpoint."""
         return _class(self.compiled)
+
+    @property
+    def mean(self) -> type:
+        """Return the class of the mean of several models, which takes their checkpoint."""
+        return _class(self.averaged)
 
     @property
     def trainer(self) -> type:
@@ -83,10 +90,11 @@ def _class(name: str) -> Any:
 FAMILIES = {
     'hnn': Family(
         {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.hnn:HNN',
-        dissipation='energy', averaged=True),
+        dissipation='energy', averaged='models.ensemble:EnsembleHamiltonian'),
     'separable_hnn': Family(
         {'kinetic': Network(1), 'potential': Network(1)}, 'models.separable:SeparableHamiltonian',
-        'learning.families.separable_hnn:SeparableHNN', averaged=True),
+        'learning.families.separable_hnn:SeparableHNN',
+        averaged='models.ensemble:EnsembleHamiltonian'),
     'dissipative_hnn': Family(
         {'energy': Network(2), 'dissipation': Network(2)}, 'models.neural:NeuralHamiltonian',
         'learning.families.dissipative_hnn:DissipativeHNN', conservative=False,
@@ -114,7 +122,8 @@ FAMILIES = {
     'mechanical': Family(
         {'mass': Network(1), 'potential': Network(1)}, 'models.mechanical:MechanicalHamiltonian',
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),
-        conservative=False),
+        conservative=False, averaged='models.mechanical_mean:MeanMechanism',
+        measured_momenta=False),
     # Of one body, by the card's ``lie_group``, which tells what its networks see, and whether
     # there are more: of dissipation, and of an input map.
     'lie_group': Family(

@@ -3,7 +3,7 @@
 """Card of a model of the family mechanical, beside its networks."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -19,6 +19,10 @@ from pydantic import Field, model_validator
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Kind = Literal['revolute', 'continuous', 'prismatic']
+# Of an ensemble.
+MOST_MEMBERS = 64
+# What the members of an ensemble have in common.
+_SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features'
 
 
 class CoulombTerm(StrictModel):
@@ -40,8 +44,9 @@ class FrictionCard(StrictModel):
     """Friction at each coordinate, whose power is never positive."""
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')
-    coulomb: list[CoulombTerm] = Field([], max_length=8)
-    stribeck: list[StribeckTerm] = Field([], max_length=8)
+    # Of the mean of an ensemble those of all members.
+    coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
+    stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
     @model_validator(mode='after')
     def _check(self) -> 'FrictionCard':
@@ -233,3 +238,46 @@ class MechanicalCard(StrictModel):
         d = len(self.kinds)
         return [(i, j) for i in range(d) for j in range(i + 1)
                 if i == j or not self.diagonal_mass]
+
+
+def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
+    """Raise ValueError if two cards are not of models whose mean is one of that kind."""
+    for name in _SHARED:
+        if getattr(one, name) != getattr(other, name):
+            raise ValueError(f'ensemble: {name} of a member are not those of the others')
+    kinds = [(None if card.prior is None else card.prior.kind,
+              None if card.input_map is None else len(card.input_map[0]))
+             for card in (one, other)]
+    if kinds[0] != kinds[1]:
+        raise ValueError('ensemble: prior, or motors of input_map, of a member are not those of '
+                         'the others')
+
+
+def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
+    """
+    Return the card of the mean of models: its friction and its input map are those of the mean.
+
+    The friction is all their terms, with an N-th of their forces. Scales and parameters of priors
+    are means for the reader; M and V are those of each member.
+    """
+    count, first = len(cards), cards[0]
+
+    def shared(terms: list[Any]) -> list[Any]:
+        return [term.model_copy(update={'force': [force / count for force in term.force]})
+                for term in terms]
+
+    def mean(values: list[Any]) -> Any:
+        return np.mean(values, axis=0).tolist()
+    friction = FrictionCard(
+        viscous=mean([card.friction.viscous for card in cards]),
+        coulomb=[term for card in cards for term in shared(card.friction.coulomb)],
+        stribeck=[term for card in cards for term in shared(card.friction.stribeck)])
+    prior, priors = first.prior, [card.prior for card in cards if card.prior is not None]
+    if prior is not None:
+        prior = prior.model_copy(update={'identification': None, 'parameters': {
+            name: Quantity(value=mean([one.values[name] for one in priors]), unit=quantity.unit)
+            for name, quantity in prior.parameters.items()}})
+    return first.model_copy(update={
+        'friction': friction, 'prior': prior,
+        'mass_scale': mean([card.mass_scale for card in cards]),
+        'input_map': first.input_map and mean([card.input_map for card in cards])})

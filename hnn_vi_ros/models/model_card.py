@@ -8,14 +8,13 @@ from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
-from hnn_vi_ros.models.mechanical_card import MechanicalCard
+from hnn_vi_ros.models.mechanical_card import check_alike, MechanicalCard, MOST_MEMBERS
 import numpy as np
 from pydantic import Field, model_validator
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
                    Field(min_length=3, max_length=100)]
-MOST_MEMBERS = 64
 
 
 class CoordinateCard(StrictModel):
@@ -94,7 +93,8 @@ class ModelCard(StrictModel):
     friction: list[Annotated[float, Field(ge=0.0)]] | None = Field(None, description=(
         'gamma [1/s], for a family that learned dp/dt = -H_q - gamma p'))
     mechanical: MechanicalCard | None = Field(None, description=(
-        'how the networks of the family mechanical see q, and its friction'))
+        'how the networks of the family mechanical see q, and its friction; of an ensemble the '
+        'friction and the input map are those of the mean'))
     lie_group: LieGroupCard | None = Field(None, description=(
         'what the networks of the family lie_group see of a body; its box has a column of p more, '
         'which stays zero'))
@@ -147,6 +147,8 @@ class ModelCard(StrictModel):
             for name in ('family', 'activation', 'layout', 'coordinates'):
                 if getattr(member, name) != getattr(self, name):
                     raise ValueError(f'ensemble: {name} of a member is not that of the others')
+            if self.mechanical is not None and member.mechanical is not None:
+                check_alike(self.mechanical, member.mechanical)
 
     def _check_networks(self, d: int) -> None:
         expected = FAMILIES[self.family].networks

@@ -1,0 +1,180 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The mean of several learned mechanisms: that of their masses and potentials."""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.kernels.addresses import (
+    by_address, energy as member_energy, gradient as member_slope,
+    hessian_vector as member_change, Target)
+from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.models.ensemble import MeanHamiltonian
+from hnn_vi_ros.models.mechanical_kernel import inertia, slope, slope_change
+import numpy as np
+
+
+class MeanParameters(NamedTuple):
+    """
+    Parameters of the functions of a mean, their first argument.
+
+    Parameters
+    ----------
+    first : Target
+        The first of the members: what is compiled before the first step.
+    members : tuple of Target
+        Of each ``inertia``, ``slope`` and ``slope_change`` of mechanical_kernel.py, by address.
+    wholes : tuple of Target
+        Of each its Hamiltonian, whose energy at rest is V.
+    factor : np.ndarray, shape (d, d)
+        The Cholesky factor of M.
+    v, v_change, part, turned, zero : np.ndarray, shape (d,)
+        The velocity, its change, what one member says, M' v, and zeros.
+    wide_q, wide_mass : np.ndarray, shape (d d,)
+        q, padded, and M of one member.
+
+    """
+
+    first: Target
+    members: tuple[Target, ...]
+    wholes: tuple[Target, ...]
+    factor: np.ndarray
+    v: np.ndarray
+    v_change: np.ndarray
+    part: np.ndarray
+    turned: np.ndarray
+    zero: np.ndarray
+    wide_q: np.ndarray
+    wide_mass: np.ndarray
+
+
+class MeanMechanism(MeanHamiltonian):
+    """
+    H(q, p) = p . M(q)^-1 p / 2 + V(q), with M = (M_1 + ... + M_N) / N, and V in the same way.
+
+    That is the mean of the members' Lagrangians, which are functions of what was measured, q and
+    q'. With the mean of their friction and input maps, the force that the mean needs for a
+    motion is the mean of what the members need: a motion that all of them have is one of the
+    mean's, even where they differ by a factor of M, V and friction, which motions of little force
+    hardly tell. M is positive definite as each M_k is. With v = M^-1 p and p_k = M_k v
+
+        H_p = v,    H_q = (sum_k V_k' - (v . M_k v)_q / 2) / N,
+
+    where each term is H_k,q(q, p_k): a gradient costs N of those of a member.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        Of an ensemble of the family mechanical.
+
+    """
+
+    def _kernel(self) -> Kernel:
+        d = self.dimension
+        members, wholes = [], []
+        for member in self.members:
+            terms = Kernel(inertia, slope, slope_change, member.parameters(), d, (0.0, 0.0),
+                           compiled=True)
+            members.append(Target(*by_address(terms).parameters))
+            wholes.append(Target(*by_address(member._kernel()).parameters))
+        parameters = MeanParameters(
+            members[0], tuple(members), tuple(wholes), np.zeros((d, d)), *np.zeros((5, d)),
+            *np.zeros((2, d * d)))
+        return Kernel(energy, gradient, hessian_vector, parameters, d, (0.0, 0.0), compiled=True)
+
+    def masses(self, q: np.ndarray) -> np.ndarray:
+        """Return M(q), shape (m, d, d), at q of shape (m, d), in extended precision."""
+        return np.mean(np.stack([member.masses(q) for member in self.members]), axis=0)
+
+    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
+        q, p = np.split(z, 2, axis=1)
+        masses = np.stack([member.masses(q) for member in self.members])
+        v = p.astype(np.longdouble)
+        for mass, right in zip(masses.mean(axis=0), v, strict=True):
+            factorise(mass)
+            solve_lower(mass, right)
+            solve_upper(mass, right)
+        momenta = (masses * v[:, None, :]).sum(axis=3)
+        slopes = [member._extended_gradient(np.hstack([q, own]))[:, :self.dimension]
+                  for member, own in zip(self.members, momenta, strict=True)]
+        return np.hstack([np.mean(np.stack(slopes), axis=0), v])
+
+
+@kept(error_model='numpy')
+def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
+    """Return H; see Kernel."""
+    _solve(parameters, q, p)
+    total = 0.0
+    for whole in parameters.wholes:
+        total += member_energy(whole, q, parameters.zero)
+    total /= len(parameters.wholes)
+    for i in range(p.size):
+        total += 0.5 * p[i] * parameters.v[i]
+    return total
+
+
+@kept(error_model='numpy')
+def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+             dH_dp: np.ndarray) -> None:
+    """Fill the gradient; see Kernel."""
+    v, own, d = parameters.v, parameters.part, parameters.v.size
+    share = 1.0 / len(parameters.members)
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        dH_dq[a:b] = 0.0
+        for member in parameters.members:
+            member_slope(member, q[a:b], v, own, parameters.turned)
+            for i in range(d):
+                dH_dq[a + i] += share * own[i]
+        for i in range(d):
+            dH_dp[a + i] = v[i]
+
+
+@kept(error_model='numpy')
+def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                   v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    """Fill the change of the gradient along (v_q, v_p), where M v' = p' - M' v."""
+    v, v_change, own = parameters.v, parameters.v_change, parameters.part
+    turned, d = parameters.turned, parameters.v.size
+    share = 1.0 / len(parameters.members)
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        for i in range(d):
+            v_change[i] = v_p[a + i]
+        for member in parameters.members:
+            member_change(member, q[a:b], v, v_q[a:b], parameters.zero, own, turned)
+            for i in range(d):
+                v_change[i] -= share * turned[i]
+        solve_lower(parameters.factor, v_change)
+        solve_upper(parameters.factor, v_change)
+        product_q[a:b] = 0.0
+        for member in parameters.members:
+            member_change(member, q[a:b], v, v_q[a:b], v_change, own, turned)
+            for i in range(d):
+                product_q[a + i] += share * own[i]
+        for i in range(d):
+            product_p[a + i] = v_change[i]
+
+
+@part(error_model='numpy')
+def _solve(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill the factor of M, and v; NaN where there is none."""
+    factor, v, mass = parameters.factor, parameters.v, parameters.wide_mass
+    d, share = v.size, 1.0 / len(parameters.members)
+    for i in range(d):
+        parameters.wide_q[i], v[i] = q[i], p[i]
+        for j in range(i + 1):
+            factor[i, j] = 0.0
+    for member in parameters.members:
+        member_energy(member, parameters.wide_q, mass)
+        for i in range(d):
+            for j in range(i + 1):
+                factor[i, j] += share * mass[i * d + j]
+    if not factorise(factor):
+        v[:] = np.nan
+    solve_lower(factor, v)
+    solve_upper(factor, v)
