@@ -5,8 +5,9 @@
 import warnings
 
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.run.spread import deviation, ensemble_card, member_scenes
+from hnn_vi_ros.errors import ModelError, StepFailure
+from hnn_vi_ros.run.spread import (
+    deviation, ensemble_card, measured_momenta, member_scenes, same_velocity)
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
@@ -17,7 +18,9 @@ class Members:
     """
     The members of the ensemble of a scene; see Companion.
 
-    One whose step fails stands still from then on, and the spread is infinite.
+    One whose step fails stands still from then on, and the spread is infinite. Where momenta are a
+    member's own, p = M_k(q) q', it begins at q and q' of the mean, and its q and q' are compared,
+    as the momenta that the mean has for them.
 
     Parameters
     ----------
@@ -48,6 +51,8 @@ class Members:
             warnings.simplefilter('ignore')
             self._simulations = [build(own) for own in member_scenes(scene, self.count)]
             self._simulations[0].compile()  # of all: they have one type
+            self._mean = None if measured_momenta(scene.create_hamiltonian()) else \
+                build(scene).hamiltonian
         self._failed: set[int] = set()
 
     def advance(self, n: int) -> None:
@@ -69,8 +74,10 @@ class Members:
         self._failed.clear()
         for k, own in enumerate(self._simulations):
             try:
-                own.restart(simulation.q, simulation.p, step=simulation.steps)
-            except (StepFailure, ValueError):
+                p = simulation.p if self._mean is None else same_velocity(
+                    self._mean, own.hamiltonian, simulation.q, simulation.p)
+                own.restart(simulation.q, p, step=simulation.steps)
+            except (ModelError, StepFailure, ValueError):
                 self._failed.add(k)
 
     @property
@@ -81,6 +88,15 @@ class Members:
     @property
     def spread(self) -> np.ndarray:
         """Return the half-widths of the bands of q, then of p, shape (2 d,)."""
-        states = np.array([np.concatenate([one.q, one.p]) for one in self._simulations])
+        states = np.array([np.concatenate(self._state(one)) for one in self._simulations])
         states[list(self._failed)] = np.inf
         return (self.factor or 1.0) * deviation(states)
+
+    def _state(self, own: Simulation) -> tuple[np.ndarray, np.ndarray]:
+        """Return q and p of a member; where p is its own, that of the mean for its velocity."""
+        if self._mean is None:
+            return own.q, own.p
+        try:
+            return own.q, same_velocity(own.hamiltonian, self._mean, own.q, own.p)
+        except ModelError:
+            return own.q, np.full_like(own.p, np.inf)

@@ -11,10 +11,15 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import EnsembleCard
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 
 
@@ -28,11 +33,12 @@ class SpreadTrajectory:
     mean : Trajectory
         Of the mean Hamiltonian.
     members : tuple of Trajectory
-        Of each member, from the same initial state.
+        Of each member, from the same initial state; where momenta are the members' own, from the
+        same q and q', with p and energy of its own.
     spread_q, spread_p : np.ndarray, shape (n, d)
         Half-widths of the bands around q and p of the mean: the standard deviation over the
-        members, times the factor of the card (1 if it was not calibrated). Infinite from where a
-        member failed.
+        members, times the factor of the card (1 if it was not calibrated), where p is that of the
+        mean for a member's q and q'. Infinite from where a member failed.
     level : float or None
         Share of errors that the bands cover in motions like those of the calibration; None if
         there was none.
@@ -67,10 +73,57 @@ def ensemble_card(scene: Scene) -> EnsembleCard:
 
 
 def member_scenes(scene: Scene, count: int) -> list[Scene]:
-    """Return the scene with each of the first members of its ensemble in place of the mean."""
-    choice = scene.hamiltonian.model_dump()
-    return [scene.changed({'hamiltonian': {**choice, 'member': k}, 'uncertainty': None})
-            for k in range(1, count + 1)]
+    """
+    Return the scene with each of the first members of its ensemble in place of the mean.
+
+    So in effects that take friction or an input map from the same file. Where momenta are a
+    member's own, its initial p is that of the same q'.
+    """
+    choice, files = scene.hamiltonian.model_dump(), scene.model_files()
+
+    def effect_of(effect: Any, k: int) -> dict[str, Any]:
+        found: dict[str, Any] = effect.model_dump()
+        name, whole = found.get('model'), found.get('member', 0) is None
+        if whole and name is not None and files[name] == files[choice['model']]:
+            found['member'] = k
+        return found
+    scenes = [scene.changed({
+        'hamiltonian': {**choice, 'member': k}, 'uncertainty': None,
+        'effects': [effect_of(effect, k) for effect in scene.effects]})
+        for k in range(1, count + 1)]
+    if measured_momenta(scene.create_hamiltonian()):
+        return scenes
+    mean, state = build(scene).hamiltonian, scene.initial_state
+    q, p = np.array(state.q), np.array(state.p)
+    return [own.changed({'initial_state': {'q': state.q, 'p': same_velocity(
+        mean, build(own).hamiltonian, q, p).tolist()}}) for own in scenes]
+
+
+def measured_momenta(hamiltonian: Hamiltonian) -> bool:
+    """Return whether members of an ensemble have the momenta of their mean."""
+    checkpoint: Checkpoint = getattr(hamiltonian, 'checkpoint')  # noqa: B009
+    return FAMILIES[checkpoint.card.family].measured_momenta
+
+
+def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndarray
+                  ) -> np.ndarray:
+    """
+    Return the momenta of another Hamiltonian for the velocities that p has by one.
+
+    Parameters
+    ----------
+    of, other : Hamiltonian
+        Of p, and of what is returned.
+    q, p : np.ndarray, shape (..., d)
+        States.
+
+    Raises
+    ------
+    ModelError
+        A velocity has no momentum.
+
+    """
+    return momentum(other, q, of.gradient(q, p)[1], p)
 
 
 def deviation(members: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
@@ -118,16 +171,28 @@ def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     card = ensemble_card(scene)
     scene, _ = resolve(scene)
-    mean = simulate(scene, duration, **options)
+    mean, scenes = simulate(scene, duration, **options), member_scenes(scene, len(card.members))
     with warnings.catch_warnings():
         # Of the mean all is told; a member that leaves its box is what the band shows.
         warnings.simplefilter('ignore', AlarmWarning)
         members = [_or_failed(partial(simulate, own, duration, **options), mean)
-                   for own in member_scenes(scene, len(card.members))]
+                   for own in scenes]
     factor = card.factor or 1.0
+    momenta = [one.p for one in members]
+    if not measured_momenta(scene.create_hamiltonian()):
+        whole = build(scene).hamiltonian
+        momenta = [_by_mean(whole, build(own).hamiltonian, one)
+                   for own, one in zip(scenes, members, strict=True)]
     return SpreadTrajectory(
         mean, tuple(members), factor * deviation([one.q for one in members]),
-        factor * deviation([one.p for one in members]), card.level if card.factor else None)
+        factor * deviation(momenta), card.level if card.factor else None)
+
+
+def _by_mean(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.ndarray:
+    """Return the momenta that the mean has for the velocities of a member; NaN if it failed."""
+    if not np.isfinite(found.p).all():
+        return found.p
+    return same_velocity(member, mean, found.q, found.p)
 
 
 def _or_failed(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
