@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 
+from belt import BELT, FAMILY, MAP, MASS, motion_by_a_belt
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError
 from hnn_vi_ros.files.yaml_text import dump_yaml
@@ -16,7 +17,7 @@ from hnn_vi_ros.learning.machine_train import describe, learn
 from hnn_vi_ros.learning.machine_training import scales_of
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.motion_logs import LogMotions
-from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.motions import smoothed
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
@@ -28,38 +29,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 import torch
-
-# Two pendulums on one another, by a belt of one motor; M, the weights of V, friction. The map
-# has the norm that the network gives it.
-MASS, WEIGHTS, RUB = np.array([[1.5, 0.4], [0.4, 0.8]]), np.array([5.0, 3.0]), 0.3
-MAP = np.array([[0.8], [-0.6]])
-FAMILY = {'kind': 'mechanical', 'mass': 'constant', 'friction': {'coulomb': 0},
-          'input_map': 'learned'}
-CONFIG = {'coordinates': [{'name': 'a', 'q_unit': 'rad'}, {'name': 'b', 'q_unit': 'rad'}],
-          'data': {'kind': 'arrays'}, 'hidden': [8], 'family': FAMILY}
-
-
-def motion_by_a_belt(seed: int, seconds: float = 6.0) -> Motion:
-    """Return a motion under one motor, every 10 ms, with exact accelerations."""
-    rng = np.random.default_rng(seed)
-    sizes, phases = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
-
-    def command(t: np.ndarray) -> np.ndarray:
-        return (sizes * np.sin(np.array([1.3, 2.9, 4.7]) * t[:, None] + phases)).sum(
-            axis=1, keepdims=True)
-
-    def acceleration(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.linalg.solve(MASS, (u @ MAP.T - WEIGHTS * np.sin(q) - RUB * v).T).T
-
-    def rate(t: float, z: np.ndarray) -> np.ndarray:
-        q, v = z[None, :2], z[None, 2:]
-        return np.concatenate([z[2:], acceleration(q, v, command(np.array([t])))[0]])
-    t = 0.01 * np.arange(round(seconds / 0.01))
-    z = solve_ivp(rate, (0.0, t[-1]), [*rng.uniform(-0.5, 0.5, 2), 0.0, 0.0], t_eval=t,
-                  rtol=1e-9, atol=1e-9).y.T
-    u = command(t)
-    return smoothed(f'run{seed}', t, z[:, :2], z[:, 2:], u, 40.0,
-                    acceleration(z[:, :2], z[:, 2:], u))
 
 
 @pytest.mark.parametrize('motors', [1, 2, 3])
@@ -75,7 +44,7 @@ def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
         for parameter in network.parameters():
             parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
                                              generator=torch.Generator().manual_seed(1)))
-    config = MachineConfig.model_validate(CONFIG | {'coordinates': [
+    config = MachineConfig.model_validate(BELT | {'coordinates': [
         {'name': f'x{i}', 'kind': kind} for i, kind in enumerate(structure.kinds)]})
     model = str(tmp_path / 'm.safetensors')
     save_checkpoint(model, describe(network, config, [motion], 'none', {}, 'random', ''))
@@ -112,7 +81,7 @@ def build_simulation(hamiltonian: MechanicalHamiltonian, effects: list) -> Simul
 
 
 def test_map_of_one_motor_on_two_joints_is_learned():
-    config = MachineConfig.model_validate(CONFIG | {
+    config = MachineConfig.model_validate(BELT | {
         'loss': {'kind': 'forward', 'steps': 300, 'lbfgs_steps': 300}})
     network, _ = learn(config, [motion_by_a_belt(seed) for seed in (1, 2)])
     with torch.no_grad():
@@ -149,7 +118,7 @@ def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, ca
                    f'{seed}/tau': motion.tau}
     data, out = str(tmp_path / 'belt.npz'), tmp_path / 'belt.safetensors'
     np.savez(data, **arrays)
-    config = CONFIG | {'data': {'kind': 'arrays', 'test_runs': ['3']}, 'loss': {
+    config = BELT | {'data': {'kind': 'arrays', 'test_runs': ['3']}, 'loss': {
         'kind': 'trajectory', 'forward_steps': 200, 'forward_lbfgs_steps': 0,
         'windows': [{'duration': 0.1, 'steps': 5}]}}
     (tmp_path / 'belt.yaml').write_text(dump_yaml(config))
@@ -188,9 +157,9 @@ def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, ca
 ])
 def test_configuration_refuses_maps_that_cannot_be_learned(changes, message):
     with pytest.raises(ValueError, match=message):
-        MachineConfig.model_validate(CONFIG | {'family': FAMILY | changes})
+        MachineConfig.model_validate(BELT | {'family': FAMILY | changes})
     with pytest.raises(ValueError, match='take forward, discrete or trajectory'):
-        MachineConfig.model_validate(CONFIG | {'loss': {'kind': 'inverse'}})
+        MachineConfig.model_validate(BELT | {'loss': {'kind': 'inverse'}})
 
 
 @pytest.mark.parametrize('commands, message', [
@@ -199,13 +168,13 @@ def test_commands_that_tell_nothing_of_a_map_are_refused(commands, message):
     motion = motion_by_a_belt(1, 1.0)
     motion = replace(motion, tau=commands * np.hstack([motion.tau, 2.0 * motion.tau]))
     with pytest.raises(DataError, match=message) as problem:
-        learn(MachineConfig.model_validate(CONFIG), [motion])
+        learn(MachineConfig.model_validate(BELT), [motion])
     assert '\n' not in str(problem.value)
 
 
 def test_fewer_motors_than_joints_need_a_learned_map():
     config = MachineConfig.model_validate(
-        CONFIG | {'family': FAMILY | {'input_map': 'identity'}})
+        BELT | {'family': FAMILY | {'input_map': 'identity'}})
     with pytest.raises(DataError, match='1 forces for 2 coordinates.*take input_map: learned'):
         learn(config, [motion_by_a_belt(1, 1.0)])
 
