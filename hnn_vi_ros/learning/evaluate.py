@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> None:
     for option in ('out', 'json'):
         _check_free(option, getattr(arguments, option))
     if arguments.model.endswith('.safetensors') and (
-            load_checkpoint(arguments.model).card.lie_group is not None):
+            load_checkpoint(arguments.model, ensembles=True).card.lie_group is not None):
         body_train.evaluate(arguments)
         return
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)

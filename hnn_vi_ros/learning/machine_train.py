@@ -22,6 +22,9 @@ from hnn_vi_ros.learning.identification import identify
 from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
 from hnn_vi_ros.learning.machine_config import (
     Forward, load_machine, MachineConfig, MachineExcitation, RigidBodyChoice, Trajectory)
+from hnn_vi_ros.learning.machine_ensemble import (
+    calibrated_machine, check_machines, combined_machines, ensemble_text, kept_and_held,
+    resampled_blocks)
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion, run_of
@@ -30,7 +33,7 @@ from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
 from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
-from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, PredictionError
 from hnn_vi_ros.models.planar_chain import CHAINS
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
@@ -73,30 +76,35 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     config = load_machine(source)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
+    if arguments.ensemble is not None:
+        check_machines(config, arguments.ensemble)
     train, test, description = _read(source, config, arguments.data)
+    known, held = (train, []) if arguments.ensemble is None else kept_and_held(train, config)
     print(f'data: {description}', flush=True)
     # Where data come from, and by which licence, goes with the model.
-    description = f'{config.description} {description}'.lstrip()
+    description = f'{config.description} {description}'.lstrip() + _scale(config, train)
     begun = time.perf_counter()
-    network, losses = learn(config, train)
+    members = []
+    for k in range(arguments.ensemble or 1):
+        own = config.model_copy(update={'seed': config.seed + k})
+        drawn = known if arguments.ensemble is None else resampled_blocks(known, own.seed)
+        network, losses = learn(own, drawn)
+        if _opens_scale(config, train):
+            fix_scale(network, train)
+        name = out.stem if arguments.ensemble is None else f'{out.stem}, member {k + 1}'
+        members.append(describe(network, own, train, description, losses, name, command))
+    checkpoint = members[0] if arguments.ensemble is None else \
+        combined_machines(members, out.stem)
     seconds = time.perf_counter() - begun
-    own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
-    if own_scale:
-        description += f'; the scale of energy is that of {config.family.prior}'
-    elif not any(motion.tau.any() for motion in train):
-        fix_scale(network, train)
-        description += ('; no forces, which leaves the scale of energy open: the mean inertia of '
-                        f'{config.coordinates[0].name} is 1')
-    if config.family.input_map == 'learned':
-        description += ('; an input map was learned, which leaves the scale of energy open: the '
-                        'mean square of its columns is 1')
-    checkpoint = with_energy_error(
-        describe(network, config, train, description, losses, out.stem, command), test)
-    checkpoint = with_force_errors(checkpoint, network, test)
+    checkpoint = with_energy_error(checkpoint, test)
+    if arguments.ensemble is None:
+        checkpoint = with_force_errors(checkpoint, network, test)
+    else:
+        checkpoint = calibrated_machine(checkpoint, held, test)
     names = [coordinate.name for coordinate in config.coordinates]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
-    hamiltonian = MechanicalHamiltonian(checkpoint)
+    hamiltonian = load_member(checkpoint, None)
     effects = _effects_of(checkpoint)
     simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, test)
     asked = test, horizons, _EVERY, _LONGEST
@@ -114,10 +122,31 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     scores |= {name: score(other, *asked) for name, other in others.items()}
     draw_predictions(outputs.picture, out.stem, hamiltonian.coordinates,
                      shown(fans, max(horizons)))
-    found = f'{table(scores, names)}\n\n{verdict(scores)}'
+    found = '\n\n'.join(filter(None, (
+        table(scores, names), verdict(scores), ensemble_text(checkpoint.card))))
     page = _page(outputs, config, checkpoint.card, found, seconds)
     outputs.report.write_text(page + identified_text(checkpoint.card), encoding='utf-8')
     print(f'model: {out}\nreport: {outputs.report}\n\n{found}\ntrained in {seconds:.1f} s')
+
+
+def _opens_scale(config: MachineConfig, motions: list[Motion]) -> bool:
+    """Return whether motions without forces leave the scale of energy open."""
+    own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
+    return not own_scale and not any(motion.tau.any() for motion in motions)
+
+
+def _scale(config: MachineConfig, motions: list[Motion]) -> str:
+    """Return what fixes the scale of energy where forces do not, for the model card."""
+    text = ''
+    if config.family.prior not in (None, RIGID_BODY, *CHAINS):
+        text = f'; the scale of energy is that of {config.family.prior}'
+    elif _opens_scale(config, motions):
+        text = ('; no forces, which leaves the scale of energy open: the mean inertia of '
+                f'{config.coordinates[0].name} is 1')
+    if config.family.input_map == 'learned':
+        text += ('; an input map was learned, which leaves the scale of energy open: the mean '
+                 'square of its columns is 1')
+    return text
 
 
 def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, seconds: float
@@ -145,7 +174,7 @@ def _page(outputs: Outputs, config: MachineConfig, card: ModelCard, found: str, 
 
 def with_energy_error(checkpoint: Checkpoint, motions: list[Motion]) -> Checkpoint:
     """Return a model whose card tells its energy along motions, against the work on them."""
-    hamiltonian, card = MechanicalHamiltonian(checkpoint), checkpoint.card
+    hamiltonian, card = load_member(checkpoint, None), checkpoint.card
     effects = _effects_of(checkpoint)
     balances = [balance(hamiltonian, effects, motion) for motion in motions]
     error = energy_spread(
@@ -160,7 +189,7 @@ def _effects_of(checkpoint: Checkpoint) -> list[Effect]:
     with TemporaryDirectory() as folder:
         draft = Path(folder) / 'draft.safetensors'
         save_checkpoint(draft, checkpoint)
-        return own_effects(str(draft), MechanicalHamiltonian(checkpoint))
+        return own_effects(str(draft), load_member(checkpoint, None))
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:

@@ -302,7 +302,7 @@ def _check_options(source: Path, family: str, arguments: Namespace) -> None:
     if arguments.resume or arguments.device != 'cpu':
         raise ParameterError(f'{source}: a model of the family {family} is trained in minutes, '
                              'on the CPU; leave out --resume and --device')
-    if arguments.ensemble is not None:
+    if arguments.ensemble is not None and family == 'lie_group':
         raise ParameterError(f'{source}: --ensemble: models of the family {family} have momenta '
                              'of their own, whose mean means nothing; leave it out')
 
