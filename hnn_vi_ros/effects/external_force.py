@@ -22,11 +22,10 @@ class ExternalForce(Force, Commanded):
     """
     The last command, a force on some coordinates, held until the next command or its time-out.
 
-    That is in simulated time, so that a controller that died does not push on (watchdog). With a
-    model that has learned an input map the command u of its motors drives all coordinates by g(q)
-    u of a control-affine network, A u of a mechanical one, B u in the frame of a body. On a body
-    of the name body, body_x to body_z are forces along axes of space, body_fx to body_fz along
-    its own, such as thrust, body_rx to body_rz torques about its own. Energy account: f . H_p.
+    That is in simulated time, so that a controller that died does not push on (watchdog). By a
+    learned input map the command u of a model's motors drives all coordinates: g(q) u, A u, or B u
+    in the frame of a body. On a body of the name body, body_x to body_z are forces along axes of
+    space, body_fx to body_fz along its own, body_rx to body_rz torques. Energy account: f . H_p.
 
     Parameters
     ----------
@@ -43,15 +42,13 @@ class ExternalForce(Force, Commanded):
     Raises
     ------
     ModelError, ValueError
-        The model has no input map, or is none; a time-out that is not positive, no coordinate, or
-        one twice; both, or none, of coordinates and model; a member without a model.
+        The model has no input map, or no such member; a time-out that is not positive; a wrong
+        choice of coordinates, model and member.
 
     References
     ----------
-    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001,
-    part 3.
-    Y. D. Zhong, B. Dey, A. Chakraborty, Symplectic ODE-Net: Learning Hamiltonian Dynamics with
-    Control, ICLR 2020.
+    J. Marsden, M. West, Discrete mechanics and variational integrators, 2001, part 3.
+    Y. D. Zhong, B. Dey, A. Chakraborty, Symplectic ODE-Net, ICLR 2020.
 
     """
 
@@ -60,8 +57,10 @@ class ExternalForce(Force, Commanded):
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
                  model: str | None = None, member: int | None = None):
         check_positive(timeout=timeout)
-        if (coordinates is None) == (model is None) or (member and model is None):
-            raise ValueError('coordinates is required, or a model in its place, with its member')
+        if (coordinates is None) == (model is None):
+            raise ValueError('coordinates is required, or a model in its place')
+        if member is not None and not model:
+            raise ValueError('member is of a model; give that in place of coordinates')
         if coordinates is not None and len(set(coordinates)) < max(1, len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)

@@ -166,7 +166,7 @@ def test_member_that_is_not_there_is_refused(tmp_path: Path):
             model=model, member=member)):
         with pytest.raises(ModelError, match='member = 3: the members are 1 to 2'):
             make(file, 3)
-    with pytest.raises(ValueError, match='with its member'):
+    with pytest.raises(ValueError, match='member is of a model'):
         EFFECTS['external_force'](['x0'], member=1)
 
 
