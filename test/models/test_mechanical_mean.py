@@ -116,6 +116,19 @@ def test_members_that_differ_by_a_factor_move_alike_from_their_own_momenta(tmp_p
     assert members.spread.max() < 1e-9 and np.abs(simulation.q - [0.5, -0.8]).max() > 0.1
 
 
+def test_members_start_at_the_velocity_of_the_mean_in_a_magnetic_field(tmp_path: Path):
+    whole = scene_of(tmp_path, mechanisms('arm', 2), friction=False).changed({'effects': [
+        {'kind': 'magnetic_field', 'plane': ['x0', 'x1'], 'field': 0.7}]})
+    simulation, members = build(whole), Members(whole)
+    members.begin(simulation)
+    v = simulation.hamiltonian.gradient(simulation.q, simulation.p)[1]
+    for own in members._simulations:
+        found = own.hamiltonian.gradient(own.q, own.p)[1]
+        # Newton's method ends at 1e-12 of the velocity.
+        np.testing.assert_allclose(found, v, rtol=0.0, atol=1e-11)
+        assert np.abs(own.p - simulation.p).max() > 1e-3
+
+
 def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
     scene = scene_of(tmp_path, mechanisms('arm', 3))
     found = simulate_spread(scene, 1.0, every=50)
@@ -150,7 +163,7 @@ def test_scene_of_an_ensemble_of_mechanisms_keeps_its_balance(tmp_path: Path):
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'kinds': ['continuous', 'revolute']}, 'kinds of a member'),
+    ({'features': [[1.0, 0.0], [0.0, 1.0]]}, 'features of a member'),
     ({'input_map': [[1.0], [0.5]]}, 'motors of input_map'),
     ({'mass_features': [[0.0, 2.0]]}, 'mass_features of a member')])
 def test_mechanisms_that_are_not_alike_are_refused(change: dict, message: str):
