@@ -98,8 +98,9 @@ def calibrated_machine(checkpoint: Checkpoint, held: Sequence[Motion], test: Seq
     """
     Return an ensemble whose card tells by what its spread is multiplied (split conformal).
 
-    With the score s = abs(x - mean) / deviation of each coordinate and momentum at 20 instants
-    of simulations from measured states, the factor is the least of them that the share ``level``
+    With the score s = abs(x - mean) / deviation of each coordinate and momentum at 11 instants of
+    the second half of simulations from measured states, whose noise outweighs what members
+    make of it at first, the factor is the least of them that the share ``level``
     does not exceed, on blocks that no member has seen. On the motions that the model is judged
     by the share is counted that the bands cover. Momenta are M(q) v of the mean.
 
@@ -149,7 +150,8 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[Motion]) -> list[np
     Returns
     -------
     list of np.ndarray, shape (instants, 2 d)
-        One for each that has an instant in the training domain, up to where it leaves that.
+        Of the second half of each that stays in the training domain until then, up to where it
+        leaves that.
 
     """
     spacing = motions[0].spacing
@@ -212,7 +214,7 @@ def _scores(simulation: Accompanied, members: Members, box: Box, motion: Motion,
     except StepFailure:
         # Of the mean: no band covers what it does not predict.
         found += [np.full(measured.shape[1], np.inf)] * (int(inside.sum()) - 1 - len(found))
-    return np.array(found)
+    return np.array(found)[max(0, (len(rows) - 1) // 2 - 1):]
 
 
 def ensemble_text(card: ModelCard) -> str:
