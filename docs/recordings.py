@@ -38,8 +38,9 @@ def write_screenshot(name: str, duration: float, path: Path) -> None:
         picture = Image.open(shot).convert('RGB')
         picture.thumbnail((_WIDTH, _WIDTH), Image.Resampling.LANCZOS)
         # Every colour has its share, however few points it has: that of an arrow, or of a curve.
-        picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
-            path, optimize=True)
+        # By means of those that share one, the background is what it was.
+        picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1,
+                         dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 if __name__ == '__main__':

@@ -52,14 +52,14 @@ FAULTS = [
             '                                         stage, k == max_iterations)\n'
             '        if outcome != GO_ON:\n'
             '            return outcome, residual, k\n'
-            '        if stage == COMMON and _is_hopeless(k, residual, previous):\n',
+            '        if stage == COMMON and is_hopeless(k, residual, previous):\n',
             '    for k in range(1, 4):\n'
             '        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,'
             ' previous,\n'
             '                                         stage, k == 3)\n'
             '        if outcome != GO_ON:\n'
             '            return outcome, residual, k\n'
-            '        if stage == COMMON and _is_hopeless(k, residual, previous):\n')),
+            '        if stage == COMMON and is_hopeless(k, residual, previous):\n')),
           'verification/test_symplecticity.py', 'own_two_form and tao and variational_euler'),
     Fault('composition with its factors swapped', 'integrators/composition.py',
           (('fractions = (_w, 1.0 - 2.0 * _w, _w)', 'fractions = (1.0 - 2.0 * _w, _w, _w)'),),

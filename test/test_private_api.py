@@ -28,10 +28,10 @@ PRIVATE = {
     'bags/mcap_index.py': ('mcap', {'_Writer__chunk_indices'}),
     'command_line.py': ('argparse', {'_option_string_actions'}),
     'kernels/linking.py': ('numba', {
-        '_cache', '_cache_hits', '_codegen', '_final_module', '_finalize_dynamic_globals',
-        '_get_module_for_linking', '_linking_libraries', '_loopvect', '_module_pass_manager',
-        '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
-        'numba._dynfunc'}),
+        '_cache', '_cache_hits', '_cache_path', '_codegen', '_final_module',
+        '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name',
+        '_linking_libraries', '_loopvect', '_module_pass_manager', '_opt_level', '_py_func',
+        '_raise_if_finalized', '_reload_init', '_set_uuid', '_source_stamp', 'numba._dynfunc'}),
     'ros/rclpy_internals.py': ('rclpy', {
         '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',
@@ -128,7 +128,9 @@ def test_numba_keeps_in_libraries_and_functions_what_is_read_of_them():
     assert hasattr(twice, '_cache') and not twice._cache_hits
     assert [*inspect.signature(FunctionCache.load_overload).parameters] == [
         'self', 'sig', 'target_context']
-    assert hasattr(FunctionCache(twice.py_func), '_py_func')
+    files = FunctionCache(twice.py_func)
+    assert {'_py_func', '_cache_path', '_cache_file'} <= vars(files).keys()
+    assert {'_index_name', '_source_stamp'} <= vars(files._cache_file).keys()
     assert callable(numba._dynfunc.make_function)
 
 

@@ -189,8 +189,11 @@ def test_files_say_by_themselves_how_they_are_read(tmp_path):
     assert isinstance(guessed('a.npz:run1'), ArraysData)
     assert isinstance(guessed(str(tmp_path)), BagMotions)
     assert isinstance(guessed('a.mcap'), BagMotions)
+    with pytest.raises(DataError, match='a.txt: no such file'):
+        guessed(str(tmp_path / 'a.txt'))
+    (tmp_path / 'a.txt').touch()
     with pytest.raises(DataError, match='--config'):
-        guessed('a.txt')
+        guessed(str(tmp_path / 'a.txt'))
 
 
 @pytest.mark.parametrize('data', [
