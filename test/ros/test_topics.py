@@ -321,7 +321,8 @@ def test_scene_report_names_effects_and_what_they_cost(tmp_path):
     simulation = build(scene)
     report = scene_report(scene, simulation, origin=5)
     assert report['effects'] == [
-        {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None}]
+        {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None,
+         'member': None}]
     assert report['conservative'] is False
     assert (report['origin'], report['first_step']) == (5, 0)
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}
