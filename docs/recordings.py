@@ -5,7 +5,8 @@ Pictures of recordings in the rerun viewer: `docs/recordings.py` makes them anew
 
 On a screen, or without one, where the pointer then stands beside the window:
 `xvfb-run -a -s '-screen 0 6000x4000x24' python docs/recordings.py`, some 30 s for each.
-Each viewer has a port of its own: else one that runs would show the recording.
+Each viewer has a port of its own: else one that runs would show the recording. Its own notices go
+away after some seconds; look whether a fast machine has caught them.
 """
 
 from pathlib import Path
