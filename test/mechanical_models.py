@@ -5,13 +5,17 @@
 from itertools import pairwise
 from pathlib import Path
 
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.mechanical_card import (
     CoulombTerm, FrictionCard, MechanicalCard, PriorCard, Quantity, StribeckTerm)
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 import numpy as np
+import pytest
 import torch
 
+# Hessians of networks as large as these are of the order of ten; see test_neural.
+ROUND_OFF = 1e-12
 PRIOR = PriorCard(kind='double_pendulum', parameters={
     name: Quantity(value=value, unit='1') for name, value in {
         'inertia1': 1.5, 'inertia2': 0.7, 'coupling12': 0.6, 'gravity1': 1.3, 'gravity2': -0.4,
@@ -132,3 +136,23 @@ def prior_potential(q: torch.Tensor) -> torch.Tensor:
     weights = [PRIOR.parameters[f'gravity{i}'].value for i in (1, 2)]
     return (weights[0] * (1.0 - torch.cos(q[0]))
             + weights[1] * (1.0 - torch.cos(q[0] + q[1])))
+
+
+def assert_agrees_with_torch(hamiltonian: Hamiltonian, model: Checkpoint, z: np.ndarray,
+                             v: np.ndarray) -> None:
+    """Compare H, its gradient at z and its Hessian times v with those of autograd."""
+    d = hamiltonian.dimension
+    gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
+    product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
+    energies = hamiltonian.energy(z[:, :d], z[:, d:])
+    for i in range(len(z)):
+        state = torch.tensor(z[i], requires_grad=True)
+        energy = torch_energy(model, state)
+        (slope,) = torch.autograd.grad(energy, state, create_graph=True)
+        (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
+        assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
+        assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
+        # Twice the slopes: second derivatives of M^-1, of condition 1 / floor, are larger.
+        assert np.abs(product[i] - curved.numpy()).max() <= 10 * ROUND_OFF
+    # The gradient in extended precision is the same, so the measured rounding is rounding.
+    assert np.abs(hamiltonian._extended_gradient(z) - gradient).max() <= ROUND_OFF

@@ -15,13 +15,11 @@ from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
-from mechanical_models import network, PRIOR, random_mechanical, saved, seen, SHAPES, torch_energy
+from mechanical_models import (
+    assert_agrees_with_torch, network, PRIOR, random_mechanical, ROUND_OFF, saved, seen, SHAPES)
 import numpy as np
 import pytest
 import torch
-
-# Hessians of networks as large as these are of the order of ten; see test_neural.
-ROUND_OFF = 1e-12
 
 
 def states(d: int, n: int = 5) -> np.ndarray:
@@ -31,22 +29,8 @@ def states(d: int, n: int = 5) -> np.ndarray:
 @pytest.mark.parametrize('shape', SHAPES)
 def test_kernel_agrees_with_torch_autograd(shape: str):
     hamiltonian = FAMILIES['mechanical'].hamiltonian(random_mechanical(shape))
-    d = hamiltonian.dimension
-    z, v = states(d), states(d)[::-1]
-    gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
-    product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
-    energies = hamiltonian.energy(z[:, :d], z[:, d:])
-    for i in range(len(z)):
-        state = torch.tensor(z[i], requires_grad=True)
-        energy = torch_energy(hamiltonian.checkpoint, state)
-        (slope,) = torch.autograd.grad(energy, state, create_graph=True)
-        (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
-        assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
-        assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
-        # Twice the slopes: second derivatives of M^-1, of condition 1 / floor, are larger.
-        assert np.abs(product[i] - curved.numpy()).max() <= 10 * ROUND_OFF
-    # The gradient in extended precision is the same, so the measured rounding is rounding.
-    assert np.abs(hamiltonian._extended_gradient(z) - gradient).max() <= ROUND_OFF
+    z = states(hamiltonian.dimension)
+    assert_agrees_with_torch(hamiltonian, hamiltonian.checkpoint, z, z[::-1])
 
 
 def test_continuous_coordinate_is_periodic_and_a_revolute_one_is_not():

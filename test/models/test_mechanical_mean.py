@@ -18,13 +18,10 @@ from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.members import Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
-from mechanical_models import random_mechanical, torch_energy
+from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
 import numpy as np
 import pytest
-import torch
 
-# Of numbers of the order of ten; see test_mechanical.
-ROUND_OFF = 1e-12
 SCALES = 0.5, 1.0, 2.0
 MAP = [[0.8], [-0.6]]
 
@@ -49,20 +46,8 @@ def scene_of(folder: Path, model: Checkpoint, friction: bool = True) -> Scene:
 def test_mean_has_the_mean_mass_and_potential_by_torch_autograd(shape: str):
     model = mechanisms(shape, 3)
     hamiltonian = load_member(model, None)
-    d = hamiltonian.dimension
-    z, v = np.random.default_rng(3).uniform(-1.5, 1.5, (2, 4, 2 * d))
-    gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
-    product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
-    energies = hamiltonian.energy(z[:, :d], z[:, d:])
-    for i in range(len(z)):
-        state = torch.tensor(z[i], requires_grad=True)
-        energy = torch_energy(model, state)
-        (slope,) = torch.autograd.grad(energy, state, create_graph=True)
-        (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
-        assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
-        assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
-        assert np.abs(product[i] - curved.numpy()).max() <= 10 * ROUND_OFF
-    assert np.abs(hamiltonian._extended_gradient(z) - gradient).max() <= ROUND_OFF
+    z, v = np.random.default_rng(3).uniform(-1.5, 1.5, (2, 4, 2 * hamiltonian.dimension))
+    assert_agrees_with_torch(hamiltonian, model, z, v)
 
 
 @pytest.mark.parametrize('shape', ['arm', 'worn'])
