@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from hashlib import sha256
+import os
 from pathlib import Path
 import zipfile
 import zlib
@@ -41,7 +42,8 @@ class ArraysData(MotionData):
 def split_runs(data: str) -> tuple[Path, list[str]]:
     """Return the file and the runs of ``FILE:RUN,RUN``; of ``FILE``, no runs, which is all."""
     file, colon, runs = data.rpartition(':')
-    if not colon or Path(data).exists():
+    # Which tells of no name that is too long to be one.
+    if not colon or os.path.exists(data):
         return Path(data), []
     return Path(file), runs.split(',')
 

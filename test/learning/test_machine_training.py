@@ -378,6 +378,8 @@ def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
             read_arrays(tmp_path / name, ArraysData(), 1)
     assert split_runs(f'{path}:a,b') == (path, ['a', 'b'])
     assert split_runs(str(path)) == (path, [])
+    names = [f'run{k}' for k in range(100)]  # longer than any name of a file
+    assert split_runs(f'{path}:{",".join(names)}') == (path, names)
 
 
 def test_accelerations_that_were_measured_are_taken_and_choose_the_loss(tmp_path):
