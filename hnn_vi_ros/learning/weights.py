@@ -54,6 +54,9 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]
     if checkpoint.card.family not in _SEES:
         raise UnsupportedSystem(f'weights of the family {checkpoint.card.family} are not '
                                 f'differentiable yet; families whose are: {", ".join(_SEES)}')
+    if checkpoint.members:
+        raise UnsupportedSystem('weights of an ensemble are not differentiable yet: take one of '
+                                'its members, with member: K in hamiltonian')
     known = dict(_tensors(checkpoint))
     for name, value in weights.items():
         if name not in known:

@@ -21,6 +21,7 @@ from hnn_vi_ros.lockstep.devices import captured, FUSED, TORCH
 from hnn_vi_ros.lockstep.solvers import dot
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
+from hnn_vi_ros.models.ensemble import MeanHamiltonian
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.models.separable import SeparableHamiltonian
@@ -78,6 +79,9 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device, kernels: str =
             # It is symmetric: its rows are its columns.
             return _sum(of(hamiltonian.checkpoint.networks['potential']),
                         lambda p: dot(inverse[..., None], p[:, None]))
+    if isinstance(hamiltonian, MeanHamiltonian):
+        raise UnsupportedSystem('a device takes no mean of an ensemble: leave device out, or take '
+                                'one of its members, with member: K in hamiltonian')
     name = f'a model of the family {hamiltonian.checkpoint.card.family}' if isinstance(
         hamiltonian, LearnedHamiltonian) else type(hamiltonian).__name__
     raise UnsupportedSystem(f'{name} is not an H of perceptrons alone, as a device takes it; '
