@@ -23,7 +23,8 @@ def ensemble(count: int, factor: float | None = 2.0, change: float = 0.05) -> Ch
             weight * (1.0 + change * rng.normal(size=weight.shape)) for weight in base.weights),
             base.biases)}))
     card = base.card.model_copy(update={'ensemble': EnsembleCard(
-        members=[member.card for member in members], factor=factor)})
+        members=[member.card for member in members],
+        factors=None if factor is None else [factor] * 2)})
     return Checkpoint(card, {}, members=tuple(members))
 
 
@@ -42,7 +43,8 @@ def together(members: Sequence[Checkpoint], factor: float | None = 2.0) -> Check
     """Return mechanisms as one model."""
     cards = [member.card for member in members]
     card = cards[0].model_copy(update={
-        'ensemble': EnsembleCard(members=cards, factor=factor),
+        'ensemble': EnsembleCard(members=cards, factors=None if factor is None else [
+            factor] * (2 * len(cards[0].coordinates))),
         'mechanical': mean_card([card.mechanical for card in cards])})
     return Checkpoint(card, {}, members=tuple(members))
 

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.errors import AlarmWarning, DataError, ParameterError
+from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
@@ -114,10 +114,10 @@ def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | N
     """
     Return an ensemble whose card tells by what its spread is multiplied (split conformal).
 
-    With the score s = abs(x - mean) / deviation of each coordinate and momentum at each instant
-    of held-out motions, the factor is the least of them that the share ``level`` does not
-    exceed. It is found on one half of the motions; on the other the share is counted that the
-    bands cover. Without motions there is no factor.
+    With the score s = abs(x - mean) / deviation of a coordinate or momentum at each instant of
+    held-out motions, its factor is the least of them that the share ``level`` does not exceed.
+    They are found on one half of the motions; on the other the share is counted that the bands
+    cover. Where that cannot be done there are no factors, and the card says why.
 
     Parameters
     ----------
@@ -134,28 +134,38 @@ def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | N
     Inference for Regression, JASA 2018.
 
     """
+    try:
+        found = _calibration(checkpoint, config, test)
+    except HnnViRosError as problem:
+        # What was trained is a model all the same, and says so.
+        found = {'calibration': f'none: {problem}'[:1000]}
+    ensemble = checkpoint.card.ensemble.model_copy(update=found)
+    return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
+
+
+def _calibration(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | None
+                 ) -> dict[str, object]:
     if isinstance(config.data, ExactData):
         held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2)
     else:
         held = None if test is None else _held_measured(checkpoint, test)
-    if held is None or held.q.shape[1] < _FEWEST:
-        return checkpoint
+    count = 0 if held is None else held.q.shape[1]
+    if held is None or count < _FEWEST:
+        raise DataError(f'{count} held-out motions of H alone, expected at least {_FEWEST}')
     scores = scores_of(checkpoint, held)
     level = checkpoint.card.ensemble.level
-    order = np.random.default_rng(config.seed).permutation(held.q.shape[1])
-    first, second = np.split(order, [len(order) // 2])
-    factor = conformal_factor(scores[:, first][held.inside[1:, first]], level)
-    covered = float((scores[:, second][held.inside[1:, second]] <= factor).mean())
-    text = (f'{len(first)} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
-            f'{len(second)} others')
-    ensemble = checkpoint.card.ensemble.model_copy(update={
-        'factor': factor, 'coverage': covered, 'calibration': text})
-    return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
+    order = np.random.default_rng(config.seed).permutation(count)
+    first, second = np.split(order, [count // 2])
+    factors = conformal_factors(scores[:, first][held.inside[1:, first]], level)
+    covered = float((scores[:, second][held.inside[1:, second]] <= factors).mean())
+    return {'factors': factors, 'coverage': covered, 'calibration': (
+        f'{len(first)} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
+        f'{len(second)} others')}
 
 
-def conformal_factor(scores: np.ndarray, level: float) -> float:
+def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
     """
-    Return the ceil((n + 1) level)-th smallest of n scores.
+    Return the ceil((n + 1) level)-th smallest of n scores, shape (n, 2 d), of each column.
 
     Raises
     ------
@@ -163,12 +173,23 @@ def conformal_factor(scores: np.ndarray, level: float) -> float:
         There are too few, or a member comes apart from all others so often that none is finite.
 
     """
-    ordered = np.sort(scores, axis=None)
-    rank = int(np.ceil((ordered.size + 1) * level))
-    if rank > ordered.size or not 0.0 < ordered[rank - 1] < np.inf:
+    ordered = np.sort(scores, axis=0)
+    rank = int(np.ceil((len(ordered) + 1) * level))
+    if rank > len(ordered) or not (
+            (0.0 < ordered[rank - 1]) & (ordered[rank - 1] < np.inf)).all():
         raise DataError('the spread of the ensemble cannot be calibrated: too few held-out '
                         'motions in the training domain, or members that do not differ')
-    return float(ordered[rank - 1])
+    found: list[float] = ordered[rank - 1].tolist()
+    return found
+
+
+def band_text(ensemble: EnsembleCard) -> str:
+    """Say by what the spread of a calibrated ensemble is multiplied, and what that covers."""
+    assert ensemble.factors is not None, 'it was calibrated'
+    assert ensemble.coverage is not None, 'with the factors'
+    factors = ', '.join(f'{factor:.3g}' for factor in ensemble.factors)
+    return (f'bands of {100.0 * ensemble.level:g} %: {factors} times the spread of q and p, which '
+            f'covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
 
 
 def scores_of(checkpoint: Checkpoint, held: Held) -> np.ndarray:

@@ -8,9 +8,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import warnings
 
-from hnn_vi_ros.errors import AlarmWarning, DataError, ParameterError, StepFailure
+from hnn_vi_ros.errors import (
+    AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure)
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.ensemble import check_count, conformal_factor
+from hnn_vi_ros.learning.ensemble import band_text, check_count, conformal_factors
 from hnn_vi_ros.learning.machine_config import MachineConfig, Trajectory
 from hnn_vi_ros.learning.machine_training import part_of
 from hnn_vi_ros.learning.motions import MIN_SAMPLES, Motion
@@ -98,9 +99,9 @@ def calibrated_machine(checkpoint: Checkpoint, held: Sequence[Motion], test: Seq
     """
     Return an ensemble whose card tells by what its spread is multiplied (split conformal).
 
-    With the score s = abs(x - mean) / deviation of each coordinate and momentum at 11 instants of
+    With the score s = abs(x - mean) / deviation of a coordinate or momentum at 11 instants of
     the second half of simulations from measured states, whose noise outweighs what members
-    make of it at first, the factor is the least of them that the share ``level``
+    make of it at first, its factor is the least of them that the share ``level``
     does not exceed, on blocks that no member has seen. On the motions that the model is judged
     by the share is counted that the bands cover. Momenta are M(q) v of the mean.
 
@@ -109,7 +110,7 @@ def calibrated_machine(checkpoint: Checkpoint, held: Sequence[Motion], test: Seq
     checkpoint : Checkpoint
         The ensemble.
     held, test : sequence of Motion
-        What the factor is found on, and what it is checked on.
+        What the factors are found on, and what they are checked on.
 
     References
     ----------
@@ -119,60 +120,79 @@ def calibrated_machine(checkpoint: Checkpoint, held: Sequence[Motion], test: Seq
     """
     ensemble = checkpoint.card.ensemble
     assert ensemble is not None, 'an ensemble has its card'
-    first, second = (machine_scores(checkpoint, motions) for motions in (held, test))
-    if min(len(first), len(second)) < _FEWEST:
-        found: dict[str, object] = {'calibration': (
-            f'none: {len(first)} and {len(second)} simulations in the training domain, of what '
-            f'was held out and of the test, expected at least {_FEWEST}')}
-    else:
-        try:
-            factor = conformal_factor(np.concatenate(first), ensemble.level)
-        except DataError as problem:
-            found = {'calibration': f'none: {problem}'}
-        else:
-            found = {
-                'factor': factor, 'coverage': float((np.concatenate(second) <= factor).mean()),
-                'calibration': (
-                    f'{len(first)} simulations of {_horizon(held):.3g} s from states of what was '
-                    f'held out, and coverage on {len(second)} of the test motions')}
+    try:
+        found = _calibration(checkpoint, ensemble.level, held, test)
+    except HnnViRosError as problem:
+        # What was trained is a model all the same, and says so.
+        found = {'calibration': f'none: {problem}'[:1000]}
     ensemble = ensemble.model_copy(update=found)
     return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
+
+
+def _calibration(checkpoint: Checkpoint, level: float, held: Sequence[Motion],
+                 test: Sequence[Motion]) -> dict[str, object]:
+    first, second = ([scores for motion in machine_scores(checkpoint, motions)
+                      for scores in motion] for motions in (held, test))
+    if min(len(first), len(second)) < _FEWEST:
+        raise DataError(
+            f'{len(first)} and {len(second)} simulations in the training domain, of what was '
+            f'held out and of the test, expected at least {_FEWEST}')
+    factors = conformal_factors(np.concatenate(first), level)
+    return {'factors': factors, 'coverage': float((np.concatenate(second) <= factors).mean()),
+            'calibration': (
+                f'{len(first)} simulations of {_horizon(held):.3g} s from states of what was '
+                f'held out, and coverage on {len(second)} of the test motions')}
 
 
 def _horizon(motions: Sequence[Motion]) -> float:
     return min(_HORIZON, max(float(motion.t[-1] - motion.t[0]) for motion in motions))
 
 
-def machine_scores(checkpoint: Checkpoint, motions: Sequence[Motion]) -> list[np.ndarray]:
+def machine_scores(checkpoint: Checkpoint, motions: Sequence[Motion], most: int | None = _MOST
+                   ) -> list[list[np.ndarray]]:
     """
     Return abs(x - mean) / deviation of simulations from measured states, with measured forces.
 
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    motions : sequence of Motion
+        What was measured.
+    most : int, optional
+        How many simulations at most; None: all.
+
     Returns
     -------
-    list of np.ndarray, shape (instants, 2 d)
-        Of the second half of each that stays in the training domain until then, up to where it
-        leaves that.
+    list of list of np.ndarray, shape (instants, 2 d)
+        For each motion, of the second half of each simulation that stays in the training domain
+        until then, up to where it leaves that.
 
     """
     spacing = motions[0].spacing
     every = max(1, round(_horizon(motions) / (_INSTANTS * spacing)))
     count = max(every, round(_horizon(motions) / spacing) // every * every)
     apart = max(1, round(_EVERY / spacing))
-    starts = [(motion, start) for motion in motions
+    starts = [(k, start) for k, motion in enumerate(motions)
               for start in range(0, len(motion.t) - count, apart)]
     starts = [starts[k] for k in np.unique(
-        np.linspace(0, len(starts) - 1, min(_MOST, len(starts))).astype(int))]
+        np.linspace(0, len(starts) - 1, min(most or len(starts), len(starts))).astype(int))]
+    found: list[list[np.ndarray]] = [[] for _ in motions]
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter('ignore', AlarmWarning)
         draft = Path(folder) / 'draft.safetensors'
-        save_checkpoint(draft, checkpoint)
+        card = checkpoint.card.model_copy(update={'ensemble': EnsembleCard(
+            members=checkpoint.card.ensemble.members)})  # without factors
+        save_checkpoint(draft, replace(checkpoint, card=card))
         driven = any(motion.tau.any() for motion in motions)
         scene = _scene(str(draft), checkpoint.card, spacing, driven)
         members = Members(scene)
         simulation = Accompanied(build(scene), [members])
-        found = [_scores(simulation, members, checkpoint.card.box, *one, count, every)
-                 for one in starts]
-    return [scores for scores in found if len(scores)]
+        for k, start in starts:
+            scores = _scores(simulation, members, card.box, motions[k], start, count, every)
+            if len(scores):
+                found[k].append(scores)
+    return found
 
 
 def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
@@ -223,7 +243,6 @@ def ensemble_text(card: ModelCard) -> str:
     if ensemble is None:
         return ''
     count = f'{len(ensemble.members)} members, whose mean is judged'
-    if ensemble.factor is None or ensemble.coverage is None:
+    if ensemble.factors is None or ensemble.coverage is None:
         return f'{count}; their spread was not calibrated ({ensemble.calibration})'
-    return (f'{count}; bands of {100.0 * ensemble.level:g} %: {ensemble.factor:.3g} times their '
-            f'spread, which covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+    return f'{count}; {band_text(ensemble)}'

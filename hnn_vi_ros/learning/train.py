@@ -24,7 +24,7 @@ from hnn_vi_ros.learning.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.energy_account import friction_work, integrated
 from hnn_vi_ros.learning.ensemble import (
-    calibrated, check_ensemble, combined, held_out, resampled)
+    band_text, calibrated, check_ensemble, combined, held_out, resampled)
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import EnergyFamily, Trainable
 from hnn_vi_ros.learning.interruption import Keeper
@@ -289,12 +289,10 @@ def _spread(card: ModelCard) -> str:
     if ensemble is None:
         return ''
     count = len(ensemble.members)
-    if ensemble.factor is None:
+    if ensemble.factors is None:
         return (f'\n{count} members, the curves are those of the first; their spread was not '
-                'calibrated: the data hold too few motions of H alone')
-    return (f'\n{count} members, the curves are those of the first; bands of '
-            f'{100.0 * ensemble.level:g} %: {ensemble.factor:.3g} times their spread, which '
-            f'covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+                f'calibrated ({ensemble.calibration})')
+    return f'\n{count} members, the curves are those of the first; {band_text(ensemble)}'
 
 
 def _check_options(source: Path, family: str, arguments: Namespace) -> None:

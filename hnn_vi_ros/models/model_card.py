@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model card: what a trained model is, for people and for the loader."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.models.energy_error import EnergyError
@@ -134,14 +134,14 @@ class ModelCard(StrictModel):
         self._check_constants(d)
         self._check_networks(d)
         if self.ensemble is not None:
-            self._check_members(self.ensemble.members)
+            self._check_ensemble(self.ensemble)
         return self
 
-    def _check_members(self, members: 'list[ModelCard]') -> None:
+    def _check_ensemble(self, ensemble: 'EnsembleCard') -> None:
         if not FAMILIES[self.family].averaged:
             raise ValueError(f'ensemble: the family {self.family} has none; those that have: '
                              f'{", ".join(averaged_families())}')
-        for member in members:
+        for member in ensemble.members:
             if member.ensemble is not None:
                 raise ValueError('ensemble: a member must be one model, no ensemble')
             for name in ('family', 'activation', 'layout', 'coordinates'):
@@ -150,6 +150,10 @@ class ModelCard(StrictModel):
             if self.mechanical is not None and member.mechanical is not None:
                 check_alike(self.mechanical, member.mechanical)
 
+        factors = ensemble.factors
+        if factors is not None and len(factors) != 2 * len(self.coordinates):
+            raise ValueError(f'ensemble: {len(factors)} factors, expected '
+                             f'{2 * len(self.coordinates)}, of q and p')
     def _check_networks(self, d: int) -> None:
         expected = FAMILIES[self.family].networks
         own = self.mechanical or self.lie_group
@@ -212,13 +216,24 @@ class EnsembleCard(StrictModel):
     """The members of an ensemble, and what their spread tells of the error of their mean."""
 
     members: list[ModelCard] = Field(min_length=2, max_length=MOST_MEMBERS)
-    factor: float | None = Field(None, gt=0.0, description=(
-        'what the standard deviation of the members is multiplied by, so that a band of it '
-        'covers the share `level` of errors; none: the spread was not calibrated'))
+    factors: list[Annotated[float, Field(gt=0.0)]] | None = Field(None, description=(
+        'of each coordinate, then of each momentum: what the standard deviation of the members '
+        'is multiplied by, so that a band of it covers the share `level` of errors; none: the '
+        'spread was not calibrated'))
     level: float = Field(0.9, gt=0.0, lt=1.0, description='share of errors that bands cover')
     coverage: float | None = Field(None, ge=0.0, le=1.0, description=(
-        'share that the bands cover in motions that neither training nor the factor has seen'))
-    calibration: str = Field('', max_length=1000, description='on what the factor was found')
+        'share that the bands cover in motions that neither training nor the factors have seen'))
+    calibration: str = Field('', max_length=1000, description='on what the factors were found')
+
+    @model_validator(mode='before')
+    @classmethod
+    def _with_one_factor(cls, data: Any) -> Any:
+        """Take the one factor of files of version 0.2.0 for all coordinates and momenta."""
+        match data:
+            case {'factor': factor, 'members': [{'coordinates': [*coordinates]}, *_], **others}:
+                return {**others, 'members': data['members'],
+                        'factors': 2 * len(coordinates) * [factor]}
+        return data
 
 
 def averaged_families() -> list[str]:

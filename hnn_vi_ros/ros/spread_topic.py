@@ -76,12 +76,13 @@ class SpreadTopic:
         level, message = OK, 'the members of the ensemble agree'
         if value > self._limit:
             level, message = WARN, 'the members of the ensemble have come apart'
-        if members.factor is None:
+        if members.factors is None:
             message += '; their spread is not calibrated'
         return Status('uncertainty', level, message, {
             'spread [half-widths]': value, 'limit [half-widths]': self._limit,
             **{f'spread of {name}': float(one) for name, one in zip(
                 self._labels, members.spread, strict=True)},
             'members [1]': members.count, 'failed members [1]': members.failed,
-            'factor [1]': 'none' if members.factor is None else members.factor,
+            'factors [1]': 'none' if members.factors is None else ' '.join(
+                f'{factor:.4g}' for factor in members.factors),
             'covered by the band [1]': 'unknown' if members.level is None else members.level})

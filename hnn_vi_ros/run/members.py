@@ -31,9 +31,11 @@ class Members:
     ----------
     count : int
         How many members there are.
-    factor, level : float or None
-        What their standard deviation is multiplied by, and the share of errors that this band
-        covers; None where the card knows neither.
+    factors : np.ndarray, shape (2 d,), or None
+        What the standard deviations of q, then of p are multiplied by; None where the card
+        knows none.
+    level : float or None
+        Share of errors that these bands cover.
 
     Raises
     ------
@@ -44,8 +46,9 @@ class Members:
 
     def __init__(self, scene: Scene):
         card = ensemble_card(scene)
-        self.count, self.factor = len(card.members), card.factor
-        self.level = card.level if card.factor else None
+        self.count = len(card.members)
+        self.factors = None if card.factors is None else np.array(card.factors)
+        self.level = card.level if card.factors else None
         with warnings.catch_warnings():
             # What is to be said of the scene is said of the mean.
             warnings.simplefilter('ignore')
@@ -90,7 +93,8 @@ class Members:
         """Return the half-widths of the bands of q, then of p, shape (2 d,)."""
         states = np.array([np.concatenate(self._state(one)) for one in self._simulations])
         states[list(self._failed)] = np.inf
-        return (self.factor or 1.0) * deviation(states)
+        spread = deviation(states)
+        return spread if self.factors is None else self.factors * spread
 
     def _state(self, own: Simulation) -> tuple[np.ndarray, np.ndarray]:
         """Return q and p of a member; where p is its own, that of the mean for its velocity."""

@@ -37,8 +37,8 @@ class SpreadTrajectory:
         same q and q', with p and energy of its own.
     spread_q, spread_p : np.ndarray, shape (n, d)
         Half-widths of the bands around q and p of the mean: the standard deviation over the
-        members, times the factor of the card (1 if it was not calibrated), where p is that of the
-        mean for a member's q and q'. Infinite from where a member failed.
+        members, times the factors of the card (1 if it was not calibrated), where p is that of
+        the mean for a member's q and q'. Infinite from where a member failed.
     level : float or None
         Share of errors that the bands cover in motions like those of the calibration; None if
         there was none.
@@ -177,15 +177,15 @@ def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
         warnings.simplefilter('ignore', AlarmWarning)
         members = [_or_failed(partial(simulate, own, duration, **options), mean)
                    for own in scenes]
-    factor = card.factor or 1.0
+    of_q, of_p = np.split(np.array(card.factors or [1.0, 1.0]), 2)
     momenta = [one.p for one in members]
     if not measured_momenta(scene.create_hamiltonian()):
         whole = build(scene).hamiltonian
         momenta = [_by_mean(whole, build(own).hamiltonian, one)
                    for own, one in zip(scenes, members, strict=True)]
     return SpreadTrajectory(
-        mean, tuple(members), factor * deviation([one.q for one in members]),
-        factor * deviation(momenta), card.level if card.factor else None)
+        mean, tuple(members), of_q * deviation([one.q for one in members]),
+        of_p * deviation(momenta), card.level if card.factors else None)
 
 
 def _by_mean(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.ndarray:

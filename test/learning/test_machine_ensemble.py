@@ -81,7 +81,7 @@ def test_ensemble_of_a_machine_is_trained_calibrated_and_runs(
     assert len({member.losses['forward'] for member in members}) == 3
     maps = [member.mechanical.input_map for member in members]
     np.testing.assert_allclose(card.mechanical.input_map, np.mean(maps, axis=0), rtol=1e-14)
-    assert card.ensemble.factor > 0.0 and card.prediction_error.failed == 0
+    assert len(card.ensemble.factors) == 4 and card.prediction_error.failed == 0
     # 25 to 50 starts that overlap, of some three blocks: the share varies by tenths.
     assert 0.5 < card.ensemble.coverage <= 1.0
     assert '3 members, whose mean is judged; bands of 90 %' in said
