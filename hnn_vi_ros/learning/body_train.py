@@ -14,7 +14,8 @@ from hnn_vi_ros.learning.body_data import Motions, read_bodies
 from hnn_vi_ros.learning.body_training import (
     fit, joined, network_of, published_loss, window_errors)
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from hnn_vi_ros.learning.keeping import kept
+from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.version import __version__
 import torch
@@ -31,13 +32,13 @@ def run(source: Path, arguments: Namespace, out: Path, command: str) -> None:
         config = config.model_copy(update={'seed': arguments.seed})
     train, test, description = read_bodies(
         _file(source, config, arguments.data), config.data, config.coordinates[0].kind)
+    held_out = _judged(test)
     begun = time.perf_counter()
     network, losses = learn(config, train)
     seconds = time.perf_counter() - begun
-    checkpoint = describe(network, config, train, description, losses, out.stem, command)
-    held_out = _judged(test)
-    save_checkpoint(out, checkpoint)
-    print(f'model: {out}\n{_text(network, config, held_out)}\ntrained in {seconds:.1f} s')
+    with kept(out, describe(network, config, train, description, losses, out.stem, command)):
+        text = _text(network, config, held_out)
+    print(f'model: {out}\n{text}\ntrained in {seconds:.1f} s')
 
 
 def learn(config: BodyConfig, motions: Sequence[Motions]) -> tuple[

@@ -230,13 +230,15 @@ def as_json(scores: dict[str, Scores]) -> dict:
 
 def numbers(scores: Scores) -> dict:
     """Return scores for JSON, which has no infinity: None for an error that has no bound."""
-    return {'horizons': {f'{horizon:.15g}': [value if math.isfinite(value) else None
-                                             for value in rms.tolist()]
+    def known(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+    return {'horizons': {f'{horizon:.15g}': [known(value) for value in rms.tolist()]
                          for horizon, rms in scores.horizons.items()},
             'valid_prediction_time': scores.valid_prediction_time,
             'censored': scores.censored, 'failed': scores.failed,
             'energy_mismatch': scores.energy_mismatch and {
-                f'{horizon:.15g}': value for horizon, value in scores.energy_mismatch.items()}}
+                f'{horizon:.15g}': known(value)
+                for horizon, value in scores.energy_mismatch.items()}}
 
 
 def _left_out(effects: Sequence[Effect]) -> str:

@@ -9,9 +9,11 @@ import os
 from pathlib import Path
 import pickle
 import signal
+import sys
 import time
 
 from hnn_vi_ros.errors import Interrupted, ParameterError
+from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.loop import Loop
@@ -92,6 +94,12 @@ class Keeper:
         try:
             torch.save({'digest': self._digest, 'state': loop.state}, temporary)
             temporary.replace(self.path)
+        except (OSError, RuntimeError) as problem:  # torch has an error of its own for a full disk
+            if self._stopping:
+                raise ParameterError(f'stopped at step {loop.step}; its state cannot be written '
+                                     f'to {self.path} ({one_line(problem)})') from problem
+            print(f'warning: {self.path}: the state of the run cannot be written '
+                  f'({one_line(problem)}); training goes on', file=sys.stderr, flush=True)
         finally:
             temporary.unlink(missing_ok=True)
         self._saved = time.monotonic()

@@ -20,6 +20,7 @@ from hnn_vi_ros.learning.excitation import excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.identification import identify
 from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
+from hnn_vi_ros.learning.keeping import kept, members_kept
 from hnn_vi_ros.learning.machine_config import (
     Forward, load_machine, MachineConfig, MachineExcitation, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.machine_ensemble import (
@@ -31,7 +32,7 @@ from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
 from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body
-from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, complete_checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, PredictionError
@@ -84,23 +85,32 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     # Where data come from, and by which licence, goes with the model.
     description = f'{config.description} {description}'.lstrip() + _scale(config, train)
     begun = time.perf_counter()
-    members = []
-    for k in range(arguments.ensemble or 1):
-        own = config.model_copy(update={'seed': config.seed + k})
-        drawn = known if arguments.ensemble is None else resampled_blocks(known, own.seed)
-        network, losses = learn(own, drawn)
-        if _opens_scale(config, train):
-            fix_scale(network, train)
-        name = out.stem if arguments.ensemble is None else f'{out.stem}, member {k + 1}'
-        members.append(describe(network, own, train, description, losses, name, command))
+    members: list[Checkpoint] = []
+    with members_kept(out, members):
+        for k in range(arguments.ensemble or 1):
+            own = config.model_copy(update={'seed': config.seed + k})
+            drawn = known if arguments.ensemble is None else resampled_blocks(known, own.seed)
+            network, losses = learn(own, drawn)
+            if _opens_scale(config, train):
+                fix_scale(network, train)
+            name = out.stem if arguments.ensemble is None else f'{out.stem}, member {k + 1}'
+            members.append(describe(network, own, train, description, losses, name, command))
     checkpoint = members[0] if arguments.ensemble is None else \
         combined_machines(members, out.stem)
     seconds = time.perf_counter() - begun
-    checkpoint = with_energy_error(checkpoint, test)
-    if arguments.ensemble is None:
-        checkpoint = with_force_errors(checkpoint, network, test)
-    else:
-        checkpoint = calibrated_machine(checkpoint, held, test)
+    with kept(out, checkpoint):
+        checkpoint = with_energy_error(checkpoint, test)
+        if arguments.ensemble is None:
+            checkpoint = with_force_errors(checkpoint, network, test)
+        else:
+            checkpoint = calibrated_machine(checkpoint, held, test)
+        found = _judge(config, checkpoint, network, train, test, outputs, seconds)
+    print(f'model: {out}\nreport: {outputs.report}\n\n{found}\ntrained in {seconds:.1f} s')
+
+
+def _judge(config: MachineConfig, checkpoint: Checkpoint, network: MechanicalNetwork,
+           train: list[Motion], test: list[Motion], outputs: Outputs, seconds: float) -> str:
+    """Judge a model that was trained, complete its card, write its report, and return a table."""
     names = [coordinate.name for coordinate in config.coordinates]
     horizons = [horizon for horizon in _HORIZONS if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
@@ -110,7 +120,7 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
     asked = test, horizons, _EVERY, _LONGEST
     scores, fans = judge(simulation, effects, *asked)
     prediction = PredictionError.model_validate(numbers(scores['model']))
-    save_checkpoint(out, replace(checkpoint, card=checkpoint.card.model_copy(
+    complete_checkpoint(outputs.model, replace(checkpoint, card=checkpoint.card.model_copy(
         update={'prediction_error': prediction})))
     print('for comparison, a plain network of (q, v, tau):', flush=True)
     plain = PlainNetwork(network.structure.kinds, config.hidden, network.scales, config.seed)
@@ -120,13 +130,13 @@ def run(source: Path, arguments: Namespace, outputs: Outputs, command: str) -> N
         rigid = best_rigid_body(config.windows, train)
         others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
     scores |= {name: score(other, *asked) for name, other in others.items()}
-    draw_predictions(outputs.picture, out.stem, hamiltonian.coordinates,
+    draw_predictions(outputs.picture, outputs.model.stem, hamiltonian.coordinates,
                      shown(fans, max(horizons)))
     found = '\n\n'.join(filter(None, (
         table(scores, names), verdict(scores), ensemble_text(checkpoint.card))))
     page = _page(outputs, config, checkpoint.card, found, seconds)
     outputs.report.write_text(page + identified_text(checkpoint.card), encoding='utf-8')
-    print(f'model: {out}\nreport: {outputs.report}\n\n{found}\ntrained in {seconds:.1f} s')
+    return found
 
 
 def _opens_scale(config: MachineConfig, motions: list[Motion]) -> bool:

@@ -28,11 +28,12 @@ from hnn_vi_ros.learning.ensemble import (
 from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.families.base import EnergyFamily, Trainable
 from hnn_vi_ros.learning.interruption import Keeper
+from hnn_vi_ros.learning.keeping import kept, member_files, members_kept
 from hnn_vi_ros.learning.loop import Loop, LossHistory
 from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.report import Outputs, write_report
 from hnn_vi_ros.learning.sources import make_dataset
-from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, complete_checkpoint
 from hnn_vi_ros.models.energy_error import energy_error, energy_spread, EnergyError
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.families import FAMILIES
@@ -115,21 +116,23 @@ def describe(problem: TrainingProblem, config: TrainingConfig, dataset: Dataset,
         box=box, dataset=dataset.description, seed=config.seed,
         losses=problem.final_losses(), units=problem.units, training_command=command,
         package_version=__version__, confine=config.confine)
-    checkpoint = Checkpoint(card, networks)
-    error = judge_energy(checkpoint, family, config, dataset)
-    return replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
+    return Checkpoint(card, networks)
 
 
-def train_ensemble(config: TrainingConfig, dataset: Dataset, name: str, command: str,
+def train_ensemble(config: TrainingConfig, dataset: Dataset, model: Path, command: str,
                    count: int, device: str = 'cpu'
                    ) -> tuple[Checkpoint, LossHistory, TrainingProblem]:
     """
-    Train members by seeds and bootstraps of their own, and calibrate their spread.
+    Train members by seeds and bootstraps of their own.
 
     Parameters
     ----------
-    config, dataset, name, command, device
+    config, command, device
         See ``train``.
+    dataset : Dataset
+        What to learn from, without what is held out.
+    model : Path
+        The file that is to hold them; see ``members_kept``.
     count : int
         How many members; their seeds are those from the configuration's on.
 
@@ -140,20 +143,27 @@ def train_ensemble(config: TrainingConfig, dataset: Dataset, name: str, command:
 
     Raises
     ------
-    DataError, ParameterError
-        See ``train``; of this family there are no ensembles.
+    DataError
+        See ``train``.
 
     """
-    check_ensemble(config, count)
-    known, test = held_out(config, dataset)
-    found = [train(config.model_copy(update={'seed': seed}), resampled(known, seed),
-                   f'{name}, member {seed - config.seed + 1}', command, device)
-             for seed in range(config.seed, config.seed + count)]
-    checkpoint = combined([one for one, _, _ in found], known, name)
-    _, history, problem = found[0]
-    error = judge_energy(checkpoint, problem.family, config, known)
-    card = checkpoint.card.model_copy(update={'energy_error': error})
-    return calibrated(replace(checkpoint, card=card), config, test), history, problem
+    members: list[Checkpoint] = []
+    with members_kept(model, members):
+        for k, seed in enumerate(range(config.seed, config.seed + count)):
+            own = config.model_copy(update={'seed': seed})
+            member, losses, solved = train(
+                own, resampled(dataset, seed), f'{model.stem}, member {k + 1}', command, device)
+            members.append(member)
+            if not k:
+                history, problem = losses, solved
+    return combined(members, dataset, model.stem), history, problem
+
+
+def judged(checkpoint: Checkpoint, family: Trainable, config: TrainingConfig, dataset: Dataset
+           ) -> Checkpoint:
+    """Return a trained model whose card tells the error of its energy, where that is known."""
+    error = judge_energy(checkpoint, family, config, dataset)
+    return replace(checkpoint, card=checkpoint.card.model_copy(update={'energy_error': error}))
 
 
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: TrainingConfig,
@@ -246,7 +256,7 @@ def main(argv: Sequence[str]) -> None:
         return
     if own:
         files = machine_train.Outputs.beside(model)
-        _check_outputs(files, resume=False)
+        _check_outputs((*files, *member_files(model, arguments.ensemble or 0)), resume=False)
         machine_train.run(source, arguments, files, command)
         return
     outputs = Outputs.beside(model)
@@ -263,17 +273,23 @@ def main(argv: Sequence[str]) -> None:
         if arguments.resume:
             raise ParameterError('--resume: an ensemble is trained anew; leave one of the two out')
     dataset = make_dataset(config.data, config.seed, source, arguments.data)
-    state = _check_outputs(outputs, arguments.resume)
+    state = _check_outputs(
+        (*outputs, *member_files(model, arguments.ensemble or 0)), arguments.resume)
     keeper = Keeper(state, config, dataset, arguments.device)
+    known, test = (dataset, None) if arguments.ensemble is None else held_out(config, dataset)
     start = time.perf_counter()
     checkpoint, history, problem = train(
         config, dataset, outputs.model.stem, command, arguments.device, keeper, arguments.resume
     ) if arguments.ensemble is None else train_ensemble(
-        config, dataset, outputs.model.stem, command, arguments.ensemble, arguments.device)
+        config, known, outputs.model, command, arguments.ensemble, arguments.device)
     seconds = time.perf_counter() - start
-    save_checkpoint(outputs.model, checkpoint)
-    card = checkpoint.card
-    write_report(outputs, config, card, history, problem.compare(), seconds, arguments.device)
+    with kept(outputs.model, checkpoint):
+        checkpoint = judged(checkpoint, problem.family, config, known)
+        if arguments.ensemble is not None:
+            checkpoint = calibrated(checkpoint, config, test)
+        complete_checkpoint(outputs.model, checkpoint)
+        card = checkpoint.card
+        write_report(outputs, config, card, history, problem.compare(), seconds, arguments.device)
     losses = ', '.join(f'{key} {value:.3g}' for key, value in card.losses.items())
     error = card.energy_error
     known = '' if error is None else (f'\nenergy error: RMS {error.rms:.3g} J, largest '

@@ -193,21 +193,44 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
 
     """
     path = Path(path)
+    raw = _serialized(path, checkpoint)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_new(path, raw)
+    except OSError as problem:
+        # A file in place of its folder exists as well.
+        if isinstance(problem, FileExistsError) and os.path.lexists(path):
+            raise ModelError(f'{path}: exists already and is not overwritten; name another file'
+                             ) from problem
+        raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
+
+
+def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """
+    Write a model over the file that this process made of it, whole or not at all.
+
+    Raises
+    ------
+    ModelError
+        See ``save_checkpoint``; the file is as it was.
+
+    """
+    raw = _serialized(path, checkpoint)
+    try:
+        _replace(path, raw)
+    except OSError as problem:
+        raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
+
+
+def _serialized(path: Path, checkpoint: Checkpoint) -> bytes:
     tensors: dict[str, np.ndarray] = {}
     for k, member in enumerate(checkpoint.members, start=1):
         tensors |= _tensors(path, member, f'member{k}.')
     if not checkpoint.members:
         tensors = _tensors(path, checkpoint)
-    card = checkpoint.card.model_dump_json(exclude_none=True)
-    raw = safetensors.numpy.save(tensors, {'model_card': card})
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _write_new(path, raw)
-    except FileExistsError as problem:
-        raise ModelError(f'{path}: exists already and is not overwritten; name another file'
-                         ) from problem
-    except OSError as problem:
-        raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
+    raw: bytes = safetensors.numpy.save(
+        tensors, {'model_card': checkpoint.card.model_dump_json(exclude_none=True)})
+    return raw
 
 
 def _tensors(path: Path, checkpoint: Checkpoint, prefix: str = '') -> dict[str, np.ndarray]:
@@ -227,13 +250,20 @@ def _tensors(path: Path, checkpoint: Checkpoint, prefix: str = '') -> dict[str, 
 
 def _write_new(path: Path, raw: bytes) -> None:
     path.open('xb').close()  # claims the name: of two that write it, one fails here
+    try:
+        _replace(path, raw)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+def _replace(path: Path, raw: bytes) -> None:
     temporary = path.with_name(f'.{path.name}.{os.getpid()}')
     try:
         temporary.write_bytes(raw)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
-        path.unlink(missing_ok=True)
         raise
 
 

@@ -69,8 +69,9 @@ class PredictionError(StrictModel):
     censored: float = Field(ge=0.0, le=1.0, description=(
         'share of predictions that were still valid when they, or the motion, ended'))
     failed: int = Field(ge=0, description='simulations that failed')
-    energy_mismatch: dict[str, float] | None = Field(None, description=(
-        'what H changes by over each horizon [s] beside the work, as a share of its range'))
+    energy_mismatch: dict[str, float | None] | None = Field(None, description=(
+        'what H changes by over each horizon [s] beside the work, as a share of its range; null '
+        'where it is not finite'))
 
 
 class ModelCard(StrictModel):
@@ -149,11 +150,11 @@ class ModelCard(StrictModel):
                     raise ValueError(f'ensemble: {name} of a member is not that of the others')
             if self.mechanical is not None and member.mechanical is not None:
                 check_alike(self.mechanical, member.mechanical)
-
         factors = ensemble.factors
         if factors is not None and len(factors) != 2 * len(self.coordinates):
             raise ValueError(f'ensemble: {len(factors)} factors, expected '
                              f'{2 * len(self.coordinates)}, of q and p')
+
     def _check_networks(self, d: int) -> None:
         expected = FAMILIES[self.family].networks
         own = self.mechanical or self.lie_group

@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.steps import SCHEMES, step
-from hnn_vi_ros.learning.train import describe, main
+from hnn_vi_ros.learning.train import describe, judged, main
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -147,7 +147,8 @@ def test_training_refuses_a_lagrangian_that_became_singular(tmp_path):
     with torch.no_grad():
         problem.family.network.linears[-1].weight.mul_(1e3)
     with pytest.raises(HnnViRosError, match='singular in its box: .* train it longer'):
-        describe(problem, config, dataset, 'small', 'train')
+        judged(describe(problem, config, dataset, 'small', 'train'), problem.family, config,
+               dataset)
 
 
 def small_hnn(d: int = 1) -> HNN:

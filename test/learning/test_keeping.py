@@ -1,0 +1,151 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A model that was trained is never lost, whatever fails behind its training."""
+
+from dataclasses import replace
+import errno
+from pathlib import Path
+import re
+
+from belt import BELT, motion_by_a_belt
+from helpers import random_checkpoint
+from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingError, StepFailure
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.learning import ensemble as ensembles, keeping, machine_train, train as training
+from hnn_vi_ros.learning.evaluate import numbers
+from hnn_vi_ros.learning.evaluation import Scores
+from hnn_vi_ros.learning.keeping import kept
+from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.models.checkpoint import complete_checkpoint, load_checkpoint, save_checkpoint
+from hnn_vi_ros.models.model_card import Box, PredictionError
+import numpy as np
+import pytest
+
+TINY = """\
+coordinates: [{name: x}]
+data:
+  kind: exact
+  hamiltonian: {kind: harmonic_oscillator}
+  box: {q: [[-1.0, 1.0]], p: [[-1.0, 1.0]]}
+  samples: 60
+hidden: [4]
+adam_steps: 2
+lbfgs_steps: 0
+"""
+
+
+@pytest.fixture
+def words(tmp_path: Path) -> list[str]:
+    (tmp_path / 'tiny.yaml').write_text(TINY)
+    return ['--config', str(tmp_path / 'tiny.yaml'), '--out', str(tmp_path / 'm.safetensors')]
+
+
+def failing(problem: Exception):
+    def fail(*arguments: object, **more: object) -> None:
+        raise problem
+    return fail
+
+
+@pytest.mark.parametrize(('name', 'replacement'), [
+    ('scores_of', lambda checkpoint, held: np.full((20, *held.q.shape[1:-1], 2), np.inf)),
+    ('simulate_held', failing(StepFailure('no convergence', 0.1, 0.01, 1.0, 20)))])
+def test_ensemble_that_cannot_be_calibrated_is_kept_and_says_so(
+        tmp_path: Path, words: list, monkeypatch, capsys, name: str, replacement):
+    monkeypatch.setattr(ensembles, '_MOTIONS', 30)
+    monkeypatch.setattr(ensembles, name, replacement)
+    main([*words, '--ensemble', '2'])
+    card = load_checkpoint(tmp_path / 'm.safetensors', ensembles=True).card.ensemble
+    assert card.factors is None and card.coverage is None
+    assert re.match('none: (the spread .* cannot be calibrated|step failed)', card.calibration)
+    assert 'their spread was not calibrated (none: ' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(('name', 'problem', 'kind', 'message'), [
+    ('judge_energy', ModelError('no energy'), DataError, 'no energy; the model is trained, and'),
+    ('write_report', OSError(errno.ENOSPC, 'No space left on device', 'm.loss.png'),
+     RecordingError, 'm.loss.png: cannot be written: No space left on device; the model is')])
+def test_model_whose_evaluation_fails_is_kept(
+        tmp_path: Path, words: list, monkeypatch, name: str, problem, kind, message: str):
+    monkeypatch.setattr(training, name, failing(problem))
+    with pytest.raises(kind, match=message) as caught:
+        main(words)
+    assert str(tmp_path / 'm.safetensors') in str(caught.value)
+    assert '\n' not in str(caught.value)
+    assert load_checkpoint(tmp_path / 'm.safetensors').card.losses
+
+
+@pytest.mark.parametrize('more', [[], ['--ensemble', '2']])
+def test_machine_whose_evaluation_fails_is_kept(tmp_path: Path, monkeypatch, more: list):
+    motion = motion_by_a_belt(1, 8.0)
+    np.savez(tmp_path / 'belt.npz', t=motion.t, q=motion.q, v=motion.v, tau=motion.tau)
+    (tmp_path / 'belt.yaml').write_text(dump_yaml(BELT | {
+        'data': {'kind': 'arrays', 'q': 'q', 'v': 'v'},
+        'loss': {'kind': 'forward', 'steps': 1, 'lbfgs_steps': 0}}))
+    monkeypatch.setattr(machine_train, 'with_energy_error', failing(
+        StepFailure('not finite', 0.1, 0.01, 1.0, 20)))
+    out = tmp_path / 'm.safetensors'
+    with pytest.raises(DataError, match='step failed .* the model is trained, and is in'):
+        main(['--config', str(tmp_path / 'belt.yaml'), '--data', str(tmp_path / 'belt.npz'),
+              '--out', str(out), *more])
+    assert len(load_checkpoint(out, ensembles=True).members) == 2 * bool(more)
+
+
+@pytest.mark.parametrize('problem', [DataError('training diverged'), KeyboardInterrupt()])
+def test_members_trained_before_one_that_fails_are_kept(
+        tmp_path: Path, words: list, monkeypatch, capsys, problem):
+    real, calls = training.train, []
+
+    def second_fails(*arguments, **more):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise problem
+        return real(*arguments, **more)
+    monkeypatch.setattr(training, 'train', second_fails)
+    with pytest.raises(type(problem)):
+        main([*words, '--ensemble', '3'])
+    file = tmp_path / 'm.member1.safetensors'
+    assert load_checkpoint(file).card.name == 'm, member 1'
+    assert f'members that were trained: {file}\n' in capsys.readouterr().out
+    # Not found out after the next training.
+    with pytest.raises(HnnViRosError, match='m.member1.safetensors exists already'):
+        main([*words, '--ensemble', '3'])
+
+
+def test_model_that_cannot_be_written_where_it_should_be_is_kept_elsewhere(
+        tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(keeping, 'mkdtemp', lambda prefix: str(tmp_path))
+    model = tmp_path / 'file' / 'm.safetensors'
+    (tmp_path / 'file').touch()  # no folder, by now
+    with pytest.raises(ModelError, match='cannot be written: .*; the trained model is in '), \
+            kept(model, random_checkpoint([2, 4, 1], 0)):
+        pytest.fail('it goes on')
+    assert load_checkpoint(tmp_path / 'm.safetensors')
+
+
+def test_completing_a_file_leaves_it_whole_where_that_fails(tmp_path: Path):
+    model, checkpoint = tmp_path / 'm.safetensors', random_checkpoint([2, 4, 1], 0)
+    save_checkpoint(model, checkpoint)
+    before = model.read_bytes()
+    card = checkpoint.card.model_copy(update={'name': 'other'})
+    complete_checkpoint(model, replace(checkpoint, card=card))
+    assert load_checkpoint(model).card.name == 'other' and before != model.read_bytes()
+    assert [file.name for file in tmp_path.iterdir()] == ['m.safetensors']
+    with pytest.raises(ModelError, match='cannot be written'):
+        complete_checkpoint(tmp_path / 'none' / 'm.safetensors', checkpoint)
+
+
+def test_card_that_is_refused_is_told_in_one_line(tmp_path: Path):
+    with pytest.raises(DataError, match=r'interval of positive.*; the model is trained, and'), \
+            kept(tmp_path / 'm.safetensors', random_checkpoint([2, 4, 1], 0)):
+        Box(q=[[0.0, 0.0]], p=[[0.0, 1.0]])
+
+
+def test_scores_that_are_not_finite_make_a_card_that_can_be_read(tmp_path: Path):
+    scores = Scores({0.1: np.array([np.inf])}, {0.1: 3}, 0.05, 0.0, 3, {0.1: np.inf, 0.5: np.nan})
+    checkpoint = random_checkpoint([2, 4, 1], 0)
+    card = checkpoint.card.model_copy(update={
+        'prediction_error': PredictionError.model_validate(numbers(scores))})
+    save_checkpoint(tmp_path / 'm.safetensors', replace(checkpoint, card=card))
+    found = load_checkpoint(tmp_path / 'm.safetensors').card.prediction_error
+    assert found.horizons == {'0.1': [None]}
+    assert found.energy_mismatch == {'0.1': None, '0.5': None}
