@@ -88,12 +88,20 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     """
     check_seconds('duration', duration)
     check_count('every', every)
-    scene, _ = resolve(_scene(scene).with_overrides(
-        step_size, integrator, _state(initial_state), _listed(effects)))
+    scene = changed_scene(scene, step_size, integrator, initial_state, effects)
     recorded = record_one(watched(build(scene), scene), duration, int(every), times, commands)
     trajectory = replace(recorded, scene=scene)
     tell(list(trajectory.alarms), scene.known_step_size)
     return trajectory
+
+
+def changed_scene(scene: Scene | str | Path, step_size: float | None = None,
+                  integrator: str | None = None,
+                  initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+                  effects: Sequence[Mapping[str, Any]] | None = None) -> Scene:
+    """Return a resolved scene with other parts, where given; see ``simulate``."""
+    return resolve(_scene(scene).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects)))[0]
 
 
 def record_one(simulation: Simulation | WatchedSimulation, duration: float, every: int,

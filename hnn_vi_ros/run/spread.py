@@ -2,23 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The spread of an ensemble: its members simulated beside their mean."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 import warnings
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import EnsembleCard
-from hnn_vi_ros.run.ensemble import simulate
+from hnn_vi_ros.run.ensemble import changed_scene, simulate
 from hnn_vi_ros.run.trajectory import Trajectory
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 
@@ -62,8 +62,12 @@ def ensemble_card(scene: Scene) -> EnsembleCard:
         Its Hamiltonian is no such mean.
 
     """
-    checkpoint = getattr(scene.create_hamiltonian(), 'checkpoint', None)
-    card = getattr(checkpoint, 'card', None)
+    hamiltonian = scene.create_hamiltonian()
+    if isinstance(hamiltonian, ConfinedHamiltonian):
+        raise SceneError(f'{scene.place("hamiltonian")}: confined to its training domain, by '
+                         'walls of its own for each member, so that their spread means nothing; '
+                         'write confine: false')
+    card = getattr(getattr(hamiltonian, 'checkpoint', None), 'card', None)
     if card is None or card.ensemble is None or getattr(scene.hamiltonian, 'member', None):
         raise SceneError(f'{scene.place("hamiltonian")}: no mean of an ensemble, whose members '
                          'could come apart; name the file of one, made by train --ensemble N, '
@@ -88,7 +92,7 @@ def member_scenes(scene: Scene, count: int) -> list[Scene]:
             found['member'] = k
         return found
     scenes = [scene.changed({
-        'hamiltonian': {**choice, 'member': k}, 'uncertainty': None,
+        'hamiltonian': {**choice, 'member': k}, 'uncertainty': None, 'events': [],
         'effects': [effect_of(effect, k) for effect in scene.effects]})
         for k in range(1, count + 1)]
     if measured_momenta(scene.create_hamiltonian()):
@@ -142,7 +146,10 @@ def deviation(members: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
         return np.where(finite, values.std(axis=0, ddof=1), np.inf)
 
 
-def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
+def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
+                    integrator: str | None = None,
+                    initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+                    effects: Sequence[Mapping[str, Any]] | None = None, **options: Any
                     ) -> SpreadTrajectory:
     """
     Simulate the mean of an ensemble and each of its members, from one initial state.
@@ -152,7 +159,9 @@ def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
     scene : Scene, str or Path
         See ``simulate``; its Hamiltonian is an ensemble.
     duration : float
-        Simulated time [s].
+        Simulated time [s]; an event of the scene at which the mean stops ends the members as well.
+    step_size, integrator, initial_state, effects
+        In place of the scene's; see ``simulate``.
     **options
         Further arguments of ``simulate``.
 
@@ -168,10 +177,13 @@ def simulate_spread(scene: Scene | str | Path, duration: float, **options: Any
         does not raise: its band is infinite from there on.
 
     """
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = changed_scene(scene, step_size, integrator, initial_state, effects)
     card = ensemble_card(scene)
-    scene, _ = resolve(scene)
     mean, scenes = simulate(scene, duration, **options), member_scenes(scene, len(card.members))
+    if scene.events:
+        # They may have ended the mean before.
+        duration = min(duration, float(mean.t[-1]))
+        options |= {'times': mean.t} if 'times' in options else {}
     with warnings.catch_warnings():
         # Of the mean all is told; a member that leaves its box is what the band shows.
         warnings.simplefilter('ignore', AlarmWarning)

@@ -56,12 +56,15 @@ def main(argv: list[str]) -> int:
 def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
     from hnn_vi_ros.accuracy.automatic_choice import resolve
+    from hnn_vi_ros.run.spread import ensemble_card
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched
     status = 0
     for name in names:
         try:
             scene, _ = resolve(load_scene(name))
+            if scene.uncertainty is not None:
+                ensemble_card(scene)
             print(_in_a_line(scene, watched(build(scene), scene)))
         except HnnViRosError as problem:
             print(f'scene: {problem}', file=sys.stderr)

@@ -9,11 +9,13 @@ from ensembles import ensemble
 from helpers import random_checkpoint
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.errors import ModelError, SceneError
+from hnn_vi_ros.errors import ModelError, SceneError, UnsupportedSystem
+from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.model_card import EnsembleCard, ModelCard
 from hnn_vi_ros.run.members import Members
+from hnn_vi_ros.studies import scene_tool
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -91,12 +93,48 @@ def test_members_that_differ_are_refused(changes: dict, message: str):
         ModelCard.model_validate(data)
 
 
+def test_one_factor_of_version_0_2_is_that_of_all(tmp_path: Path):
+    data = json.loads(ensemble(2).card.model_dump_json(exclude_none=True))
+    del data['ensemble']['factors']
+    data['ensemble']['factor'] = 3.5
+    assert ModelCard.model_validate(data).ensemble.factors == [3.5, 3.5]
+    for members in ([], [1, 2], 'none', [{'coordinates': 3}]):
+        with pytest.raises(ValueError, match='members'):
+            EnsembleCard.model_validate({'factor': 3.5, 'members': members})
+
+
+def test_factors_must_be_as_many_as_coordinates_and_momenta():
+    data = json.loads(ensemble(2).card.model_dump_json(exclude_none=True))
+    data['ensemble']['factors'] = [1.0, 2.0, 3.0]
+    with pytest.raises(ValueError, match='3 factors, expected 2, of q and p'):
+        ModelCard.model_validate(data)
+
+
 def test_ensemble_of_ensembles_is_refused():
     card = ensemble(2).card
     nested = EnsembleCard.model_construct(members=[card, card])
     data = card.model_copy(update={'ensemble': nested}).model_dump()
     with pytest.raises(ValueError, match='one model, no ensemble'):
         ModelCard.model_validate(data)
+
+
+def test_what_takes_the_networks_of_one_model_refuses_a_mean_and_names_members(model: Path):
+    torch = pytest.importorskip('torch', reason='torch is not installed')
+    from hnn_vi_ros.learning.weights import with_weights
+    from hnn_vi_ros.lockstep.gradient import make_gradient
+    mean = load_learned(model)
+    with pytest.raises(UnsupportedSystem, match='member: K in hamiltonian'):
+        with_weights(mean, {'linear1.weight': np.zeros((6, 2))})
+    with pytest.raises(UnsupportedSystem, match='member: K in hamiltonian'):
+        make_gradient(mean, torch.device('cpu'))
+
+
+def test_check_of_a_scene_finds_uncertainty_that_no_ensemble_has(
+        tmp_path: Path, capsys: pytest.CaptureFixture):
+    scene = load_scene('exact_pendulum').changed({'uncertainty': {'limit': 0.2}})
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(scene.model_dump(exclude_none=True)))
+    assert scene_tool.main(['--check', str(tmp_path / 'scene.yaml')]) == 1
+    assert 'hamiltonian: no mean of an ensemble' in capsys.readouterr().err
 
 
 def test_uncertainty_of_one_model_is_refused(tmp_path: Path):

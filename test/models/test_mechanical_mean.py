@@ -136,6 +136,20 @@ def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
     assert found.spread_q[0].max() < 1e-15 and (found.spread_q[-1] > 1e-4).all()
 
 
+def test_parts_in_place_of_those_of_the_scene_are_the_members_as_well(tmp_path: Path):
+    scene = scene_of(tmp_path, mechanisms('arm', 3))
+    parts = {'initial_state': ([0.2, 0.1], [0.4, -0.3]), 'step_size': 0.01,
+             'effects': [scene.effects[0].model_dump(), {'kind': 'damping', 'rate': 0.1}]}
+    found = simulate_spread(scene, 0.1, every=10, **parts)
+    (q, p) = parts['initial_state']
+    changed = scene.changed({**parts, 'initial_state': {'q': q, 'p': p}})
+    expected = simulate_spread(changed, 0.1, every=10)
+    assert found.mean.q[0].tolist() == q and found.mean.p[0].tolist() == p
+    assert found.spread_p.tobytes() == expected.spread_p.tobytes()
+    # At the velocity of the mean, to the round-off of Newton's method.
+    assert found.spread_p[0].max() < 1e-11
+
+
 def test_scene_of_an_ensemble_of_mechanisms_keeps_its_balance(tmp_path: Path):
     simulation = build(scene_of(tmp_path, mechanisms('arm', 3, input_map=MAP)))
     simulation.set_command([0.5])

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The spread of an ensemble, in Python and beside a simulation that runs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from ensembles import ensemble
@@ -18,7 +19,7 @@ from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest
 
-COUNT, FACTOR = 4, 2.0
+COUNT, FACTOR = 4, np.array([2.0, 3.0])
 SCENE = """\
 hamiltonian: {kind: learned, model: several.safetensors}
 effects: [{kind: external_force, coordinates: [x0], timeout: 10.0}]
@@ -31,7 +32,10 @@ uncertainty: {limit: 0.01}
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Scene:
-    save_checkpoint(tmp_path / 'several.safetensors', ensemble(COUNT, FACTOR))
+    model = ensemble(COUNT)
+    card = model.card.ensemble.model_copy(update={'factors': FACTOR.tolist()})
+    save_checkpoint(tmp_path / 'several.safetensors', replace(
+        model, card=model.card.model_copy(update={'ensemble': card})))
     (tmp_path / 'scene.yaml').write_text(SCENE)
     return load_scene(tmp_path / 'scene.yaml')
 
@@ -40,7 +44,9 @@ def test_spread_is_the_deviation_of_the_members_times_the_factor(scene: Scene):
     found = simulate_spread(scene, 2.0, every=10)
     assert len(found.members) == COUNT and found.level == 0.9
     q = np.stack([one.q for one in found.members])
-    np.testing.assert_allclose(found.spread_q, FACTOR * q.std(axis=0, ddof=1), rtol=1e-14)
+    np.testing.assert_allclose(found.spread_q, 2.0 * q.std(axis=0, ddof=1), rtol=1e-14)
+    p = np.stack([one.p for one in found.members])
+    np.testing.assert_allclose(found.spread_p, 3.0 * p.std(axis=0, ddof=1), rtol=1e-14)
     assert (found.spread_q[0] == 0.0).all() and (found.spread_q[-1] > 0.0).all()
     mean = simulate(scene, 2.0, every=10)
     assert found.mean.q.tobytes() == mean.q.tobytes()
@@ -97,6 +103,23 @@ def test_member_that_failed_makes_the_spread_infinite():
 def test_spread_of_an_exact_system_is_refused():
     with pytest.raises(SceneError, match='no mean of an ensemble'):
         simulate_spread('kepler', 1.0)
+
+
+def test_spread_of_a_confined_hamiltonian_is_refused_with_the_remedy(scene: Scene):
+    confined = scene.changed({'hamiltonian': {**scene.hamiltonian.model_dump(), 'confine': True}})
+    with pytest.raises(SceneError, match='confined to its training domain.*confine: false'):
+        simulate_spread(confined, 1.0)
+
+
+@pytest.mark.parametrize('options', [{'every': 4}, {'times': [0.1, 0.3, 2.0]}])
+def test_event_that_ends_the_mean_ends_the_members(scene: Scene, options: dict):
+    whole = simulate(scene, 2.0, **options)
+    middle = float(np.mean(whole.q[-2:]))
+    ended = scene.changed({'events': [{'when': f'x0 = {middle!r}', 'then': 'stop'}]})
+    found = simulate_spread(ended, 2.0, **options)
+    assert found.mean.events and found.mean.t[-1] < 2.0
+    assert {one.t.tobytes() for one in found.members} == {found.mean.t.tobytes()}
+    assert found.spread_q.shape == found.mean.q.shape and found.spread_q[-1] > 0.0
 
 
 def test_spread_guard_tells_once_when_its_limit_is_exceeded():
