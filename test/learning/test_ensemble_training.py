@@ -7,10 +7,11 @@ from pathlib import Path
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.learning import ensemble as module
 from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.ensemble import conformal_factor, resampled
+from hnn_vi_ros.learning.ensemble import conformal_factors, resampled
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.studies.uncertainty import auroc, detection
+from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
+from hnn_vi_ros.studies.uncertainty import auroc, detection, gradient_spread
 import numpy as np
 import pytest
 
@@ -53,13 +54,14 @@ def test_block_bootstrap_keeps_blocks_whole_and_copies_apart():
     assert resampled(data, 2).q.tobytes() != found.q.tobytes()
 
 
-def test_conformal_factor_is_the_rank_that_covers():
+def test_conformal_factors_are_the_ranks_that_cover():
     # ceil(20 x 0.9) = 18 of 19.
-    assert conformal_factor(np.arange(19.0, 0.0, -1.0), 0.9) == 18.0
+    scores = np.arange(19.0, 0.0, -1.0)[:, None] * [1.0, 10.0]
+    assert conformal_factors(scores, 0.9) == [18.0, 180.0]
     with pytest.raises(DataError, match='cannot be calibrated'):
-        conformal_factor(np.array([1.0, 2.0]), 0.9)
+        conformal_factors(np.array([[1.0], [2.0]]), 0.9)
     with pytest.raises(DataError, match='cannot be calibrated'):
-        conformal_factor(np.full(100, np.inf), 0.9)
+        conformal_factors(scores * [1.0, np.inf], 0.9)
 
 
 def test_auroc_is_the_probability_that_one_outside_scores_higher():
@@ -79,11 +81,13 @@ def test_ensemble_is_trained_calibrated_and_described(
     assert len({member.losses['train_loss'] for member in members}) == 3
     assert card.losses['train_loss'] == pytest.approx(
         np.mean([member.losses['train_loss'] for member in members]))
-    assert card.ensemble.factor > 0.0 and '60 motions' in card.ensemble.calibration
+    assert len(card.ensemble.factors) == 2 and '60 motions' in card.ensemble.calibration
     # 60 motions of 20 instants, which depend on one another, on either side: five deviations.
     assert abs(card.ensemble.coverage - 0.9) < 0.2
     assert '3 members' in capsys.readouterr().out
-    assert detection(load_checkpoint(out, ensembles=True)) > 0.7
+    checkpoint = load_checkpoint(out, ensembles=True)
+    mean = EnsembleHamiltonian(checkpoint)
+    assert detection(checkpoint, lambda q, p: gradient_spread(mean, q, p)) > 0.7
 
 
 @pytest.mark.parametrize(('words', 'message'), [
