@@ -54,7 +54,7 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
         else:
             parts.append(part)
         value = value[parts[-1]]
-    if parts[0] in ('description', 'mechanism'):
+    if parts[0] in ('description', 'mechanism', 'uncertainty'):
         raise DataError(f'{place}: {key!r} changes no trajectory')
     return tuple(parts)
 
