@@ -32,6 +32,7 @@ VALUES = 'vary: [{kind: values, key: hamiltonian.length, values: [1.0]}]'
     ('hamiltonian.length', 'effects.0.rate', "unknown key '0'; valid keys: none"),
     ('hamiltonian.length', 'hamiltonian.length.x', 'hamiltonian.length is a value'),
     ('hamiltonian.length', 'description', 'changes no trajectory'),
+    ('hamiltonian.length', 'uncertainty', 'changes no trajectory'),
     ('[1.0]', '[]', 'a.yaml:3: vary.0.*values: .*at least 1'),
     ('[1.0]', '[.nan]', 'a.yaml:3: vary.0.*finite'),
     ('[1.0]', '["long"]', 'exact_pendulum.yaml with other hamiltonian: .*length'),
