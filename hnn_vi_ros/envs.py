@@ -5,7 +5,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.commands import Commanded, NUMBERS
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.checks import check_count, check_numbers
@@ -260,7 +260,7 @@ class SceneVectorEnv(SyncVectorEnv):
         first = SceneEnv(scene, reward, **settings)
         super().__init__([lambda: first, *[first.copy] * (num_envs - 1)],
                          autoreset_mode=autoreset_mode)
-        self._workers = min(threads or os.cpu_count() or 1, num_envs)
+        self._workers = min(threads or usable_processors(), num_envs)
         self._pool = ThreadPoolExecutor(self._workers)
 
     def step(self, actions: ArrayLike) -> tuple[np.ndarray, ...]:

@@ -25,10 +25,10 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 
 # The rooms and the modules beside them, from the ground up; each imports only what is before it.
 FLOORS = (
-    'version', 'phase_space', 'errors', 'files', 'command_line', 'kernels', 'hamiltonians',
-    'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene', 'simulation',
-    'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch', 'sweeps',
-    'envs', 'studies', 'ros', 'commands', 'cli', '__main__', '__init__')
+    'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
+    'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
+    'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch',
+    'sweeps', 'envs', 'studies', 'ros', 'commands', 'cli', '__main__', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):

@@ -16,6 +16,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.resources import share_folder, shipped_names
 from hnn_vi_ros.files.user_folders import cache_folder, can_be_written
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.ros.environment import check_ros_environment
 from hnn_vi_ros.version import __version__
 
@@ -57,9 +58,8 @@ def _here() -> Iterator[Finding]:
     good = sys.version_info >= (3, 11)
     yield Finding('Python', 'ok' if good else 'wrong', f'{platform.python_version()}, '
                   f'{sys.executable}' + ('' if good else '; take 3.11 or newer'))
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()
     yield Finding('processor', 'ok', f'{platform.machine()}, {os.cpu_count()} cores, of which '
-                  f'{usable} for this process')
+                  f'{usable_processors()} for this process')
 
 
 def _packages() -> Iterator[Finding]:

@@ -7,13 +7,13 @@ from concurrent.futures import as_completed, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import active_children, get_context
-import os
 import time
 from typing import Any
 import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.run.deaf_children import deaf_children
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene, Scene
@@ -59,7 +59,7 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
         As they are done.
 
     """
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, _MOST, len(names)),
+    with ProcessPoolExecutor(min(usable_processors(), _MOST, len(names)),
                              get_context('spawn')) as pool:
         with deaf_children():
             futures = [pool.submit(_compile, name) for name in names]

@@ -5,13 +5,13 @@
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-import os
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
 from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, Recorded
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import torch
@@ -53,7 +53,7 @@ def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], devi
     """
     size = min(_TOGETHER, len(q)) if open_device(device).type == 'cpu' else len(q)
     blocks = range(0, len(q), size)
-    workers = min(threads or os.cpu_count() or 1, len(blocks))
+    workers = min(threads or usable_processors(), len(blocks))
     ensembles = [make() for _ in range(workers)]
 
     def work(worker: int) -> list[tuple[int, Recorded]]:

@@ -5,7 +5,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-import os
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from hnn_vi_ros.guards.watch import (
     energies_of, look_at_block, show_many, tell, tell_many, Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
@@ -275,7 +275,7 @@ def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
     alarms: list[list[Alarm]] = [[] for _ in q0]
     if device is None:
         q_all, p_all = _compiled(start, q0, p0, samples, t[1:] if share else every, size,
-                                 threads or os.cpu_count() or 1, alarms)
+                                 threads or usable_processors(), alarms)
     else:
         if share:
             raise ValueError(

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command lines of the studies; import nothing of what they work with."""
 
-import os
 from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser, seconds
+from hnn_vi_ros.processors import usable_processors
 
 # The longest step over the scene's own: 0.2 s where that is 0.01 s. Each further one is half.
 LONGEST, HALVINGS = 20.0, 8
@@ -109,7 +109,7 @@ def hard_cases() -> Parser:
     parser.add_argument('--case', nargs='+', type=int, metavar='N', help='only these cases')
     parser.add_argument('--out', type=Path, metavar='DIR', default=Path('hard_cases'), help=(
         'folder of the results, from which an interrupted run goes on (default: hard_cases)'))
-    parser.add_argument('--jobs', type=int, default=os.cpu_count() or 1, metavar='N',
+    parser.add_argument('--jobs', type=int, default=usable_processors(), metavar='N',
                         help='processes (default: one for each processor)')
     parser.add_argument('--docs', type=Path, metavar='DIR',
                         help='folder to write the page hard-cases.md into as well')

@@ -13,6 +13,7 @@ from typing import Any
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
@@ -67,7 +68,7 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
 
 def _processes(device: str | None) -> int:
     """Return how many processes there are where none asks for another number."""
-    return 1 if device is not None and device.startswith('cuda') else os.cpu_count() or 1
+    return 1 if device is not None and device.startswith('cuda') else usable_processors()
 
 
 def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:

@@ -4,13 +4,13 @@
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-import os
 from pathlib import Path
 import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
 from benchmarks.networks import random_network
 from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.run.ensemble import BLOCK, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -46,7 +46,7 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
     settings.say(f'{_TRAJECTORIES} trajectories of {name}')
     m = _TRAJECTORIES // 20 if settings.quick else _TRAJECTORIES
     q, p = np.random.default_rng(SEED).uniform(-1.0, 1.0, (2, m, 1))
-    cores, duration = os.cpu_count() or 1, steps * scene.step_size
+    cores, duration = usable_processors(), steps * scene.step_size
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
 
     def start(first: int, count: int) -> Simulation:
