@@ -27,6 +27,7 @@ from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
+from numpy.typing import ArrayLike
 
 # Trajectories that step together: a network's weights are read once for all of them. Larger
 # blocks gain no more, and each waits for its slowest trajectory.
@@ -35,10 +36,10 @@ BLOCK = 32
 
 def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
              integrator: str | None = None,
-             initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+             initial_state: tuple[ArrayLike, ArrayLike] | None = None,
              effects: Sequence[Mapping[str, Any]] | None = None,
              commands: Commands | None = None, every: int = 1,
-             times: Sequence[float] | None = None) -> Trajectory:
+             times: Sequence[float] | np.ndarray | None = None) -> Trajectory:
     """
     Simulate a scene without ROS.
 
@@ -171,7 +172,7 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
             for name, part in zip(('q', 'p'), state, strict=True)}
 
 
-def _initial_states(q: Sequence[Sequence[float]], p: Sequence[Sequence[float]],
+def _initial_states(q: ArrayLike, p: ArrayLike,
                     hamiltonian: Hamiltonian) -> list[np.ndarray]:
     """Return q and p of initial states, of shape (m, d), or say what is wrong with them."""
     states, d, turning = (
@@ -194,9 +195,9 @@ def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
     return list(effects) if isinstance(effects, tuple) else effects
 
 
-def simulate_many(scene: Scene | str | Path, q: Sequence[Sequence[float]],
-                  p: Sequence[Sequence[float]], duration: float, *, samples: int = 1,
-                  threads: int | None = None, device: str | None = None) -> Trajectory:
+def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duration: float, *,
+                  samples: int = 1, threads: int | None = None, device: str | None = None
+                  ) -> Trajectory:
     """
     Simulate one scene from many initial states.
 

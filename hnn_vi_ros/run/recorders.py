@@ -18,13 +18,13 @@ MOST_NUMBERS = 2**28
 _MOST_STEPS = 2**63 - 1
 
 # What a command is in time: values at a time [s], or at each sample.
-Commands = Callable[[float], Command] | Sequence[Sequence[float]]
+Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
 # What takes samples: q and p, shape (k, d) each.
 Recorder = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 def recorders(simulation: Simulation, duration: float, every: int,
-              times: Sequence[float] | None, commands: Commands | None, watch: Watch
+              times: Sequence[float] | np.ndarray | None, commands: Commands | None, watch: Watch
               ) -> tuple[np.ndarray, list[Recorder]]:
     """
     Return the times of the initial state and of all samples, and what takes those in turn.
@@ -84,7 +84,7 @@ def record_samples(simulation: Simulation, samples: int, every: int | np.ndarray
     return record_at(simulation, every, lambda: watch.update(look(simulation)))
 
 
-def _check_times(times: Sequence[float], duration: float) -> np.ndarray:
+def _check_times(times: Sequence[float] | np.ndarray, duration: float) -> np.ndarray:
     """Return times of samples as an array, or raise."""
     t = check_numbers('times', times)
     if t.ndim != 1 or t.size == 0:
