@@ -182,8 +182,9 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
 def tell(alarms: list[Alarm], step_size: float) -> None:
     """Warn the caller of the caller of alarms."""
     for alarm in alarms:
-        warnings.warn(f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning,
-                      stacklevel=3)
+        # Its kind is the name under which the page on troubleshooting has its remedy.
+        warnings.warn(f'{alarm.kind}: t = {alarm.step * step_size:.9g} s: {alarm.message}',
+                      AlarmWarning, stacklevel=3)
 
 
 def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
