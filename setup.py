@@ -2,10 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Install the package, its shipped files and its executables."""
 
+import atexit
 from itertools import groupby
 import os
 from pathlib import Path
+import shutil
 import sys
+import tempfile
 
 from setuptools import find_packages, setup
 
@@ -59,6 +62,20 @@ def script_options() -> dict[str, dict[str, str]]:
     return {'build_scripts': {'executable': str(interpreter)}}
 
 
+def folder_options() -> dict[str, dict[str, str]]:
+    """
+    Return the options that keep what pip builds out of the checkout.
+
+    A module that was deleted, and is in ``build`` yet, would be installed by pip again. colcon
+    names folders of its own.
+    """
+    if built_by_colcon():
+        return {}
+    folder = tempfile.mkdtemp(prefix='hnn_vi_ros-build-')
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return {'build': {'build_base': folder}, 'egg_info': {'egg_base': folder}}
+
+
 def built_by_colcon() -> bool:
     """Tell whether setup.cfg says where executables go: it does not for the wheels of pip."""
     return not {'install', 'develop'}.isdisjoint(sys.argv)
@@ -109,7 +126,7 @@ setup(
     maintainer_email='hnn-vi-ros@example.com',
     description='Run a learned Hamiltonian as a ROS 2 node, stepped by a variational integrator.',
     license='Apache-2.0',
-    options=script_options(),
+    options=script_options() | folder_options(),
     entry_points={'console_scripts': [
         # One name where pip puts it, in bin/; those of ROS are too generic to stand there.
         'hnn = hnn_vi_ros.cli:main',

@@ -64,6 +64,19 @@ def test_only_what_ros_finds_by_the_package_has_generic_names(
     assert generic or names == {'hnn'}
 
 
+@pytest.mark.parametrize('words, elsewhere', [
+    (['bdist_wheel'], True), (['dist_info'], True), (['egg_info'], True),
+    (['egg_info', '--egg-base', 'b', 'build', '--build-base', 'b', 'install'], False)])
+def test_pip_leaves_nothing_in_the_checkout(run_setup, monkeypatch, words, elsewhere):
+    # A module that was deleted would be installed from what an earlier build has left.
+    monkeypatch.setattr('sys.argv', ['setup.py', *words])
+    options = run_setup()['options']
+    folders = {options.get('build', {}).get('build_base'),
+               options.get('egg_info', {}).get('egg_base')} - {None}
+    assert bool(folders) == elsewhere
+    assert not any(Path(folder).resolve().is_relative_to(ROOT) for folder in folders)
+
+
 def test_every_pip_builds_a_wheel():
     # Without a backend an older pip runs `setup.py install`, and `hnn` is on nobody's PATH.
     system = tomllib.loads((ROOT / 'pyproject.toml').read_text())['build-system']
@@ -87,14 +100,14 @@ def test_executables_run_the_python_of_an_activated_environment(run_setup, monke
     interpreter.parent.mkdir()
     interpreter.touch()
     monkeypatch.setenv('VIRTUAL_ENV', str(tmp_path))
-    assert run_setup()['options'] == {'build_scripts': {'executable': str(interpreter)}}
+    assert run_setup()['options']['build_scripts'] == {'executable': str(interpreter)}
     assert os.environ['__PYVENV_LAUNCHER__'] == str(interpreter)
 
 
 def test_executables_run_the_building_python_where_no_environment_is_active(
         run_setup, monkeypatch):
     monkeypatch.delenv('VIRTUAL_ENV', raising=False)
-    assert run_setup()['options'] == {}
+    assert 'build_scripts' not in run_setup()['options']
     assert '__PYVENV_LAUNCHER__' not in os.environ
 
 
