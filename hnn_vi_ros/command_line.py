@@ -14,8 +14,6 @@ from hnn_vi_ros.version import __version__
 # How an executable is called where ROS 2 finds it, and by the command for all of them.
 _BY_ROS, _BY_HNN = 'ros2 run hnn_vi_ros', 'hnn'
 _called: ContextVar[str] = ContextVar('called', default=_BY_ROS)
-# What completes the name of a scene, by shell; commands/completion.py defines it.
-SCENES = {'bash': '_hnn_scenes', 'zsh': '_hnn_scenes', 'tcsh': 'f'}
 _FILES = {'bash': '_shtab_compgen_files', 'zsh': '_files', 'tcsh': 'f'}
 # The status of a command line that is not understood, as argparse has it.
 _USAGE = 2
@@ -34,6 +32,11 @@ def called(name: str) -> str:
 def command(words: str) -> str:
     """Return a command line that a user can type: an executable, and its arguments."""
     return f'{_called.get()} {words}'
+
+
+def named(kind: str) -> dict[str, str]:
+    """Return what completes names of a kind by shell; commands/completion.py defines it."""
+    return {'bash': f'_hnn_{kind}', 'zsh': f'_hnn_{kind}', 'tcsh': 'f'}
 
 
 def complete_by(action: argparse.Action, completer: Mapping[str, str]) -> None:

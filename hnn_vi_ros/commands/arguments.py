@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import complete_by, Parser, SCENES, seconds
+from hnn_vi_ros.command_line import complete_by, named, Parser, seconds
 
 SHELLS = ('bash', 'zsh', 'tcsh')
 
@@ -17,12 +17,13 @@ def run() -> Parser:
             'hnn run kepler --duration 100 --integrator gauss8 --step-size 0.02 --csv kepler.csv',
             'hnn run double_pendulum --plot motion.png --animate motion.gif --rerun motion.rrd'])
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see hnn scene --list, or a YAML file')), SCENES)
+        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
     parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
                         help='simulated time [s] (default: 10)')
     parser.add_argument('--step-size', type=seconds, metavar='SECONDS',
                         help="h [s], in place of the scene's")
-    parser.add_argument('--integrator', metavar='NAME', help="in place of the scene's")
+    complete_by(parser.add_argument('--integrator', metavar='NAME', help=(
+        "in place of the scene's")), named('integrator'))
     parser.add_argument('--every', type=int, default=1, metavar='N',
                         help='steps from one sample to the next (default: 1)')
     parser.add_argument('--plot', type=Path, metavar='FILE', help=(
@@ -46,7 +47,7 @@ def new_scene() -> Parser:
     parser.add_argument('file', type=Path, metavar='FILE', help=(
         'what to write; .yaml is added where it has no suffix'))
     complete_by(parser.add_argument('--like', default='exact_pendulum', metavar='SCENE', help=(
-        'the scene to copy: a shipped name, or a file (default: exact_pendulum)')), SCENES)
+        'the scene to copy: a shipped name, or a file (default: exact_pendulum)')), named('scene'))
     return parser
 
 

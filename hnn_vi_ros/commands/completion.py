@@ -4,16 +4,17 @@
 
 import argparse
 
-from hnn_vi_ros.command_line import SCENES
+from hnn_vi_ros.command_line import named
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.table import COMMANDS, first_line, parser_of
 from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.integrators import INTEGRATORS
 
-# What completes a scene, by shell: a shipped name, or a file. tcsh knows no functions.
-_SCENES = {
-    'bash': '{name}() {{ compgen -W "{scenes}" -- "$1"; compgen -f -X "!*.yaml" -- "$1"; }}',
-    'zsh': "{name}() {{ _alternative 'scenes:scene:({scenes})' 'files:file:_files' }}",
+# Function that completes a name or a YAML file, by shell. tcsh knows no functions.
+_FUNCTION = {
+    'bash': '{function}() {{ compgen -W "{names}" -- "$1"; compgen -f -X "!*.yaml" -- "$1"; }}',
+    'zsh': "{function}() {{ _alternative 'names:{kind}:({names})' 'files:file:_files' }}",
 }
 
 
@@ -22,9 +23,12 @@ def main(argv: list[str]) -> int:
     shell = arguments.completion().parse_args(argv).shell
     with optional('shtab', 'completion'):
         import shtab
-    preamble = {shell: _SCENES[shell].format(
-        name=SCENES[shell], scenes=' '.join(shipped_names('scene')))} if shell in _SCENES else {}
-    print(shtab.complete(whole_parser(), shell, preamble=preamble))
+    offered = {kind: shipped_names(kind) for kind in ('scene', 'sweep', 'training')}
+    functions = [_FUNCTION[shell].format(function=named(kind)[shell], kind=kind,
+                                         names=' '.join(names))
+                 for kind, names in (offered | {'integrator': list(INTEGRATORS)}).items()
+                 if shell in _FUNCTION]
+    print(shtab.complete(whole_parser(), shell, preamble={shell: '\n'.join(functions)}))
     return 0
 
 
@@ -34,5 +38,8 @@ def whole_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers()
     for name in COMMANDS:
         own = parser_of(name)
-        commands.add_parser(name, parents=[own], add_help=False, help=first_line(own))
+        # `hnn new-scene` is `hnn new_scene`.
+        dashed = [name.replace('_', '-')] if '_' in name else []
+        commands.add_parser(name, aliases=dashed, parents=[own], add_help=False,
+                            help=first_line(own))
     return parser

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import complete_by, Parser, SCENES
+from hnn_vi_ros.command_line import complete_by, named, Parser
 
 # Which outputs of an imported network are H, and the order of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
@@ -43,8 +43,8 @@ def train() -> Parser:
         'ros2 run hnn_vi_ros train --config pendulum',
         'ros2 run hnn_vi_ros train --config double_pendulum_bag --data BAG '
         '--out models/mine.safetensors'])
-    parser.add_argument('--config', required=True, metavar='NAME|FILE',
-                        help='a shipped training configuration, or a YAML file')
+    complete_by(parser.add_argument('--config', required=True, metavar='NAME|FILE', help=(
+        'a shipped training configuration, or a YAML file')), named('training'))
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='the model file to write (default: models/<name>.safetensors)')
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
@@ -109,7 +109,7 @@ def identify() -> Parser:
             'ros2 run hnn_vi_ros identify arm.yaml --data arm.npz:run1,run2 --free input_delay '
             '--robust --horizon 0.5 --json numbers.json --out report'], _IDENTIFIED)
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see scene --list, or a YAML file')), SCENES)
+        'the name of a shipped scene, see scene --list, or a YAML file')), named('scene'))
     parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
         'bags with joint states; or NPZ[:RUN,...], arrays t [s], q, and where there are dq (or v) '
         'and tau, or RUN/t, ... of several runs; or, with --config, a log'))

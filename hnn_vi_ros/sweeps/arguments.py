@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.command_line import complete_by, named, Parser
 
 _DETAILS = """\
 Shards are what is made and kept as a whole: part-00000.parquet and so on, the same bytes whichever
@@ -24,8 +24,8 @@ def sweep() -> Parser:
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --episodes mcap --select 0:1000:50'],
         _DETAILS)
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
-        'what varies: the name of a shipped sweep, or a YAML file'))
+    complete_by(what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
+        'what varies: the name of a shipped sweep, or a YAML file')), named('sweep'))
     what.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
