@@ -22,16 +22,12 @@ from hnn_vi_ros.ros.environment import check_ros_environment
 
 # Import names whose package on PyPI has another name.
 _PIP_NAMES = {
-    'ament_index_python': 'ros-jazzy-rclpy[fastrtps]',
-    'rclpy': 'ros-jazzy-rclpy[fastrtps]',
     'rerun': 'rerun-sdk',
-    'lifecycle_msgs': 'ros-jazzy-rclpy[fastrtps]',
-    'rosgraph_msgs': 'ros-jazzy-common-interfaces',
-    'sensor_msgs': 'ros-jazzy-common-interfaces',
-    'std_msgs': 'ros-jazzy-common-interfaces',
-    'std_srvs': 'ros-jazzy-common-interfaces',
     'yaml': 'pyyaml',
 }
+# Import names of ROS 2, and the wheels that hold all of them.
+_ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
+_ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
 # The packages of the extra `train`, which simulating does without.
 _TRAINING = ('plotly', 'torch', 'tqdm')
 # Within this time SIGINT counts as one [s].
@@ -229,6 +225,9 @@ def _missing(package: str) -> str:
     """Return that a package is missing, and the command that installs it, in one line."""
     text = f'the Python package {package} is missing; install '
     packages = [_PIP_NAMES.get(package, package)]
+    if package in _ROS or package.endswith(('_msgs', '_srvs')):
+        text = f'the Python package {package} of ROS 2 is missing; source ROS 2 Jazzy, or install '
+        packages = list(_ROS_WHEELS)
     if package in _TRAINING:
         packages = list(_TRAINING)
         text += 'what training takes (1 GB, or 5 GB with CUDA) '
@@ -238,7 +237,7 @@ def _missing(package: str) -> str:
             checkout = made.read_text(encoding='utf-8').splitlines()[0].partition(' ')[2]
             return f'{text}with: make -C {checkout} build TORCH=any (or cpu, or cuda)'
     else:
-        text += 'it '
+        text += 'it ' if len(packages) == 1 else 'its wheels '
     text += f'with: {sys.executable} -m pip install ' + ' '.join(
         f'"{name}"' for name in packages)
     if sys.prefix == sys.base_prefix:

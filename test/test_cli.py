@@ -24,6 +24,8 @@ EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').re
 HOMES = {'learning': ['train', 'evaluate', 'identify', 'import_checkpoint'],
          'ros': ['simulator', 'replay', 'rerun_bridge', 'listener', 'hover'],
          'bags': ['recover_bag'], 'sweeps': ['sweep']}
+# What is installed in place of any missing package of ROS: all of its wheels at once.
+ROS = 'ros-jazzy-rclpy[fastrtps]" "ros-jazzy-common-interfaces'
 # What help can do without: these take seconds to import.
 HEAVY = {'torch', 'numba', 'rclpy', 'numpy', 'scipy', 'matplotlib', 'rerun', 'pydantic', 'yaml'}
 
@@ -48,12 +50,12 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
 
 
 @pytest.mark.parametrize('executable, hidden, package', [
-    ('simulator', 'rclpy', 'ros-jazzy-rclpy[fastrtps]'), ('simulator', 'numba', 'numba'),
-    ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', 'ros-jazzy-common-interfaces'),
+    ('simulator', 'rclpy', ROS), ('simulator', 'numba', 'numba'),
+    ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', ROS),
     ('train', 'yaml', 'pyyaml'),
     ('paper_figures', 'pydantic', 'pydantic'), ('work_precision', 'scipy', 'scipy'),
     ('recover_bag', 'zstandard', 'zstandard'), ('sweep', 'pyarrow', 'pyarrow'),
-    ('replay', 'std_srvs', 'ros-jazzy-common-interfaces'), ('rerun_bridge', 'rerun', 'rerun-sdk'),
+    ('replay', 'std_srvs', ROS), ('rerun_bridge', 'rerun', 'rerun-sdk'),
 ])
 def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, package):
     result = run(executable, hidden)

@@ -8,6 +8,7 @@ import sys
 from hnn_vi_ros.bags import arguments
 from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.mcap_recovery import describe, recover, Recovery
+from hnn_vi_ros.command_line import called
 from hnn_vi_ros.errors import RecordingError
 
 
@@ -39,7 +40,7 @@ def _recover(bag: Path, replace: bool) -> int:
 
 
 def _fail(problem: str) -> int:
-    print(f'recover_bag: {problem}', file=sys.stderr, flush=True)
+    print(f'{called("recover_bag")}: {problem}', file=sys.stderr, flush=True)
     return 2
 
 

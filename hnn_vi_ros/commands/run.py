@@ -15,12 +15,20 @@ from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.run.trajectory import Trajectory
 import numpy as np
 
+# What files are written, by their suffix; known before anything is simulated.
+_PICTURES = ('.png', '.svg', '.pdf')
+_SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
+             '--rerun': ('.rrd',)}
+
 
 def main(argv: list[str]) -> int:
     """Simulate, print what came of it, and write what was asked for."""
     options = arguments.run().parse_args(argv)
     writers = _writers(options)
     for option, path in ((option, path) for option, path, _ in writers):
+        if path.suffix not in _SUFFIXES.get(option, (path.suffix,)):
+            raise ParameterError(f'{option} {path}: no file of this kind can be written; valid: '
+                                 f'{", ".join(_SUFFIXES[option])}')
         if path.exists():
             raise ParameterError(f'{option} {path}: exists already; name another file')
         if not path.parent.is_dir():

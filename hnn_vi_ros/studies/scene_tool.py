@@ -8,6 +8,7 @@ import math
 import sys
 from typing import TYPE_CHECKING
 
+from hnn_vi_ros.command_line import called
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import shipped_names
@@ -67,7 +68,7 @@ def check(names: Sequence[str]) -> int:
                 ensemble_card(scene)
             print(_in_a_line(scene, watched(build(scene), scene)))
         except HnnViRosError as problem:
-            print(f'scene: {problem}', file=sys.stderr)
+            print(f'{called("scene")}: {problem}', file=sys.stderr)
             status = 1
     return status
 
@@ -80,7 +81,7 @@ def compile_all(names: Sequence[str]) -> int:
         name for name in shipped_names('scene') if not _lacks_a_model(load_scene(name))]
     for scene in compile_scenes(names):
         if scene.problem:
-            print(f'scene: {scene.problem}', file=sys.stderr)
+            print(f'{called("scene")}: {scene.problem}', file=sys.stderr)
             status = 1
         else:
             print(f'{scene.name}: compiled in {scene.seconds:.1f} s', flush=True)

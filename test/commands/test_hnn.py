@@ -11,6 +11,7 @@ from hnn_vi_ros.commands import completion, doctor, new_scene, run
 from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES
 from hnn_vi_ros.errors import MissingPackage, ParameterError, SceneError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.version import __version__
@@ -25,7 +26,7 @@ def hnn(*words: str) -> subprocess.CompletedProcess:
     code = ('import atexit, sys; atexit.register(lambda: print(*sys.modules)); '
             'from hnn_vi_ros.cli import main; main()')
     return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
-                          timeout=60, check=False)
+                          timeout=240, check=False)
 
 
 def test_every_executable_is_a_command():
@@ -60,6 +61,11 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
     (['run', 'kepler', '--step-size', '1 ms'], 2,
      "hnn run: argument --step-size: '1 ms' is no number of seconds, e.g. 0.001"),
     (['run', 'kepler', '--csv', '/dev/null'], 1, 'hnn run: --csv /dev/null: exists already'),
+    # Before anything is simulated, which would be lost.
+    (['run', 'kepler', '--duration', '1e9', '--plot', 'motion'], 1,
+     'hnn run: --plot motion: no file of this kind can be written; valid: .png, .svg, .pdf'),
+    (['recover_bag', '/nowhere'], 2, 'hnn recover_bag: /nowhere'),
+    (['scene', '--check', 'pendulumm'], 1, "hnn scene: no scene 'pendulumm'"),
 ])
 def test_mistake_is_one_line_with_the_command(words, status, begin):
     result = hnn(*words)
@@ -133,10 +139,14 @@ def test_completion_offers_commands_options_and_scenes(tmp_path, capsys):
     def offered(*words: str) -> list[str]:
         code = (f'source {script}; COMP_WORDS=({" ".join(words)} ""); '
                 f'COMP_CWORD={len(words)}; _shtab_hnn; printf "%s\\n" "${{COMPREPLY[@]}}"')
-        return subprocess.run(['bash', '-c', code], capture_output=True, text=True, timeout=60,
+        return subprocess.run(['bash', '-c', code], capture_output=True, text=True, timeout=240,
                               check=True, cwd=tmp_path).stdout.split()
     assert set(COMMANDS) <= set(offered('hnn'))
     assert set(shipped_names('scene')) <= set(offered('hnn', 'run'))
+    assert set(shipped_names('sweep')) <= set(offered('hnn', 'sweep'))
+    assert set(shipped_names('training')) <= set(offered('hnn', 'train', '--config'))
+    assert set(INTEGRATORS) <= set(offered('hnn', 'run', 'kepler', '--integrator'))
+    assert 'new-scene' in offered('hnn') and '_hnn_scene' in script.read_text()
 
 
 def test_completion_without_its_package_is_one_line(monkeypatch):
