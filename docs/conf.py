@@ -29,6 +29,8 @@ myst_heading_anchors = 4
 myst_enable_extensions = ['attrs_block', 'colon_fence', 'deflist']
 numpydoc_show_class_members = False
 autodoc_typehints = 'none'
+# Extras, which only their own section of the Python API takes.
+autodoc_mock_imports = [name for name in ('gymnasium', 'torch') if find_spec(name) is None]
 add_module_names = False
 pygments_style, pygments_dark_style = 'default', 'github-dark'
 

@@ -159,6 +159,14 @@ def test_every_integrator_is_in_the_table():
     assert not {name for name in INTEGRATORS if f'`{name}`' not in page} - left_out
 
 
+def test_every_public_name_is_in_the_python_api():
+    page = text('reference/api.md')
+    listed = set(re.findall(r'\.\. auto(?:function|class):: ([\w.]+)', page))
+    public = {name for name in hnn_vi_ros.__all__ if not name.startswith('__')}
+    assert public <= listed
+    assert {'hnn_vi_ros.torch.simulate', 'hnn_vi_ros.envs.SceneEnv'} <= listed
+
+
 def test_first_pages_count_the_integrators():
     for page in (DOCS / 'index.md', ROOT / 'README.md'):
         words = ' '.join(page.read_text(encoding='utf-8').split())
