@@ -1,0 +1,61 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files for hosts, editors and containers: they are valid, and what they name is there."""
+
+from configparser import ConfigParser
+import json
+from pathlib import Path
+import re
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+FORMS = sorted((ROOT / '.github' / 'ISSUE_TEMPLATE').glob('*.yml'))
+# The kinds of fields that GitHub's syntax of issue forms has.
+FIELDS = {'markdown', 'textarea', 'input', 'dropdown', 'checkboxes', 'upload'}
+
+
+@pytest.mark.parametrize('form', [path for path in FORMS if path.stem != 'config'],
+                         ids=lambda path: path.stem)
+def test_issue_form_has_what_github_asks_for(form):
+    found = yaml.safe_load(form.read_text())
+    assert {'name', 'description', 'body'} <= set(found)
+    assert {field['type'] for field in found['body']} <= FIELDS
+    ids = [field['id'] for field in found['body'] if field['type'] != 'markdown']
+    assert ids and len(ids) == len(set(ids))
+    assert all(field['attributes']['label'] for field in found['body'])
+
+
+def test_workflow_runs_scripts_that_are_there():
+    jobs = yaml.safe_load((ROOT / '.github/workflows/ci.yml').read_text())['jobs']
+    steps = [step for job in jobs.values() for step in job['steps']]
+    assert steps and all(('run' in step) != ('uses' in step) for step in steps)
+    assert all(re.fullmatch(r'actions/[\w-]+@v\d+', step['uses'])
+               for step in steps if 'uses' in step)
+    scripts = {word for step in steps for word in re.findall(r'^\.\S+', step.get('run', ''))}
+    assert scripts == {'.ci/run'} and all((ROOT / script).is_file() for script in scripts)
+
+
+def test_hooks_before_a_commit_are_linters_of_the_tests():
+    (repository,) = yaml.safe_load((ROOT / '.pre-commit-config.yaml').read_text())['repos']
+    hooks = {hook['id'] for hook in repository['hooks']}
+    tested = {path.stem.removeprefix('test_') for path in ROOT.glob('test/test_*.py')}
+    assert {hook.removeprefix('ament_') for hook in hooks} <= tested
+    assert all({'name', 'entry', 'language'} <= set(hook) for hook in repository['hooks'])
+
+
+def test_citation_has_what_its_format_asks_for():
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text())
+    assert {'cff-version', 'message', 'title', 'authors'} <= set(citation)
+    assert re.fullmatch(r'\d{4}-\d\d-\d\d', citation['date-released'])
+    assert all({'type', 'title', 'authors'} <= set(work) for work in citation['references'])
+
+
+def test_containers_and_editors_have_files_that_can_be_read():
+    container = json.loads((ROOT / '.devcontainer/devcontainer.json').read_text())
+    target = container['postCreateCommand'].split()[1]
+    assert re.search(rf'^{target}:', (ROOT / 'Makefile').read_text(), re.MULTILINE)
+    editors = ConfigParser()
+    editors.read_string('[top]\n' + (ROOT / '.editorconfig').read_text())
+    assert editors['top']['root'] == 'true' and editors['*.py']['max_line_length'] == '99'
