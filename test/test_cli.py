@@ -46,7 +46,7 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
     """Run an executable in a process from which one package cannot be imported."""
     code = HIDE.format(hidden=hidden, arguments=[executable, *arguments], executable=executable)
     return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                          timeout=60, check=False)
+                          timeout=240, check=False)
 
 
 @pytest.mark.parametrize('executable, hidden, package', [
@@ -109,7 +109,7 @@ def test_help_that_does_not_arrive_has_the_status_of_lost_output(executable):
     code = f'from hnn_vi_ros import cli; cli.{executable}()'
     with open('/dev/full', 'w') as full:
         result = subprocess.run([sys.executable, '-c', code, '--help'], stdout=full,
-                                stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+                                stderr=subprocess.PIPE, text=True, timeout=240, check=False)
     # None by which an executable tells what it found: of recover_bag, 1 is for lost messages.
     assert result.returncode == os.EX_IOERR
     assert result.stderr.count('\n') == 1 and result.stderr.startswith(f'{executable}: ')
@@ -121,7 +121,7 @@ def test_working_directory_that_was_removed_is_one_line(executable, tmp_path):
             f'cli.{executable}()')
     (tmp_path / 'gone').mkdir()
     result = subprocess.run([sys.executable, '-c', code], cwd=tmp_path / 'gone',
-                            capture_output=True, text=True, timeout=60, check=False)
+                            capture_output=True, text=True, timeout=240, check=False)
     assert result.returncode == 1 and result.stderr.count('\n') == 1
     assert 'working directory was removed' in result.stderr
 
@@ -189,7 +189,7 @@ def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
     code = ('import atexit, sys; atexit.register(lambda: print(*sys.modules)); '
             f'from hnn_vi_ros.cli import {executable}; {executable}()')
     return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
-                          timeout=60, check=False)
+                          timeout=240, check=False)
 
 
 @pytest.mark.parametrize('executable', EXECUTABLES)
@@ -274,7 +274,7 @@ def test_activations_of_the_command_line_are_those_that_can_be_imported():
 def test_letter_that_an_output_cannot_show_is_printed_escaped():
     result = subprocess.run(
         [sys.executable, '-c', 'from hnn_vi_ros.cli import scene; scene()', '--list'],
-        env=os.environ | {'PYTHONIOENCODING': 'ascii'}, capture_output=True, timeout=60,
+        env=os.environ | {'PYTHONIOENCODING': 'ascii'}, capture_output=True, timeout=240,
         check=False)
     assert (result.returncode, result.stderr) == (0, b'')
     assert r'H\xe9non' in result.stdout.decode('ascii')

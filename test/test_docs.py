@@ -9,6 +9,7 @@ import re
 import sys
 from types import ModuleType
 
+import hnn_vi_ros
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
