@@ -150,7 +150,7 @@ def qos_profiles(text: str) -> list[Any]:
 
 
 def read_bag_metadata(folder: Path) -> dict[str, Any]:
-    """Return what ``metadata.yaml`` tells of the bag in a folder; empty if that is not there."""
+    """Return the content of ``metadata.yaml`` of a bag's folder; empty if that is not there."""
     path = folder / 'metadata.yaml'
     try:
         with open_file(path, path) as stream:

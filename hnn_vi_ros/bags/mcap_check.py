@@ -21,7 +21,7 @@ _CRC = struct.Struct('<I')
 
 def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
     """
-    Return whether an MCAP file is finished, and undamaged where nothing else would tell.
+    Return whether an MCAP file is finished, and undamaged where nothing else would show damage.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ def _register(writer: Writer, file: McapFile) -> dict[int, int]:
 
 
 def describe_topic(channel: Channel, schema: Schema | None) -> Topic:
-    """Return what rosbag2 tells of a channel."""
+    """Return the description of a channel by rosbag2."""
     about = channel.metadata
     return Topic(channel.topic, schema.name if schema else '',
                  schema.data.decode(errors='replace') if schema else '',

@@ -139,7 +139,7 @@ def read_content(stream: BinaryIO, frame: Frame) -> bytes:
 
 
 def chunk_head(content: bytes) -> ChunkHead | None:
-    """Return what the beginning of a chunk's content tells; None if it cannot be one."""
+    """Return the header of a chunk's content; None if it cannot be one."""
     if len(content) < _CHUNK.size:
         return None
     first, last, unpacked, crc, letters = _CHUNK.unpack_from(content)

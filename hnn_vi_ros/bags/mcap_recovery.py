@@ -165,7 +165,7 @@ def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
 
 
 def _recorded(file: McapFile) -> int | None:
-    """Return how many messages were recorded; None if nothing tells."""
+    """Return how many messages were recorded; None if that is not known."""
     if file.survey.statistics is not None:
         return file.survey.statistics.message_count
     described = read_bag_metadata(file.path.parent)

@@ -15,7 +15,7 @@ _SCALARS = ('H', 'work')
 
 class State(NamedTuple):
     """
-    A sample as ~/state tells it.
+    A sample, as ~/state holds it.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ SHELLS = ('bash', 'zsh', 'tcsh')
 def run() -> Parser:
     """Return the parser of ``run``."""
     parser = Parser('run', (
-        'Simulate a scene without ROS, and draw, show or keep its trajectory.'), [
+        'Simulate a scene without ROS, and draw, show or save its trajectory.'), [
             'hnn run pendulum',
             'hnn run kepler --duration 100 --integrator gauss8 --step-size 0.02 --csv kepler.csv',
             'hnn run double_pendulum --plot motion.png --animate motion.gif --rerun motion.rrd'])
@@ -42,7 +42,7 @@ def run() -> Parser:
 def new_scene() -> Parser:
     """Return the parser of ``new_scene``."""
     parser = Parser('new_scene', (
-        'Write a scene file to begin from: a copy of a shipped one, which editors check.'), [
+        'Write a new scene file: a copy of a shipped scene, with the schema for editors.'), [
             'hnn new_scene my_arm', 'hnn new_scene mine.yaml --like double_pendulum'])
     parser.add_argument('file', type=Path, metavar='FILE', help=(
         'what to write; .yaml is added where it has no suffix'))
@@ -54,14 +54,14 @@ def new_scene() -> Parser:
 def doctor() -> Parser:
     """Return the parser of ``doctor``."""
     return Parser('doctor', (
-        'Tell what is installed here, and what does not work and why.'), ['hnn doctor'], (
+        'Report what is installed, what does not work, and why.'), ['hnn doctor'], (
             'Exit status: 0 if simulating works, 1 if not; what is optional may be absent.'))
 
 
 def completion() -> Parser:
     """Return the parser of ``completion``."""
     parser = Parser('completion', (
-        'Print what lets a shell complete the commands, options and scenes of hnn.'), [
+        'Print the script by which a shell completes commands, options and names of hnn.'), [
             'hnn completion bash > ~/.local/share/bash-completion/completions/hnn',
             'hnn completion zsh > ~/.zfunc/_hnn'])
     parser.add_argument('shell', choices=SHELLS, help='for which shell')

@@ -32,7 +32,7 @@ _OPTIONAL = {'rerun': ('rerun-sdk', 'the viewer'), 'matplotlib': ('matplotlib', 
 
 
 class Finding(NamedTuple):
-    """Finding on one item: how it is (``ok``, ``absent`` or ``wrong``), and what there is."""
+    """Finding on one item: its state (``ok``, ``absent`` or ``wrong``), and details."""
 
     what: str
     state: str

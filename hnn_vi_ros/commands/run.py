@@ -22,7 +22,7 @@ _SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',
 
 
 def main(argv: list[str]) -> int:
-    """Simulate, print what came of it, and write what was asked for."""
+    """Simulate, print the result in a line, and write the files that were asked for."""
     options = arguments.run().parse_args(argv)
     writers = _writers(options)
     for option, path in ((option, path) for option, path, _ in writers):
@@ -50,7 +50,7 @@ def main(argv: list[str]) -> int:
 
 
 def _simulated(options: Namespace) -> Trajectory:
-    """Return the trajectory; what there is to be warned of is a line each on standard error."""
+    """Return the trajectory; each warning is a line on standard error."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
         try:

@@ -53,7 +53,7 @@ def parser_of(name: str) -> Parser:
 
 
 def hnn() -> Parser:
-    """Return the parser of the one command, whose help tells what there is."""
+    """Return the parser of the one command, whose help lists all commands."""
     width = max(map(len, COMMANDS))
     lines = [f'  {name:{width}}  {first_line(parser_of(name))}' for name in COMMANDS]
     parser = Parser('', 'Simulate learned and exact Hamiltonians with variational integrators.', [
@@ -61,7 +61,7 @@ def hnn() -> Parser:
         'hnn train --help', 'hnn doctor'], '\n'.join(['commands:', *lines]))
     parser.add_argument('command', metavar='COMMAND', help='what to do, see below')
     parser.add_argument('words', nargs='*', metavar='...', help=(
-        'its own arguments, which hnn COMMAND --help tells'))
+        'its own arguments, see hnn COMMAND --help'))
     return parser
 
 

@@ -119,7 +119,7 @@ class Effect(ABC):
     turns : bool
         Whether it acts on systems that turn as well.
     limits : bool
-        Whether its parameters tell limits of joints: their places, positions and signs.
+        Whether its parameters hold limits of joints: their places, positions and signs.
     knots : int
         How many knots of a path it may follow; see Reference.
     excludes : mapping of Place to str

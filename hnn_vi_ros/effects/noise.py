@@ -47,7 +47,7 @@ def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
     Parameters
     ----------
     seed : int
-        Tells runs apart.
+        Of the random numbers.
     draws : np.ndarray, shape (3,)
         Numbers drawn in steps that are done and in the present one, and the stream; the second
         is advanced. See EffectState.

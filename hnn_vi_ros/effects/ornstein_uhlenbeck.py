@@ -30,7 +30,7 @@ class Bath(NamedTuple):
     temperature : float
         kT [J].
     seed : int
-        Tells runs apart.
+        Of the random numbers.
     factor : np.ndarray, shape (d, d)
         The inverse mass matrix H_pp, then its Cholesky factor.
     before, after, drawn : np.ndarray, shape (d,)

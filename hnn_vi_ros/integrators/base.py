@@ -121,7 +121,7 @@ class Integrator(ABC):
 
     @property
     def kernel_name(self) -> str:
-        """Return a name that tells the step from every other one."""
+        """Return a name that is unique to the step."""
         return type(self).__name__
 
     @property

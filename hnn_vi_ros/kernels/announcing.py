@@ -21,7 +21,7 @@ _NAMES = {'advance': 'the loop over steps', 'take_substeps': 'the sub-steps',
 
 
 class _Announcer(Listener):
-    """Hears of what is compiled, and tells of what is not a part of something that is."""
+    """Listener to compilations, which reports those that are not a part of another."""
 
     def __init__(self, tell: Callable[[str], None]):
         self._tell, self._depth = tell, 0

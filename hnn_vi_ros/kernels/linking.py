@@ -270,7 +270,7 @@ def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
 
 
 def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:
-    """Load what a function is compiled to for these types, if it is kept on disk; tell whether."""
+    """Load a function's code for these types from disk, if it is there; return whether it is."""
     with global_compiler_lock:
         if signature in dispatcher.overloads:
             return True

@@ -51,12 +51,12 @@ def train() -> Parser:
                         help='a measured log, or bags, instead of data.path')
     parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
     parser.add_argument('--ensemble', type=int, metavar='N', help=(
-        'train N members on resampled data, whose mean is the model, and whose spread tells how '
-        'sure it is'))
+        'train N members on resampled data, whose mean is the model, and whose spread '
+        'measures its uncertainty'))
     parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
                         help='where to train (default: cpu)')
     parser.add_argument('--resume', action='store_true',
-                        help='go on with a run that was interrupted')
+                        help='continue a run that was interrupted')
     return parser
 
 
@@ -64,7 +64,7 @@ def evaluate() -> Parser:
     """Return the parser of ``evaluate``."""
     parser = Parser('evaluate', (
         'Simulate freely from many measured states, with the measured forces,\n'
-        'and tell how far a model or a scene follows the machine.'), [
+        'and report the prediction errors of a model or a scene.'), [
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data arm.npz',
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data bags/run7 --joints a,b',
             'ros2 run hnn_vi_ros evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
@@ -101,7 +101,7 @@ def evaluate() -> Parser:
 def identify() -> Parser:
     """Return the parser of ``identify``."""
     parser = Parser('identify', (
-        'Fit numbers of a scene to measured motions, and tell how sure they are.'), [
+        'Fit parameters of a scene to measured motions, with confidence intervals.'), [
             'ros2 run hnn_vi_ros identify exact_pendulum --data swing.npz --free length '
             'initial_state',
             'ros2 run hnn_vi_ros identify arm.yaml --data bags/run7 --free forearm.mass '
@@ -127,7 +127,8 @@ def identify() -> Parser:
     parser.add_argument('--profile', nargs='+', default=[], metavar='NAME', help=(
         'profile intervals of these numbers, which need not be symmetric'))
     parser.add_argument('--json', type=Path, metavar='FILE', help=(
-        'write {name: {value, low, high}} here; low and high are null where the data do not tell'))
+        'write {name: {value, low, high}} here; low and high are null where the data '
+        'do not determine them'))
     parser.add_argument('--posterior', type=Path, metavar='FILE', help=(
         'write the numbers with their covariance here, from which sweeps draw'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(

@@ -53,7 +53,7 @@ def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwor
     first = None
     if driven and config.family.input_map == 'learned':
         if not size.all():
-            raise DataError('input_map: an input is never used in the data, which tells nothing '
+            raise DataError('input_map: an input is never used in the data, which say nothing '
                             'of what it does; leave it out of them')
         others = np.hstack([before, np.ones((len(a), 1))])
         rates = np.linalg.lstsq(np.hstack([_inputs(motions), others]), a, rcond=None)[0]

@@ -244,7 +244,7 @@ def numbers(scores: Scores) -> dict:
 def _left_out(effects: Sequence[Effect]) -> str:
     """Return why there is no energy mismatch, empty if there is one."""
     kinds = unaccounted(effects)
-    return f'\n(not judged: states do not tell the work of {", ".join(kinds)})' if kinds else ''
+    return f'\n(not judged: states do not give the work of {", ".join(kinds)})' if kinds else ''
 
 
 def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]

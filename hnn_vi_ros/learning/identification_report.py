@@ -80,7 +80,7 @@ def _lines(card: ModelCard) -> Iterator[str]:
     prior, friction = card.mechanical.prior, card.mechanical.friction
     found, names = prior.identification, [coordinate.name for coordinate in card.coordinates]
     assert found is not None
-    yield ('\n## Identified\n\nWhat the motions tell of the inertial parameters is '
+    yield ('\n## Identified\n\nWhat the motions determine of the inertial parameters is '
            f'{len(found.base_parameters)} combinations of them; the interval holds the true value '
            'in 95 % of cases, if the noise of forces is what there is beside the model.\n')
     yield '| base parameter | value | ± 95 % | unit |\n|---|---|---|---|'
@@ -88,7 +88,7 @@ def _lines(card: ModelCard) -> Iterator[str]:
         yield (f'| {sum_text(one.combination)} | {one.value:.5g} | '
                f'{_HALF * one.standard_error:.2g} | {one.unit} |')
     if found.weak:
-        yield ('\nThe data tell little of these, whose values stay close to the URDF: '
+        yield ('\nThe data hardly determine these, whose values stay close to the URDF: '
                + '; '.join(sum_text(one.combination) for one in found.weak) + '.')
     yield ('\nNo force of the data depends on these changes, so along them the robot is as in the '
            f'URDF, or the next that a body can be ({len(found.held)}):\n')

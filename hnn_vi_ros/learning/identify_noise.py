@@ -32,7 +32,7 @@ def first_length(motions: Sequence[Motion], velocities: bool) -> float:
             for name in ('q_smooth', 'v_smooth'))
     speed = np.sqrt((v**2).mean(axis=0))
     if not speed.any():
-        raise DataError(f'{motions[0].name}: nothing moves in it, which tells no number')
+        raise DataError(f'{motions[0].name}: nothing moves in it, so no parameter can be found')
     pace = float((q.std(axis=0)[speed > 0.0] / speed[speed > 0.0]).min())
     least = _LEAST_SAMPLES if velocities else 2 * _LEAST_SAMPLES
     return max(4.0 * pace, (least - 1) * motions[0].spacing)

@@ -39,7 +39,7 @@ def check_machines(config: MachineConfig, count: int) -> None:
     """Raise ParameterError if no ensemble of so many can be trained by a configuration."""
     check_count(count)
     if config.family.kind == RIGID_BODY:
-        raise ParameterError('--ensemble: a rigid_body tells how sure it is of each parameter by '
+        raise ParameterError('--ensemble: a rigid_body has the uncertainty of each parameter by '
                              'its standard errors; leave --ensemble out, or take the family '
                              'mechanical')
 

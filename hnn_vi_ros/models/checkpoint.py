@@ -171,7 +171,7 @@ def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a model file, as load_checkpoint tells it; ModelError if none."""
+    """Return the SHA-256 of a model file, as load_checkpoint returns it; ModelError if none."""
     return sha256(_read(path)).hexdigest()
 
 

@@ -214,7 +214,7 @@ class ModelCard(StrictModel):
 
 
 class EnsembleCard(StrictModel):
-    """The members of an ensemble, and what their spread tells of the error of their mean."""
+    """The members of an ensemble, and how their spread is scaled to the error of their mean."""
 
     members: list[ModelCard] = Field(min_length=2, max_length=MOST_MEMBERS)
     factors: list[Annotated[float, Field(gt=0.0)]] | None = Field(None, description=(

@@ -87,7 +87,7 @@ class TreeCard(StrictModel):
 
 
 class BaseParameter(StrictModel):
-    """A linear combination of parameters that the motions tell by itself."""
+    """A linear combination of parameters that the motions determine by itself."""
 
     combination: dict[str, float] = Field(description='factors of parameters')
     value: float
@@ -101,9 +101,9 @@ class Identification(StrictModel):
 
     base_parameters: list[BaseParameter]
     weak: list[BaseParameter] = Field([], description=(
-        'others, of which the data tell less than the URDF does: they are close to that'))
+        'others, which the data determine less well than the URDF: they are close to that'))
     held: list[dict[str, float]] = Field(description=(
-        'directions, as factors of parameters, along which the data tell nothing: they are as '
+        'directions, as factors of parameters, that the data do not determine: they are as '
         'in the URDF'))
     force_error: list[float] = Field(description=(
         'of each coordinate, squared error of the force over its variance, on held-out data'))

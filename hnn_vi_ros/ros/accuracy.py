@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The message that tells how accurate a run is."""
+"""Message of ~/accuracy: errors and costs of a run."""
 
 import math
 

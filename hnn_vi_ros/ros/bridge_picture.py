@@ -35,7 +35,7 @@ NEEDED = frozenset(('q', 'p', 'energy', 'joint_states'))
 
 class BridgePicture:
     """
-    Show samples as ~/state tells them, or put together from the messages of their tick.
+    Show the samples of ~/state, or put them together from the messages of their tick.
 
     Parameters
     ----------

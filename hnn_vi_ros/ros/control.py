@@ -92,7 +92,7 @@ class Control:
         self._run.recording.flush()
 
     def stop(self) -> None:
-        """Take no more steps, and tell how the run has ended."""
+        """Take no more steps, and report how the run has ended."""
         self.active = False
         self._end_request(Answer(False, 'the run has ended'))
         if self._timer is not None:

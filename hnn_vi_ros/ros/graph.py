@@ -53,7 +53,7 @@ class Discovery:
 
     @property
     def over(self) -> bool:
-        """Look who is there; tell whether that is all."""
+        """Look who is there; return whether that is all."""
         now, found = time.monotonic(), self._subscribers()
         if found != self._count:
             self._count, self._since = found, now

@@ -22,7 +22,7 @@ _REPEATED = 10.0
 
 class Health:
     """
-    Keep the alarms of a run; tell each on /diagnostics, in the bag, the log and the picture.
+    Keep the alarms of a run; report each on /diagnostics, in the bag, the log and the picture.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ def describe_node(executable: str, name: str, table: Sequence[Specification],
 
 def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
     """
-    Return what tells of arguments that are nearly ours: ``ros2 launch`` ignores what none has.
+    Return warnings of misspelt arguments, which ``ros2 launch`` ignores.
 
     They are not refused: a launch file that includes this one may have arguments of its own.
     """

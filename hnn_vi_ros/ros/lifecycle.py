@@ -74,7 +74,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
 
     async def change_state(self, transition: int) -> bool:
         """
-        Go through a transition; tell whether it succeeded.
+        Go through a transition; return whether it succeeded.
 
         Raises
         ------

@@ -165,7 +165,7 @@ class RecordedRun:
     def in_order(self, channels: Collection[int], first: int = 0
                  ) -> Iterator[tuple[Recorded, State | None]]:
         """
-        Yield messages from a log time on, and what those of ~/state tell.
+        Yield messages from a log time on, and the samples of those of ~/state.
 
         RecordingError where these go back in time: then several runs are in the bag.
         """
@@ -191,7 +191,7 @@ class RecordedRun:
         """
         Yield the step from which on each command acted, its topic, and what it says.
 
-        There are none where the bag does not tell at which step they did.
+        There are none where the bag does not say at which step they did.
         """
         inputs = {self._topics[name]: one for one in INPUTS
                   if (name := f'{self.node}{one.topic[1:]}') in self._topics}
@@ -224,7 +224,7 @@ class RecordedRun:
 
     @property
     def spacing(self) -> int | None:
-        """Return the time from sample to sample that was asked for [ns]; None if not told."""
+        """Return the time from sample to sample that was asked for [ns]; None if not recorded."""
         try:
             text = self.reader.attachment('parameters.yaml')
         except RecordingError:

@@ -144,7 +144,7 @@ class Recording:
         return {sink.name: sink.target for sink in self._open}
 
     def close(self, ended: bool = True) -> bool:
-        """Close what is open, at the end or to go on; tell whether everything was recorded."""
+        """Close what is open, at the end or to continue; return whether all was recorded."""
         self._each(lambda sink: sink.close(), ended)
         self._open.clear()
         return not self.problem

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of the simulator that were remapped: what tells of it, and how a bag is read by it."""
+"""Topics of the simulator that were remapped: how that is recorded, and read from a bag."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress

@@ -57,9 +57,9 @@ class Margin(NamedTuple):
 
 def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     """
-    Simulate what a bag tells of, from its scene and first state, and compare each sample.
+    Simulate the run of a bag again, from its scene and first state, and compare each sample.
 
-    Of a sample that is all that ~/state tells, or q and p of a bag of before ~/state.
+    Of a sample that is all that ~/state holds, or q and p of a bag from before ~/state.
 
     Parts of the bag that cannot be read, and samples that are missing from the even grid on which
     they come, are reported, and then the log is not confirmed.
@@ -98,7 +98,7 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
-    commands = '; the scene takes commands, and the log does not tell at which step any acted' \
+    commands = '; the scene takes commands, and the log does not say at which step any acted' \
         if simulation.motors.takes and not any(run.commands()) else ''
     return Verdict(
         f'{agreed}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
@@ -168,7 +168,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
 
 
 def _values(simulation: Simulation) -> dict[str, np.ndarray]:
-    """Return what a sample of the state would tell."""
+    """Return the numbers that ~/state would hold for a sample."""
     rates = momentum_rates(simulation.hamiltonian.rotations, simulation.q, simulation.p,
                            simulation.dH_dq, simulation.dH_dp)
     return {'q': simulation.q, 'p': simulation.p, 'dp/dt': rates,

@@ -89,7 +89,7 @@ class RerunBridge(Node):
         self._tick_subscriptions: list[Subscription] = []
 
     def listen(self) -> None:
-        """Subscribe to the scene, the state, and what tells of samples where there is none."""
+        """Subscribe to the scene, the state, and the topics of samples where there is no state."""
         ticks = {topic.replace('~', self._settings.simulator) for topic in _TICK.values()}
         for topic, (kind, callback, qos, raw) in self._topics.items():
             subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)

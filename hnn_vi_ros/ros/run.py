@@ -312,7 +312,7 @@ class Run:
         self._health.errors = self._errors()
 
     def close(self) -> bool:
-        """Close the files and say where they are, without ROS; tell whether all is in them."""
+        """Close the files and say where they are, without ROS; return whether all is in them."""
         self._status.close()
         complete = self.recording.close()
         self.recording.report()

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The action of simulation_interfaces that takes steps, tells how far it is, and can be ended."""
+"""Action of simulation_interfaces that takes steps, reports its progress, and can be cancelled."""
 
 from collections.abc import Callable
 import math
@@ -63,7 +63,7 @@ class SimulateSteps:
         return self._finish(goal, await future)
 
     def _feedback(self, goal: ServerGoalHandle) -> Callable[[int, int], None]:
-        """Return what tells a client how far its goal is: after the first batch, and the last."""
+        """Return what reports progress to a client: after the first batch, and the last."""
         last = -math.inf
 
         def tell(done: int, left: int) -> None:

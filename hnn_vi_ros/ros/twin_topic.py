@@ -24,7 +24,7 @@ SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time
 
 class TwinTopic:
     """
-    Publish what each observation tells, as a companion of the simulation.
+    Publish the prediction error of each observation, as a companion of the simulation.
 
     The positions of ~/prediction_error are, by their names: observed less simulated coordinates;
     observed less predicted ones; and the scalars of the prediction. It is stamped with the time

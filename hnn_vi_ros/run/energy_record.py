@@ -62,7 +62,7 @@ class EnergyRecord:
         self._length, self._open = 1, (math.inf, -math.inf)
 
     def add(self, sample: Sample) -> bool:
-        """Take the next sample; tell whether it is beyond the tolerance, up to its horizon."""
+        """Take the next sample; return whether it is beyond the tolerance, up to its horizon."""
         error = sample.energy_error
         deviation = abs(sample.modified_energy - self._modified0)
         if deviation > self.band:

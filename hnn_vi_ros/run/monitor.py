@@ -98,7 +98,7 @@ class Monitor:
 
     def evaluate(self) -> bool:
         """
-        Renew the figures if it is time to; tell whether it was.
+        Renew the figures if they are due; return whether they were.
 
         Takes half of a tick at 1 kHz: to be called where nobody waits for a message.
         """

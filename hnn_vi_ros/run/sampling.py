@@ -51,7 +51,7 @@ class Sampler:
     tick : float
         Simulated time from sample to sample [s].
     deviation : str
-        What to tell of a rate that the step size does not allow; else empty.
+        Warning of a rate that the step size does not allow; else empty.
 
     Raises
     ------

@@ -24,7 +24,7 @@ class _Panel(NamedTuple):
 
 
 def draw_series(trajectory: TrajectoryData) -> 'Figure':
-    """Draw what ``Trajectory.plot`` tells."""
+    """Draw the figure of ``Trajectory.plot``."""
     panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), _energy_panel(trajectory)]
     figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _AROUND)
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def dataframe_of(trajectory: TrajectoryData) -> 'pandas.DataFrame':
-    """Return what ``Trajectory.to_dataframe`` tells."""
+    """Return the table of ``Trajectory.to_dataframe``."""
     with optional('pandas', 'to_dataframe'):
         import pandas
     data = _columns(trajectory)
@@ -30,7 +30,7 @@ def dataframe_of(trajectory: TrajectoryData) -> 'pandas.DataFrame':
 
 
 def dataset_of(trajectory: TrajectoryData) -> 'xarray.Dataset':
-    """Return what ``Trajectory.to_xarray`` tells."""
+    """Return the dataset of ``Trajectory.to_xarray``."""
     with optional('xarray', 'to_xarray'):
         import xarray
     units, many = trajectory.units, trajectory.q.ndim == 3

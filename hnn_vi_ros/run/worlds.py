@@ -25,7 +25,7 @@ class WorldError(HnnViRosError):
     Parameters
     ----------
     code : str
-        Name of the constant of simulation_interfaces that tells why.
+        Name of the constant of simulation_interfaces for the reason.
     message : str
         One line.
 

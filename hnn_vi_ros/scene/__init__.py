@@ -56,7 +56,7 @@ class Scene(StrictModel):
     invariants: list[InvariantChoice] = Field([], max_length=20, description=(
         'what the motion conserves beside H: published with the accuracy, and watched'))
     uncertainty: UncertaintyChoice | None = Field(None, description=(
-        'runs all members of an ensemble beside their mean, and tells how far they come apart'))
+        'runs all members of an ensemble beside their mean, and reports their spread'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='how the mechanism is drawn; without it only states are shown')
 
@@ -94,7 +94,7 @@ class Scene(StrictModel):
         events, invariants : sequence of mapping, optional
             What is watched for, and what the motion conserves beside H.
         uncertainty : mapping, optional
-            Of an ensemble, what is told of how far its members come apart.
+            Of an ensemble, how the spread of its members is reported.
         on_failure : str, optional
             What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
         mechanism : str, optional

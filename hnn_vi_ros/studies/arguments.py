@@ -102,7 +102,7 @@ def work_precision() -> Parser:
 def hard_cases() -> Parser:
     """Return the parser of ``hard_cases``."""
     parser = Parser('hard_cases', (
-        'Run the fourteen hard cases: each must stay stable, or say that it does not.'), [
+        'Run the fourteen hard cases: each must stay stable, or raise an alarm.'), [
             'ros2 run hnn_vi_ros hard_cases --quick --out try',
             'ros2 run hnn_vi_ros hard_cases --case 3 7'])
     parser.add_argument('--quick', action='store_true', help='short runs of few methods')
@@ -138,7 +138,7 @@ def scene() -> Parser:
     task.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check scenes'))
     task.add_argument('--explain', metavar='NAME', help=(
-        'tell what a scene simulates, and measure what each of its effects adds to a step'))
+        'print what a scene simulates, and measure what each of its effects adds to a step'))
     task.add_argument('--compile', nargs='*', metavar='NAME', help=(
         'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
         'first start need not'))

@@ -120,7 +120,7 @@ class Job:
 
     @property
     def key(self) -> tuple[int, str, str, str]:
-        """Return what tells the row from every other one of the same run."""
+        """Return the key of the row, unique within a run."""
         return self.case.number, self.set_up.name, self.set_up.kind, self.method
 
     @cached_property

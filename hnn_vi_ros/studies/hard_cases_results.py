@@ -86,7 +86,7 @@ class CaseRow:
 
     @property
     def key(self) -> Key:
-        """Return what tells the row from every other one of the same run."""
+        """Return the key of the row, unique within a run."""
         return self.case, self.set_up, self.hamiltonian, self.method
 
     @property

@@ -102,7 +102,7 @@ def list_scenes() -> list[str]:
 
 def explain(scene: Scene) -> Iterator[str]:
     """
-    Yield the lines that tell what a scene simulates, how chaotic it is, what a step takes.
+    Yield lines on what a scene simulates, its Lyapunov time, and the time of a step.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _choice(role: str, choice: BaseModel) -> Iterator[str]:
 
 
 def lyapunov_line(scene: Scene, steps: int) -> str:
-    """Return the line that tells the Lyapunov time, looked for during so many steps."""
+    """Return the line on the Lyapunov time, looked for during so many steps."""
     from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
     duration = steps * scene.step_size
     try:

@@ -7,16 +7,16 @@ from pathlib import Path
 from hnn_vi_ros.command_line import complete_by, named, Parser
 
 _DETAILS = """\
-Shards are what is made and kept as a whole: part-00000.parquet and so on, the same bytes whichever
-process or machine makes them, and in whichever order. What is in the folder already is not made
-again: the same command goes on after it was stopped. Exit status: 0 if all shards asked for are
-there, 130 if Ctrl-C stopped it."""
+A shard is a file that is made as a whole: part-00000.parquet and so on, with the same bytes
+whichever process or machine makes it, and in whatever order. Shards that are in the folder already
+are not made again, so the same command continues an interrupted sweep. Exit status: 0 if all
+shards asked for are there, 130 if Ctrl-C stopped it."""
 
 
 def sweep() -> Parser:
     """Return the parser of ``sweep``."""
     parser = Parser('sweep', (
-        'Simulate a scene for many parameters and initial states, and keep a Parquet dataset.'), [
+        'Simulate a scene for many parameters and initial states into a Parquet dataset.'), [
             'ros2 run hnn_vi_ros sweep pendulum_energies',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100',

@@ -71,7 +71,7 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts, dur
 
 def out_of_box_time(trajectory: Trajectory, hamiltonian: Hamiltonian) -> float:
     """
-    Return how long a path is outside of the box of training [s], as its samples tell.
+    Return for how long the samples of a path are outside of the training box [s].
 
     An interval counts if the sample at its end is outside.
     """

@@ -113,7 +113,7 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
         Take the steps in torch, on ``'cuda'``, ``'cuda:N'`` or ``'cpu'``, in place of compiled
         loops; see ``simulate_many``. The device is recorded, and the folder is of it alone.
     progress : bool, optional
-        Whether a line on standard error tells how far it is.
+        Whether a line on standard error shows the progress.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def _summary(plan: SweepPlan, folder: SweepFolder, seconds: float) -> str:
 
 
 class _Progress:
-    """One line that tells how many trajectories of a share are made, and how long it takes."""
+    """Progress line: how many trajectories of a share are made, and how long it takes."""
 
     def __init__(self, plan: SweepPlan, shards: list[int], share: tuple[int, int]):
         self._left = sum(len(plan.indices(shard)) for shard in shards)

@@ -139,7 +139,7 @@ class Runner:
             key, [indices[k] for k in members], [rows[k] for k in members])]
 
     def _scene_key(self, row: tuple[Any, ...]) -> str:
-        """Return what tells scenes apart: all values but those of the initial state."""
+        """Return the key of a scene: all values but those of the initial state."""
         return repr([row[k] for k in self._of_scene]) if self._of_scene else ''
 
     def _group(self, key: str, indices: list[int], rows: list[tuple[Any, ...]]) -> list[Rows]:

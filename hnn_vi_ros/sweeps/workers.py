@@ -122,7 +122,7 @@ _stop: Event | None = None
 
 
 def _begin(stop: Event) -> None:
-    """Prepare a worker: it ends when it is told to, and with the process that began it."""
+    """Prepare a worker: it ends on request, and with the process that began it."""
     global _stop
     _stop = stop
     # That of the terminal reaches all its processes; the first one tells the others.
