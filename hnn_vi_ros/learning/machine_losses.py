@@ -3,14 +3,13 @@
 """Losses by which a network of a machine is fitted, at samples of motions."""
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import count, islice
 import math
 from typing import Any, NamedTuple, Protocol
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.motions import Motion
-from hnn_vi_ros.learning.window_steps import first_node, MethodName, Solutions, STEPS
+from hnn_vi_ros.learning.window_steps import MethodName, simulated, Solutions
 import numpy as np
 import torch
 
@@ -186,10 +185,10 @@ class Windows(NamedTuple):
     time_scale: float
 
 
-def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows
-                ) -> torch.Tensor:
-    """Return the soft size of the errors of windows from these samples."""
-    return _soft(window_errors(network, samples, starts, windows))
+def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
+                solutions: Solutions | None = None) -> torch.Tensor:
+    """Return the soft size of the errors of windows from these samples; see window_errors."""
+    return _soft(window_errors(network, samples, starts, windows, solutions))
 
 
 def window_errors(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
@@ -199,30 +198,32 @@ def window_errors(network: Network, samples: Samples, starts: torch.Tensor, wind
 
     ``solutions`` are those of the equations, if they are to be used again.
     """
-    unit, errors = _USUAL_ERROR * torch.tensor(network.scales.v), []
     # What has no masses has no momenta, which a variational method steps.
     method = windows.method if network.has_masses else 'rk4'
-    steps = _steps(network, method, samples, starts, solutions or Solutions())
-    for k, (q, v) in enumerate(islice(steps, windows.count), 1):
-        at = starts + k * samples.every
-        errors += [(q - samples.q[at]) / (windows.time_scale * unit), (v - samples.v[at]) / unit]
-    return torch.stack(errors)
+    at = starts + samples.every * torch.arange(windows.count + 1)[:, None]
+    measured_q, measured_v = samples.q[at], samples.v[at]
+    q, v = _simulated(network, method, measured_q, measured_v[0], samples.mean_tau[at[:-1]],
+                      samples.step_size, solutions)
+    unit = _USUAL_ERROR * torch.tensor(network.scales.v)
+    return torch.stack([(q - measured_q[1:]) / (windows.time_scale * unit),
+                        (v - measured_v[1:]) / unit], dim=1).flatten(0, 1)
 
 
-def _steps(network: Any, method: MethodName, samples: Samples, starts: torch.Tensor,
-           solutions: Solutions) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """Yield q and v after each step, with the mean of the measured forces over it."""
-    h, q, v = samples.step_size, samples.q[starts], samples.v[starts]
-    forces = (samples.mean_tau[starts + k * samples.every] for k in count())
-    if method == 'rk4':
-        for tau in forces:
-            q, v = runge_kutta(network.accelerations, q, v, tau, h)
-            yield q, v
-    else:
-        node = first_node(network, q, v)
-        for tau in forces:
-            node = STEPS[method](solutions, network, node, network.joint_forces(tau), h)
-            yield node.q, node.v
+def _simulated(network: Any, method: MethodName, measured: torch.Tensor, v: torch.Tensor,
+               tau: torch.Tensor, h: float, solutions: Solutions | None
+               ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return q and v after each step, from the first that was measured, at held commands."""
+    if method != 'rk4':
+        forces = network.joint_forces(tau.flatten(0, 1)).unflatten(0, tau.shape[:2])
+        q, v, _ = simulated(network, method, measured[0], v, forces, h, measured.diff(dim=0) / h,
+                            solutions)
+        return q, v
+    q, found = measured[0], []
+    for held in tau:
+        q, v = runge_kutta(network.accelerations, q, v, held, h)
+        found.append(torch.stack([q, v]))
+    q, v = torch.stack(found, dim=1)
+    return q, v
 
 
 def _soft(z: torch.Tensor) -> torch.Tensor:

@@ -23,6 +23,7 @@ from hnn_vi_ros.learning.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, force_loss, Network, Samples, samples_of,
     window_loss, Windows)
 from hnn_vi_ros.learning.motions import Motion, run_of
+from hnn_vi_ros.learning.window_steps import Solutions
 import numpy as np
 import torch
 from tqdm import tqdm
@@ -223,16 +224,22 @@ def _fit_windows(network: Network, config: MachineConfig, loss: Trajectory, samp
                           loss.forward_lbfgs_steps, 'forward')
     for stage in loss.windows:
         windows, starts = windows_of(loss, stage, samples)
+        alone: list[int] = []
 
-        def errors_of_windows(windows: Windows = windows, starts: torch.Tensor = starts
-                              ) -> torch.Tensor:
-            chosen = starts[torch.randint(len(starts), (loss.batch,), generator=generator)]
-            errors = window_loss(network, samples, chosen, windows)
+        def errors_of_windows(windows: Windows = windows, starts: torch.Tensor = starts,
+                              alone: list[int] = alone) -> torch.Tensor:
+            chosen, solutions = starts[torch.randint(
+                len(starts), (loss.batch,), generator=generator)], Solutions()
+            errors = window_loss(network, samples, chosen, windows, solutions)
+            alone.append(solutions.alone)
             return errors if penalty is None else errors + penalty(generator)
         losses[f'windows_{stage.duration:g}'] = _descend(
             network, errors_of_windows, stage.steps,
             stage.learning_rate or 0.2 * config.learning_rate,
             f'windows of {stage.duration:g} s')
+        if any(alone):
+            print(f'windows of {stage.duration:g} s: {sum(alone)} of {len(alone) * loss.batch} '
+                  'were solved step by step, which takes longer', flush=True)
     return losses
 
 

@@ -4,27 +4,34 @@
 Steps of variational methods in torch, for machines: what windows of motions are simulated by.
 
 They are those of the compiled methods of the same names on the same H, with friction and commands
-where these add forces: at the methods' own nodes. But their unknown is a velocity: with
-F(q, v) = (v . M v)_q / 2 - V_q - friction + force = dp/dt and M(q) v = p, each equation is
+where these add forces: at the methods' own nodes. But their unknowns are velocities w: with
+p = M(y) w and F(y, w) = (w . M w)_q / 2 - V_q - friction, every method is a chain of nodes
 
-    r(w) = M(y) w - b F(y, w) - c = 0 at y = x + a w
+    y = x + a w,    p - b (F + force) = c;    the next x = y + g w,    c = p + e (F + force)
 
-for some numbers a, b and known x and c. Newton's method solves it without being recorded; one
-step of it more from where r is zero, with its matrix J = r_w held, is recorded and has the
-derivatives of the solution, -J^-1 times those of r by all else (the implicit function theorem).
+for numbers a, b, g and e of its own. Newton's method solves many nodes at once, of all windows and
+of some steps, from velocities that were measured: the network sees all of them as one batch, and
+what is linear is passed on from node to node. It is not recorded; one step of it more from where
+the equations hold, with their derivatives by x, c and w held, is recorded and has the derivatives
+of the solution by all else (the implicit function theorem).
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal, NamedTuple, Protocol
 
+from hnn_vi_ros.learning.families.linearised import Linearised
 from hnn_vi_ros.learning.families.structure import MotionScales
 import torch
 
 MethodName = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
-# Newton's method begins with steps by the matrix of the step before, which cost a third, and ends
-# where it changes velocities by less than this share of the usual ones: what is left is the square
-# of it. Jumps of friction take more steps, of which some are halved.
-_CHEAP, _ENOUGH, _MOST = 2, 1e-6, 40
+# Newton's method ends where it changes velocities by less than this share of the usual ones: what
+# is left is the square of it. Step by step it begins with steps by the matrix of the step before,
+# which cost a third. Jumps of friction take more steps, of which some are halved there.
+_ENOUGH, _CHEAP, _MOST = 1e-6, 2, 40
+# Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the
+# first guesses are worse, and more memory is taken. And steps after which each is taken alone.
+_AT_ONCE, _PATIENCE = 4096, 12
 
 
 class Machine(Protocol):
@@ -35,69 +42,277 @@ class Machine(Protocol):
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
 
+    def linearised(self, q: torch.Tensor, v: torch.Tensor) -> Linearised:
+        """Return the same with its derivatives, not recorded."""
+
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
 
 
-class Node(NamedTuple):
+class Method(NamedTuple):
     """
-    Coordinates, velocities and momenta at one time, each of shape (N, d).
+    A method as a chain of nodes, by shares of its step size h.
 
-    ``ahead`` is about the velocity that the next step is to find.
+    Parameters
+    ----------
+    before : float
+        The first x is q + before h v.
+    nodes : tuple of tuple of float
+        a, b, g and e of the nodes of a step.
+    after : float
+        A step ends at q = y + after h w and at p = c, the next ones, of its last node.
+
     """
+
+    before: float
+    nodes: tuple[tuple[float, float, float, float], ...]
+    after: float
+
+
+METHODS: dict[MethodName, Method] = {
+    'implicit_midpoint': Method(0.0, ((0.5, 0.5, 0.5, 0.5),), 0.5),
+    'variational_euler': Method(1.0, ((0.0, 1.0, 1.0, 0.0),), 0.0),
+    'generalized_leapfrog': Method(
+        0.0, ((0.0, 0.5, 0.5, 0.0), (0.5, 0.0, 0.0, 0.5)), 0.0)}
+
+
+class States(NamedTuple):
+    """Coordinates, velocities and momenta after each step, each of shape (K, N, d)."""
 
     q: torch.Tensor
     v: torch.Tensor
     p: torch.Tensor
-    ahead: torch.Tensor
 
 
-def first_node(machine: Machine, q: torch.Tensor, v: torch.Tensor) -> Node:
-    """Return the node of a state (q, v)."""
-    return Node(q, v, machine.momenta(q, v)[0], v)
+class Chain(NamedTuple):
+    """
+    Nodes, one after another, of N windows.
+
+    Parameters
+    ----------
+    x, c : torch.Tensor, shape (N, d)
+        Those of the first node.
+    forces, guess : torch.Tensor, shape (n, N, d)
+        Of each node, and about its velocity.
+    numbers : torch.Tensor, shape (4, n, 1, 1)
+        a, b, g and e of each.
+
+    """
+
+    x: torch.Tensor
+    c: torch.Tensor
+    forces: torch.Tensor
+    guess: torch.Tensor
+    numbers: torch.Tensor
+
+    def of(self, rows: torch.Tensor) -> 'Chain':
+        """Return the chain of some of the windows, not recorded."""
+        return Chain(self.x.detach()[rows], self.c.detach()[rows], self.forces.detach()[:, rows],
+                     self.guess[:, rows], self.numbers)
+
+    def coordinates(self, w: torch.Tensor) -> torch.Tensor:
+        """Return y of each node at velocities w, both of shape (n, N, d)."""
+        a, _, g, _ = self.numbers
+        return self.x + ((a + g) * w).cumsum(dim=0) - g * w
+
+    def residuals(self, p: torch.Tensor, rate: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what p - b (F + force) - c is, and the next c, each of shape (n, N, d)."""
+        _, b, _, e = self.numbers
+        total = rate + self.forces
+        after = p + e * total
+        return p - b * total - torch.cat([self.c[None], after[:-1]]), after
+
+
+class Found(NamedTuple):
+    """
+    The first x, shape (N, d), velocities of nodes, (n, N, d), and the equations about these.
+
+    A residual r moves a node whose x and c have moved by z = (dx, dc) by dw = back z - inverse r,
+    and the next by z' = onward z - push r.
+    """
+
+    x: torch.Tensor
+    w: torch.Tensor
+    inverse: torch.Tensor
+    back: torch.Tensor
+    onward: torch.Tensor
+    push: torch.Tensor
+
+    def moves(self, r: torch.Tensor, first: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return all z, shape (n + 1, N, 2 d), of the first, (N, 2 d), and dw, (n, N, d)."""
+        pushed = -(self.push @ r[..., None])
+        z = [first[:, :, None]]
+        for push, onward in zip(pushed, self.onward, strict=True):
+            z.append(torch.baddbmm(push, onward, z[-1]))
+        all_z = torch.stack(z)
+        return all_z[..., 0], (self.back @ all_z[:-1] - self.inverse @ r[..., None])[..., 0]
+
+    def update(self, rows: torch.Tensor, other: 'Found') -> None:
+        """Take what another found of some of the windows."""
+        for old, new in zip(self[1:], other[1:], strict=True):
+            old[:, rows] = new
 
 
 class Solutions:
     """
-    Solves the equations of steps, one after another, or knows what was found of the same ones.
+    Solves the equations of chains, one after another, or knows what was found of the same ones.
 
     Parameters
     ----------
-    found : sequence of tuple of torch.Tensor, optional
-        Solutions and matrices, at the same parameters: for derivatives by them in forward mode,
-        for which Newton's method need not be repeated.
+    found : sequence of Found, optional
+        What was found at the same parameters: for derivatives by them in forward mode, for which
+        Newton's method need not be repeated.
+
+    Attributes
+    ----------
+    alone : int
+        How often the nodes of a window had to be solved one after another, some steps at a time.
 
     """
 
-    def __init__(self, found: Sequence[tuple[torch.Tensor, torch.Tensor]] | None = None) -> None:
+    def __init__(self, found: Sequence[Found] | None = None) -> None:
         self._found = [] if found is None else [*found]
         self._next = None if found is None else iter(found)
-        self._matrices: dict[tuple[float, float], torch.Tensor] = {}
+        self.alone = 0
 
     def again(self) -> 'Solutions':
         """Return what knows all that this one has found."""
         return Solutions(self._found)
 
-    def solve(self, machine: Machine, numbers: tuple[float, float], x: torch.Tensor,
-              c: torch.Tensor, force: torch.Tensor, guess: torch.Tensor) -> torch.Tensor:
-        """Return w, shape (N, d), with its derivatives; not a number where none is found."""
-        a, b = numbers
+    def solve(self, machine: Machine, chain: Chain) -> Found:
+        """Return what solves a chain; not a number in windows where nothing does."""
+        if self._next is not None:
+            return next(self._next)
+        with torch.no_grad():
+            found, left = _solved(machine, chain)
+            if len(left):
+                self.alone += len(left)
+                part = chain.of(left)
+                w = _one_by_one(machine, part)
+                found.update(left, _equations(machine, part, w)[0])
+        self._found.append(found)
+        return found
 
-        def residual(w: torch.Tensor, x: torch.Tensor, c: torch.Tensor, force: torch.Tensor
-                     ) -> torch.Tensor:
-            p, rate = machine.momenta(x + a * w, w)
-            return p - b * (rate + force) - c
-        if self._next is None:
-            known = x.detach(), c.detach(), force.detach()
-            scales = machine.scales
-            w, J = newton(lambda w: residual(w, *known), guess.detach(),
-                          self._matrices.get(numbers), torch.tensor(scales.v),
-                          torch.tensor(scales.inertia * scales.v))
-            self._found.append((w, J))
-            self._matrices[numbers] = J
+
+def simulated(machine: Machine, method: MethodName, q: torch.Tensor, v: torch.Tensor,
+              forces: torch.Tensor, h: float, guess: torch.Tensor | None = None,
+              solutions: Solutions | None = None) -> States:
+    """
+    Return the motion of windows, with its derivatives by parameters and forces.
+
+    Parameters
+    ----------
+    machine : Machine
+        What moves.
+    method : str
+        Of the steps.
+    q, v : torch.Tensor, shape (N, d)
+        Where windows begin.
+    forces : torch.Tensor, shape (K, N, d)
+        On the joints, held over each step.
+    h : float
+        Step size [s].
+    guess : torch.Tensor, shape (K, N, d), optional
+        About the mean velocity of each step, such as measured ones; default v.
+    solutions : Solutions, optional
+        Of the equations, if they are to be used again.
+
+    Returns
+    -------
+    States
+        After each step; not a number in windows of which a step has no solution.
+
+    """
+    before, nodes, after = METHODS[method]
+    solutions = solutions or Solutions()
+    guess = v.detach().expand_as(forces) if guess is None else guess
+    x, c, missed = q + before * h * v, machine.momenta(q, v)[0], torch.zeros_like(q)
+    ends = []
+    parts = -(-forces.numel() * len(nodes) // _AT_ONCE)
+    for force, about in zip(forces.tensor_split(min(parts, len(forces))),
+                            guess.tensor_split(min(parts, len(forces))), strict=True):
+        numbers = h * torch.tensor(nodes, dtype=q.dtype).repeat(len(force), 1)
+        chain = Chain(
+            x, c, force.repeat_interleave(len(nodes), dim=0),
+            # What measured velocities were wrong by before, they go on to be wrong by.
+            (about + missed).repeat_interleave(len(nodes), dim=0), numbers.T[:, :, None, None])
+        y, w, c_after = _recorded(machine, chain, solutions.solve(machine, chain))
+        last = slice(len(nodes) - 1, None, len(nodes))
+        ends.append(torch.stack([(y + after * h * w)[last], c_after[last]]))
+        x, c = y[-1] + chain.numbers[2, -1] * w[-1], c_after[-1]
+        missed = w[-1].detach() - about[-1]
+    q, p = torch.cat(ends, dim=1)
+    return States(q, machine.velocities(q.flatten(0, 1), p.flatten(0, 1)).view_as(q), p)
+
+
+def _recorded(machine: Machine, chain: Chain, found: Found
+              ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return y, w and the next c of all nodes, by a step of Newton's method that is recorded."""
+    y = chain._replace(x=found.x).coordinates(found.w)
+    p, rate = (part.view_as(y) for part in machine.momenta(y.flatten(0, 1), found.w.flatten(0, 1)))
+    r, c_after = chain.residuals(p, rate)
+    # Where c has moved is in the first residual.
+    z, dw = found.moves(r, torch.cat([chain.x - found.x, torch.zeros_like(chain.x)], dim=1))
+    d = y.shape[2]
+    return (y + z[:-1, :, :d] + chain.numbers[0] * dw, found.w + dw, c_after + z[1:, :, d:])
+
+
+def _solved(machine: Machine, chain: Chain) -> tuple[Found, torch.Tensor]:
+    """Return what solves a chain, and the windows of which Newton's method did not find it."""
+    w, unit = chain.guess.clone(), torch.tensor(machine.scales.v)
+    left, found = torch.arange(len(chain.x)), None
+    for _ in range(_PATIENCE):
+        part = chain.of(left)
+        at, r = _equations(machine, part, w[:, left])
+        _, dw = at.moves(r, torch.zeros_like(r[0]).repeat(1, 2))
+        w[:, left] += dw
+        if found is None:
+            found = at._replace(w=w)
         else:
-            w, J = next(self._next)
-        return w - _solve(J, residual(w, x, c, force))
+            found.update(left, at._replace(w=w[:, left]))
+        left = left[~(dw.abs() <= _ENOUGH * unit).all(dim=2).all(dim=0)]
+        if not len(left):
+            break
+    assert found is not None
+    return found, left
+
+
+def _equations(machine: Machine, chain: Chain, w: torch.Tensor) -> tuple[Found, torch.Tensor]:
+    """Return the equations of a chain about velocities, and their residuals, (n, N, d)."""
+    y = chain.coordinates(w)
+    p, rate, p_v, p_q, rate_q, rate_v = (
+        part.unflatten(0, w.shape[:2])
+        for part in machine.linearised(y.flatten(0, 1), w.flatten(0, 1)))
+    a, b, g, e = chain.numbers[..., None]
+    d, one = w.shape[2], torch.eye(w.shape[2], dtype=w.dtype)
+    by_x, c_by_x = p_q - b * rate_q, p_q + e * rate_q
+    inverse = torch.linalg.inv_ex(p_v - b * rate_v + a * by_x)[0]
+    # How w moves the next x and c.
+    follows = torch.cat([(a + g) * one.expand_as(p_v), p_v + e * rate_v + a * c_by_x], dim=2)
+    back = inverse @ torch.cat([-by_x, one.expand_as(by_x)], dim=3)
+    onward = follows @ back
+    onward[..., :d, :d] += one
+    onward[..., d:, :d] += c_by_x
+    return Found(chain.x, w, inverse, back, onward, follows @ inverse), chain.residuals(p, rate)[0]
+
+
+def _one_by_one(machine: Machine, chain: Chain) -> torch.Tensor:
+    """Return the velocities of nodes, shape (n, N, d), each found after the one before it."""
+    scales, x, c, found = machine.scales, chain.x, chain.c, []
+    unit, momentum = torch.tensor(scales.v), torch.tensor(scales.inertia * scales.v)
+    w = chain.guess[0]
+    for force, (a, b, g, e) in zip(chain.forces, chain.numbers[..., 0, 0].T, strict=True):
+        w, _ = newton(partial(_residual, machine, x, c, force, a, b), w, None, unit, momentum)
+        p, rate = machine.momenta(x + a * w, w)
+        x, c = x + (a + g) * w, p + e * (rate + force)
+        found.append(w)
+    return torch.stack(found)
+
+
+def _residual(machine: Machine, x: torch.Tensor, c: torch.Tensor, force: torch.Tensor,
+              a: torch.Tensor, b: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+    p, rate = machine.momenta(x + a * w, w)
+    return p - b * (rate + force) - c
 
 
 def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor,
@@ -161,39 +376,3 @@ def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tens
 
 def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
     return torch.linalg.solve_ex(matrix, right[:, :, None])[0][:, :, 0]
-
-
-Step = Callable[[Solutions, Machine, Node, torch.Tensor, float], Node]
-
-
-def _implicit_midpoint(solutions: Solutions, machine: Machine, start: Node, force: torch.Tensor,
-                       h: float) -> Node:
-    w = solutions.solve(machine, (0.5 * h, 0.5 * h), start.q, start.p, force, start.ahead)
-    q = start.q + h * w
-    p = 2.0 * machine.momenta(start.q + 0.5 * h * w, w)[0] - start.p
-    v = machine.velocities(q, p)
-    return Node(q, v, p, 2.0 * v - w)
-
-
-def _variational_euler(solutions: Solutions, machine: Machine, start: Node, force: torch.Tensor,
-                       h: float) -> Node:
-    q = start.q + h * start.v
-    v = solutions.solve(machine, (0.0, h), q, start.p, force, start.ahead)
-    return Node(q, v, machine.momenta(q, v)[0], 2.0 * v - start.v)
-
-
-def _generalized_leapfrog(solutions: Solutions, machine: Machine, start: Node,
-                          force: torch.Tensor, h: float) -> Node:
-    half = 0.5 * h
-    before = solutions.solve(machine, (0.0, half), start.q, start.p, force, start.ahead)
-    p_half, x = machine.momenta(start.q, before)[0], start.q + half * before
-    after = solutions.solve(machine, (half, 0.0), x, p_half, force, before)
-    q = x + half * after
-    p = p_half + half * (machine.momenta(q, after)[1] + force)
-    v = machine.velocities(q, p)
-    return Node(q, v, p, 2.0 * v - after)
-
-
-STEPS: dict[MethodName, Step] = {
-    'implicit_midpoint': _implicit_midpoint, 'variational_euler': _variational_euler,
-    'generalized_leapfrog': _generalized_leapfrog}

@@ -2,18 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of variational methods in torch, by which windows of motions are simulated."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning import window_steps
+from hnn_vi_ros.learning.families.linearised import Linearised
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_losses import samples_of, window_loss, Windows
+from hnn_vi_ros.learning.machine_losses import Samples, samples_of, window_loss, Windows
 from hnn_vi_ros.learning.machine_train import describe
 from hnn_vi_ros.learning.machine_training import scales_of
 from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.learning.window_steps import first_node, Solutions, STEPS
+from hnn_vi_ros.learning.window_steps import METHODS, simulated, Solutions
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -51,7 +54,7 @@ def random_network(structure: Structure) -> MechanicalNetwork:
 
 
 @pytest.mark.parametrize('structure', STRUCTURES)
-@pytest.mark.parametrize('method', [*STEPS])
+@pytest.mark.parametrize('method', [*METHODS])
 def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, structure):
     network = random_network(STRUCTURES[structure])
     d, model = network.d, str(tmp_path / 'm.safetensors')
@@ -67,21 +70,80 @@ def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, stru
          EFFECTS['learned_friction'](model)])
     q, v, *tau = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (5, 4, d)))
     with torch.no_grad():
-        nodes, solutions = [first_node(network, q, v)], Solutions()
-        for force in tau:
-            nodes.append(STEPS[method](solutions, network, nodes[-1], force, H))
+        first, motion = network.momenta(q, v)[0], simulated(
+            network, method, q, v, torch.stack(tau), H)
     for i in range(len(q)):
-        simulation.restart(q[i].numpy(), nodes[0].p[i].numpy())
-        for force, node in zip(tau, nodes[1:], strict=True):
+        simulation.restart(q[i].numpy(), first[i].numpy())
+        for force, found_q, found_v, found_p in zip(tau, *motion, strict=True):
             simulation.set_command(force[i].numpy())
             simulation.advance(1)
             # States are of the order of one, and both solve to some units of rounding.
-            assert np.abs(node.q[i].numpy() - simulation.q).max() < 1e-13
-            assert np.abs(node.p[i].numpy() - simulation.p).max() < 1e-13
-            assert np.abs(node.v[i].numpy() - simulation.dH_dp).max() < 1e-12
+            assert np.abs(found_q[i].numpy() - simulation.q).max() < 1e-13
+            assert np.abs(found_p[i].numpy() - simulation.p).max() < 1e-13
+            assert np.abs(found_v[i].numpy() - simulation.dH_dp).max() < 1e-12
 
 
-@pytest.mark.parametrize('method', [*STEPS])
+@pytest.mark.parametrize('structure', [*STRUCTURES, 'prior alone'])
+def test_derivatives_that_are_written_out_are_those_of_the_momenta(structure):
+    given = STRUCTURES[structure.removesuffix(' alone')]
+    network = random_network(given if structure in STRUCTURES else replace(
+        given, residual=False, friction_features=None))
+    q, v = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (2, 5, network.d)))
+    at = q.clone().requires_grad_(), v.clone().requires_grad_()
+    p, rate = network.momenta(*at)
+    slopes = [torch.stack(torch.autograd.grad(part[:, i].sum(), at, retain_graph=True,
+                                              materialize_grads=True))
+              for part in (p, rate) for i in range(network.d)]
+    (p_q, p_v), (rate_q, rate_v) = (
+        torch.stack(rows, dim=2) for rows in (slopes[:network.d], slopes[network.d:]))
+    # Some ten operations on numbers of up to ten.
+    for found, expected in zip(
+            network.linearised(q, v), (p, rate, p_v, p_q, rate_q, rate_v), strict=True):
+        assert (found - expected).abs().max() < 1e-13 * max(1.0, float(expected.detach().abs().max()))
+
+
+@pytest.mark.parametrize('method', [*METHODS])
+def test_windows_are_the_same_however_many_nodes_are_solved_at_once(method, monkeypatch):
+    network, windows = random_network(STRUCTURES['arm']), Windows(20, method, 0.1)
+    samples, rows = samples_of([motion_of(2)], H), torch.arange(0, 40, 4)
+    found = []
+    for at_once in (1, 100, 10**9):
+        monkeypatch.setattr(window_steps, '_AT_ONCE', at_once)
+        found.append(loss_and_slopes(network, samples, rows, windows))
+    (loss, slopes), *others = found
+    for other, other_slopes in others:
+        # Both solve to some units of rounding; but the matrices that make the derivatives are
+        # those where the last step began, up to 1e-6 of the usual velocity away.
+        assert other == pytest.approx(loss, rel=1e-13)
+        assert (other_slopes - slopes).norm() < 1e-5 * slopes.norm()
+
+
+@pytest.mark.parametrize('guess', ['far', 'no number'])
+def test_first_guess_does_not_change_what_is_found(guess):
+    network = random_network(STRUCTURES['arm'])
+    q, v, *tau = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (12, 4, 2)))
+    forces, solutions = torch.stack(tau), Solutions()
+    about = torch.zeros_like(forces)
+    about[:, 1] = 30.0 if guess == 'far' else torch.nan
+    with torch.no_grad():
+        expected = simulated(network, 'implicit_midpoint', q, v, forces, H)
+        found = simulated(network, 'implicit_midpoint', q, v, forces, H, about, solutions)
+    others = [0, 2, 3]
+    assert (found.q - expected.q)[:, others].abs().max() < 1e-13
+    assert solutions.alone == (guess == 'no number')
+    if guess == 'far':
+        assert (found.q - expected.q).abs().max() < 1e-13
+
+
+def loss_and_slopes(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor,
+                    windows: Windows) -> tuple[float, torch.Tensor]:
+    parameters = [*network.parameters()]
+    value = window_loss(network, samples, rows, windows)
+    slopes = torch.autograd.grad(value, parameters, materialize_grads=True)
+    return value.item(), torch.cat([slope.flatten() for slope in slopes])
+
+
+@pytest.mark.parametrize('method', [*METHODS])
 def test_derivatives_of_windows_are_those_of_their_loss(method):
     network = random_network(STRUCTURES['arm'])
     samples, rows = samples_of([motion_of(2)], H), torch.arange(0, 40, 4)
@@ -135,31 +197,44 @@ class Steps(torch.nn.Module):
         self.network, self.solutions = network, solutions
 
     def forward(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        node = first_node(self.network, q, v)
-        for _ in range(3):
-            node = STEPS['implicit_midpoint'](self.solutions, self.network, node, tau, H)
-        return node.q + node.p
+        motion = simulated(self.network, 'implicit_midpoint', q, v, tau.expand(3, *tau.shape), H,
+                           solutions=self.solutions)
+        return motion.q[-1] + motion.p[-1]
 
 
-def block(force: torch.Tensor | float, slope: float = 1e3) -> SimpleNamespace:
-    """Return a block of 1 kg with friction that is nearly a jump, at about 1 m/s."""
+def machine_of(momenta, by_v) -> SimpleNamespace:
+    """Return a machine of one coordinate, which its momenta do not depend on."""
+    def linearised(q: torch.Tensor, v: torch.Tensor) -> Linearised:
+        p_v, rate_v = (slope[:, :, None] for slope in by_v(v))
+        zero = torch.zeros_like(p_v)
+        return Linearised(*momenta(q, v), p_v, zero, zero, rate_v)
     return SimpleNamespace(
-        scales=SimpleNamespace(v=np.ones(1), inertia=np.ones(1)),
-        momenta=lambda q, v: (v, -force * torch.tanh(slope * v)))
+        scales=SimpleNamespace(v=np.ones(1), inertia=np.ones(1)), momenta=momenta,
+        linearised=linearised, velocities=lambda q, p: p)
 
 
 def test_friction_that_jumps_is_solved_where_newton_would_go_around():
-    c = torch.linspace(-1.0, 1.0, 41, dtype=torch.float64)[:, None]
-    zero = torch.zeros_like(c)
-    w = Solutions().solve(block(0.5), (0.0, 1.0), zero, c, zero, c)
-    assert (w + 0.5 * torch.tanh(1e3 * w) - c).abs().max() < 1e-12
+    # A block of 1 kg, with friction of 0.5 N that is nearly a jump, in steps of 1 s.
+    machine = machine_of(
+        lambda q, v: (v, -0.5 * torch.tanh(1e3 * v)),
+        lambda v: (torch.ones_like(v), -500.0 / torch.cosh(1e3 * v).square()))
+    v = torch.linspace(-1.0, 1.0, 41, dtype=torch.float64)[:, None]
+    zero, solutions = torch.zeros_like(v), Solutions()
+    (w,) = simulated(machine, 'variational_euler', zero, v, zero[None], 1.0,
+                     solutions=solutions).p
+    assert solutions.alone
+    assert (w + 0.5 * torch.tanh(1e3 * w) - v).abs().max() < 1e-12
 
 
 def test_equation_without_a_solution_is_no_number():
-    machine = block(0.0)
-    machine.momenta = lambda q, v: (v.square() + 1.0, torch.zeros_like(v))
-    one = torch.ones(3, 1, dtype=torch.float64)
-    c = torch.tensor([[0.0], [5.0], [0.5]], dtype=torch.float64)
-    w = Solutions().solve(machine, (0.0, 1.0), one, c, 0.0 * one, one)
-    assert w.isnan().flatten().tolist() == [True, False, True]
-    assert float(w[1, 0]) == pytest.approx(2.0, rel=1e-14)
+    # v^2 + 1 is a momentum that no force can lower below 1.
+    machine = machine_of(lambda q, v: (v.square() + 1.0, torch.zeros_like(v)),
+                         lambda v: (2.0 * v, torch.zeros_like(v)))
+    v = torch.tensor([[1.0], [2.0], [0.5]], dtype=torch.float64)
+    force = torch.tensor([[[-2.0], [-3.0], [-1.0]]], dtype=torch.float64)
+    solutions = Solutions()
+    (p,) = simulated(machine, 'variational_euler', torch.zeros_like(v), v, force, 1.0,
+                     solutions=solutions).p
+    assert p.isnan().flatten().tolist() == [True, False, True]
+    assert float(p[1, 0]) == pytest.approx(2.0, rel=1e-14)
+    assert solutions.alone == 2

@@ -7,6 +7,7 @@ import math
 
 from hnn_vi_ros.learning.families.exact_prior import ExactPrior
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
+from hnn_vi_ros.learning.families.linearised import Linearised, linearised
 from hnn_vi_ros.learning.families.planar_chain import PlanarChain
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.learning.families.seen import Seen
@@ -143,9 +144,9 @@ class MechanicalNetwork(torch.nn.Module):
         x, slope = self.mass_seen(q)
         y, tangents = _with_tangents(self.mass, x, slope[:, None, :] * self.mass_seen.of_feature)
         rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
-        return self._positive(y), rises[:, None, :] * tangents
+        return self.positive(y), rises[:, None, :] * tangents
 
-    def _positive(self, y: torch.Tensor) -> torch.Tensor:
+    def positive(self, y: torch.Tensor) -> torch.Tensor:
         """Return the entries of L, of outputs of the network: log(1 + exp(y)) on the diagonal."""
         return torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
 
@@ -161,9 +162,10 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _factor(self, q: torch.Tensor) -> torch.Tensor:
         """Return L, shape (N, d, d)."""
-        return self._matrix(self._positive(self.mass(self.mass_seen(q)[0])))
+        return self.matrix(self.positive(self.mass(self.mass_seen(q)[0])))
 
-    def _matrix(self, entries: torch.Tensor) -> torch.Tensor:
+    def matrix(self, entries: torch.Tensor) -> torch.Tensor:
+        """Return lower triangular matrices, shape (N, d, d), of entries (N, k)."""
         return (entries @ self.place).reshape(-1, self.d, self.d)
 
     def input_map(self) -> torch.Tensor | None:
@@ -223,6 +225,11 @@ class MechanicalNetwork(torch.nn.Module):
             rest = rest + self.prior.slopes(q, v, values)[1]
         return p, rest
 
+    def linearised(self, q: torch.Tensor, v: torch.Tensor) -> Linearised:
+        """Return what momenta does, with its derivatives, not recorded."""
+        with torch.no_grad():
+            return linearised(self, q, v)
+
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
         if self.prior is not None and not self.structure.residual:
@@ -234,7 +241,7 @@ class MechanicalNetwork(torch.nn.Module):
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
         L, slopes, u, w, rest = self._parts(q, v)
         by_time = ((v @ self.mass_seen.features.T)[:, :, None] * slopes).sum(dim=1)
-        L_dot = self._matrix(by_time)
+        L_dot = self.matrix(by_time)
         inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
         needed, values = inertial - rest / self.root_inertia, None
         if self.prior is not None:
@@ -254,7 +261,7 @@ class MechanicalNetwork(torch.nn.Module):
     def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
         entries, slopes = self._roots(q)
-        L, u = self._matrix(entries), (self.root_inertia * v)[:, :, None]
+        L, u = self.matrix(entries), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
         # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
