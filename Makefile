@@ -55,7 +55,7 @@ run:
 
 # Plugins by name: those of a sourced ROS 2 were written for an older pytest. Tests of one process
 # share the cores; those of processes that keep time come after: they mostly wait, so that a few
-# run at once, each worker in a ROS domain of its own.
+# run at once, each worker in a ROS domain of its own. test/conftest.py says which files come first.
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/pytest -p timeout
 test:
 	$(VENV) run train test
@@ -63,8 +63,8 @@ test:
 ifdef ARGS
 	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
 else
-	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --durations 15 --ignore test/ros
-	@$(ENVIRONMENT); $(PYTEST) -p xdist -n 4 --dist loadfile --durations 15 test/ros
+	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --no-loadscope-reorder --durations 15 --ignore test/ros
+	@$(ENVIRONMENT); $(PYTEST) -p xdist -n 4 --dist loadfile --no-loadscope-reorder --durations 15 test/ros
 endif
 
 # -P: the package that is measured is the one that was built.
