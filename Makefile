@@ -27,7 +27,7 @@ RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
 	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
-.PHONY: help build run test bench accuracy hard-cases docs clean distclean
+.PHONY: help build run test test-core test-nodes bench accuracy hard-cases docs clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
@@ -57,15 +57,26 @@ run:
 # share the cores; those of processes that keep time come after: they mostly wait, so that a few
 # run at once, each worker in a ROS domain of its own. test/conftest.py says which files come first.
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/pytest -p timeout
+IN_PARALLEL := $(PYTEST) -p xdist --dist loadfile --no-loadscope-reorder --durations 15
 test:
+ifdef ARGS
 	$(VENV) run train test
 	$(BUILD)
-ifdef ARGS
 	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
 else
-	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --no-loadscope-reorder --durations 15 --ignore test/ros
-	@$(ENVIRONMENT); $(PYTEST) -p xdist -n 4 --dist loadfile --no-loadscope-reorder --durations 15 test/ros
+	@$(MAKE) test-core
+	@$(MAKE) test-nodes
 endif
+
+test-core:
+	$(VENV) run train test
+	$(BUILD)
+	@$(ENVIRONMENT); $(IN_PARALLEL) -n auto --ignore test/ros
+
+test-nodes:
+	$(VENV) run train test
+	$(BUILD)
+	@$(ENVIRONMENT); $(IN_PARALLEL) -n 4 test/ros
 
 # -P: the package that is measured is the one that was built.
 bench:
