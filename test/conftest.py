@@ -77,6 +77,9 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
     os.environ.setdefault('MPLBACKEND', 'Agg')
+    # A Python that a test starts in this folder imports what was built, as this one does, and not
+    # the sources here, whose kernels would be compiled once more.
+    os.environ['PYTHONSAFEPATH'] = '1'
     if (Path(sys.prefix) / 'share' / 'ament_index').is_dir():  # the ROS 2 wheels' own venv
         os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     logs = tempfile.TemporaryDirectory(prefix='ros-test-log-', ignore_cleanup_errors=True)
