@@ -62,9 +62,10 @@ def linearised(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
         # p = T_v and F = T_q - V_q of the same energy.
         found.append(Linearised((M @ v[:, :, None])[:, :, 0], rate, M, rate_v.transpose(1, 2),
                                 rate_q, rate_v))
-    p, rate, p_v, p_q, rate_q, rate_v = (sum(parts) for parts in zip(*found, strict=True))
+    both = found[0] if len(found) == 1 else Linearised(*map(torch.add, *found))
     rubbing, by_q, by_v = _friction(network.friction, q, v)
-    return Linearised(p, rate - rubbing, p_v, p_q, rate_q - by_q, rate_v - by_v)
+    return both._replace(rate=both.rate - rubbing, rate_q=both.rate_q - by_q,
+                         rate_v=both.rate_v - by_v)
 
 
 def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor
@@ -88,9 +89,9 @@ def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: t
         at = q.detach().requires_grad_(), v.detach().requires_grad_()
         value = function(*at)
         units = torch.eye(q.shape[1], dtype=q.dtype)[:, None, :].expand(-1, len(q), -1)
-        rows = torch.autograd.grad(value, at, units, is_grads_batched=True,
-                                   materialize_grads=True)
-    by_q, by_v = (part.transpose(0, 1) for part in rows)
+        rows = torch.autograd.grad(value, at, units, is_grads_batched=True, allow_unused=True)
+    none = torch.zeros_like(units)
+    by_q, by_v = ((none if part is None else part).transpose(0, 1) for part in rows)
     return value.detach(), by_q, by_v
 
 
