@@ -175,7 +175,8 @@ def test_energy_that_no_work_accounts_for_is_told_by_simulate_and_simulate_many(
 def test_steps_that_were_rescued_are_told_at_the_time_by_which_they_are_counted():
     """A step of 0.5 s is too long for the pericentre, 3 s after the apocentre."""
     start = ([1.9, 0.0], [0.0, (0.1 / 1.9) ** 0.5])
-    with pytest.warns(AlarmWarning, match='^rescued steps: t = 10 s: .* steps so far were taken otherwise'):
+    with pytest.warns(AlarmWarning, match=(
+            '^rescued steps: t = 10 s: .* steps so far were taken otherwise')):
         run = simulate('kepler', 10.0, initial_state=start, integrator='gauss8', step_size=0.5)
     assert [alarm.step for alarm in run.alarms if alarm.kind == 'rescued steps'] == [20]
 
