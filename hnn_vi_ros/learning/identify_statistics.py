@@ -248,14 +248,15 @@ def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Est
 
     On its ends the cost is higher by as much as chance gives it in one case of twenty, with all
     other numbers and the initial states at their best (D. Bates, D. Watts, Nonlinear Regression
-    Analysis and Its Applications, 1988, section 6.1). An end is None where there is none within
-    the bounds, or within twenty standard errors.
+    Analysis and Its Applications, 1988, section 6.1). Chance gives more of it where residuals are
+    correlated in time, or their loss is robust. An end is None where there is none within the
+    bounds, or within twenty standard errors.
     """
     names = [number.name for number in free.numbers]
-    k, allowed = names.index(estimate.name), quantile(solution.freedom)
-    error = estimate.standard_error
+    k, error = names.index(estimate.name), estimate.standard_error
     if error is None:
         return estimate
+    allowed = quantile(solution.freedom) * error / _error_by_cost(solution, problem, k)
     least = float(problem.cost(solution.residuals).sum())
 
     def excess(value: float) -> float:
@@ -273,6 +274,16 @@ def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Est
     number = free.numbers[k]
     return replace(estimate, low=_end(excess, estimate.value, -error, number.low),
                    high=_end(excess, estimate.value, error, number.high))
+
+
+def _error_by_cost(solution: Solution, problem: Problem, k: int) -> float:
+    """Return how far a number moves until the cost, with all others at their best, is 1 more."""
+    slopes, _ = projected(solution, problem.weights(solution.residuals))
+    scale = units_of(solution)
+    sizes, rows, told = told_directions(slopes.reshape(-1, slopes.shape[3]) / scale)
+    # The cost of a residual bends as w^3, 1 for squares.
+    bend = (problem.weights(solution.residuals)[solution.windows.there]**3).mean()
+    return math.sqrt(float(_inverse(scale, sizes[told], rows[told])[k, k] / bend))
 
 
 def _end(excess: Callable[[float], float], value: float, error: float, bound: float

@@ -278,6 +278,24 @@ def test_profile_of_a_number_is_its_interval_where_all_is_nearly_linear(pendulum
     assert told.high == pytest.approx(one.high, abs=0.03 * one.standard_error)
 
 
+@pytest.mark.parametrize('robust', [False, True])
+def test_profile_is_as_wide_as_the_interval_where_noise_is_correlated(
+        robust, pendulum, tmp_path):
+    log, random = swing(pendulum, 4.0, 2, None), np.random.default_rng(3)
+    noise = np.zeros_like(log.q)
+    for k, white in enumerate(random.normal(size=len(noise))):
+        noise[k] = 0.9 * noise[k - 1] + 4e-3 * white
+    free = freed(pendulum, tmp_path, length=1.0)
+    solution, problem, _ = fit(
+        free, [replace(log, q=log.q + noise)], False, None, robust)
+    found = estimates_of(solution, problem, free, (), False)
+    one, = found.estimates
+    assert found.coloured[0] > 4.0
+    told = profile(solution, problem, free, one)
+    # Without it the profile is half as wide, or less. Of the robust loss the shape counts too.
+    assert told.high - told.low == pytest.approx(one.high - one.low, rel=0.1 if robust else 0.02)
+
+
 def test_correlated_noise_is_noticed_and_white_noise_is_not():
     random, n, share = np.random.default_rng(4), 20000, 0.8
     white = random.normal(size=n)
