@@ -22,6 +22,7 @@ from hnn_vi_ros.models.learned import warn_of_scheme
 from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.dependences import Dependence, on_number
 from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
+from hnn_vi_ros.run.recorders import check_memory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import with_numbers
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
@@ -109,6 +110,9 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         An argument that is not usable.
 
     """
+    if not isinstance(parameters, Mapping | None):
+        raise TypeError(f'parameters is a {type(parameters).__name__}: give a mapping of names '
+                        "to tensors, such as {'hamiltonian.mass': mass}")
     given = {} if commands is None else {'commands': commands}
     _check_tensors({'q0': q0, 'p0': p0, **given, **(parameters or {})})
     check_count('every', every)
@@ -121,6 +125,7 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
     if q0.shape != p0.shape or q0.ndim not in (1, 2) or q0.shape[-1] != d or not len(q0):
         raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
                          f'expected ({d},) or (m, {d}) twice')
+    check_memory(duration, every * scene.known_step_size, q0.numel())
     z0 = torch.cat([q0, p0], dim=-1)
     trajectories = 1 if q0.ndim == 1 else len(q0)
     if commands is not None and (commands.ndim not in (2, 3) or len(commands) != samples or (

@@ -231,8 +231,40 @@ def test_number_at_the_end_of_its_range_has_a_derivative(pendulum, name, build):
         (-1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2]) / 1e-4, rel=1e-6)
 
 
+@pytest.mark.parametrize('duration', [1.0, 100.0, 1000.0])
+def test_frequency_is_followed_however_many_turns_there_were(duration):
+    h, frequency = 0.05, torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
+    scene = Scene.build(hamiltonian={'kind': 'free_particle', 'mass': 2.0}, step_size=h,
+                        integrator='implicit_midpoint', initial_state=([0.0], [0.0]), effects=[
+                            {'kind': 'periodic_drive', 'coordinate': 'x', 'amplitude': 2.0,
+                             'frequency': 0.7, 'phase': 0.2}])
+    zero, steps = torch.zeros(1, dtype=torch.float64), round(duration / h)
+    motion = simulate(scene, zero, zero, duration=duration, every=steps,
+                      parameters={'effects.0.frequency': frequency})
+    motion.p[-1, 0].backward()
+    # The impulse is the sum of forces at the middles of steps.
+    t = h * (np.arange(steps) + 0.5)
+    parts = -2.0 * h * 2.0 * np.pi * t * np.sin(2.0 * np.pi * 0.7 * t + 0.2)
+    # Differences are good to 1e-12 of the largest of a piece; of the sum most cancels.
+    assert abs(float(frequency.grad) - parts.sum()) <= 1e-11 * abs(parts).sum()
+
+
+def test_gradient_is_that_of_the_commands_at_the_time_of_the_run(pendulum):
+    scene = pendulum.changed({'effects': [
+        {'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}]})
+    q0, one = torch.ones(1, dtype=torch.float64, requires_grad=True), torch.ones(1).double()
+    commands = torch.linspace(0.0, 3.0, 10, dtype=torch.float64)[:, None]
+    motion = simulate(scene, q0, one, duration=1.0, every=10, commands=commands)
+    (expected,) = torch.autograd.grad(motion.q[-1, 0], q0, retain_graph=True)
+    commands *= -1.0
+    (found,) = torch.autograd.grad(motion.q[-1, 0], q0)
+    assert torch.equal(found, expected)
+
+
 @pytest.mark.parametrize('changes, error, message', [
     ({'duration': 1.003}, ValueError, 'duration = 1.003 s is 100.3 samples, one every 0.01 s: '),
+    ({'duration': 1e30}, ValueError, 'duration = 1e\\+30 s would make 1e\\+32 samples, '),
+    ({'parameters': ['hamiltonian.mass']}, TypeError, 'parameters is a list: give a mapping of '),
     ({'every': 3}, ValueError, 'duration = 1 s is 33.3333 samples, one every 0.03 s: '),
     ({'q0': torch.zeros(1)}, TypeError, 'q0 is of torch.float32 on cpu: give one of float64'),
     ({'q0': [0.0]}, TypeError, 'q0 is a list: give a tensor of float64'),

@@ -70,7 +70,8 @@ class ActingEffects:
             How many steps.
 
         """
-        self.commands = commands
+        # A copy, of which the way back takes the steps again whatever becomes of the caller's.
+        self.commands = None if commands is None else commands.copy()
         if commands is None:
             return
         if NUMBERS not in self._system.motors.takes:

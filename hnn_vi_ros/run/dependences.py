@@ -3,22 +3,28 @@
 """Dependences of runs on more than their states: how H' changes, by differences of H'."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Protocol
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
-# Differences of order 6, in the middle of a range and at its ends, by offsets in spacings. With
-# this share of a number as the spacing what is cut off is some 1e-15 for powers of the number,
-# and rounding 1e-13, at the ends ten times that.
+# Differences of order 6, in the middle of a range and at its ends, by offsets in spacings, and of
+# order 4 at some of the same places. With this share of a number as the spacing what is cut off
+# is some 1e-15 for powers of the number, and rounding 1e-13, at the ends ten times that.
 _SPACING = 2e-3
-_MIDDLE = {sign * (k + 1): sign * weight for k, weight in enumerate(
-    (3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0)) for sign in (1, -1)}
-_ABOVE = dict(enumerate((-49.0 / 20.0, 6.0, -15.0 / 2.0, 20.0 / 3.0, -15.0 / 4.0, 6.0 / 5.0,
-                         -1.0 / 6.0)))
-_BELOW = {-offset: -weight for offset, weight in _ABOVE.items()}
+_MIDDLE = {sign * (k + 1): (sign * weight, sign * lower) for k, (weight, lower) in enumerate((
+    (3.0 / 4.0, 2.0 / 3.0), (-3.0 / 20.0, -1.0 / 12.0), (1.0 / 60.0, 0.0))) for sign in (1, -1)}
+_ABOVE = dict(enumerate((
+    (-49.0 / 20.0, -25.0 / 12.0), (6.0, 4.0), (-15.0 / 2.0, -3.0), (20.0 / 3.0, 4.0 / 3.0),
+    (-15.0 / 4.0, -1.0 / 4.0), (6.0 / 5.0, 0.0), (-1.0 / 6.0, 0.0))))
+_BELOW = {-offset: (-weight, -lower) for offset, (weight, lower) in _ABOVE.items()}
+# Where both agree to this share, what order 6 cuts off is 1e-13 or less of a sine: by a
+# frequency after many turns they do not.
+_AGREEMENT = 1e-9
+_NARROWER, _TRIALS = 1.0 / 8.0, 7
+# Their difference by rounding, as a share of H' over the spacing.
+_ROUNDING = 1e-14
 
 
 class Dependence(Protocol):
@@ -62,7 +68,8 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float,
     """
     Return the dependence on a number of H, by differences of H' of order 6.
 
-    They are one-sided where the number is at an end of its range, such as a rate of zero.
+    They are one-sided where the number is at an end of its range, such as a rate of zero, and
+    narrower where those of order 4 differ: a frequency turns forces the faster the later it is.
 
     Parameters
     ----------
@@ -79,21 +86,73 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float,
         There is no room for differences on either side.
 
     """
-    spacing = _SPACING * (abs(value) or 1.0)
-    problem: SceneError | None = None
-    for stencil in (_MIDDLE, _ABOVE, _BELOW):
-        try:
-            values = [(value + offset * spacing, weight / spacing)
-                      for offset, weight in stencil.items()]
-            kernels = [(weight, kernel_of(other)) for other, weight in values]
-            rates = None if rates_of is None else sum(
-                (weight * rates_of(other) for other, weight in values), np.zeros(()))
-        except SceneError as found:
-            problem = problem or found
-            continue
-        return OnNumber(partial(sum_of, kernels), rates)
-    assert problem is not None
-    raise problem
+    slope = _Slope(kernel_of, value)
+    rates = None if rates_of is None else sum(
+        (weight * rates_of(other) for other, (weight, _) in slope.values), np.zeros(()))
+    return OnNumber(slope, rates)
+
+
+class _Slope:
+    """
+    The derivative of (H_q, H_p) by a number, by differences as narrow as it takes.
+
+    Parameters
+    ----------
+    kernel_of : callable
+        See on_number.
+    value : float
+        The number.
+
+    """
+
+    def __init__(self, kernel_of: Callable[[float], Kernel], value: float):
+        self._kernel_of, self._value, self._rounding = kernel_of, value, _ROUNDING
+        self._take(_SPACING * (abs(value) or 1.0))
+
+    def _take(self, spacing: float) -> None:
+        problem: SceneError | None = None
+        for stencil in (_MIDDLE, _ABOVE, _BELOW):
+            values = [(self._value + offset * spacing, (weight / spacing, lower / spacing))
+                      for offset, (weight, lower) in stencil.items()]
+            try:
+                kernels = [(weights, self._kernel_of(other)) for other, weights in values]
+            except SceneError as found:
+                problem = problem or found
+                continue
+            self._spacing, self.values, self._kernels = spacing, values, kernels
+            return
+        assert problem is not None
+        raise problem
+
+    def __call__(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return the derivative at states one after another, shape (2, N)."""
+        slope, apart, rounding = self._differences(q, p)
+        if apart <= max(_AGREEMENT, rounding):
+            return slope
+        tried, first = [(apart, self._spacing)], self._spacing
+        for k in range(1, _TRIALS):
+            self._take(first * _NARROWER**k)
+            slope, apart, rounding = self._differences(q, p)
+            if apart <= max(_AGREEMENT, rounding):
+                return slope
+            tried.append((apart, self._spacing))
+        # They differ by rounding, which is more than was thought.
+        apart, spacing = min(tried)
+        self._take(spacing)
+        self._rounding *= 10.0 * apart / self._differences(q, p)[2]
+        return self._differences(q, p)[0]
+
+    def _differences(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, float, float]:
+        """Return that of order 6, by which share that of order 4 differs, and by rounding."""
+        slope, other, size = np.zeros((2, q.size)), np.zeros((2, q.size)), 0.0
+        for (weight, lower), kernel in self._kernels:
+            both = gradient_of(kernel, q, p)
+            slope += weight * both
+            other += lower * both
+            size = max(size, float(np.abs(both).max(initial=0.0)))
+        largest = float(np.abs(slope).max(initial=0.0)) or 1e-300
+        return (slope, float(np.abs(slope - other).max(initial=0.0)) / largest,
+                self._rounding * size / self._spacing / largest)
 
 
 def sum_of(kernels: Sequence[tuple[float, Kernel]], q: np.ndarray, p: np.ndarray) -> np.ndarray:

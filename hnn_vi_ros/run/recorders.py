@@ -55,7 +55,7 @@ def recorders(simulation: Simulation, duration: float, every: int,
         t = _check_times(times, duration)
         return np.append(0.0, t), [lambda: record_samples(simulation, t.size, t, watch)]
     every = min(every, _MOST_STEPS)
-    _check_memory(duration, simulation.step_size * every, simulation.q.size)
+    check_memory(duration, simulation.step_size * every, simulation.q.size)
     steps, part = whole_steps(duration, simulation.step_size)
     every = min(every, steps + 1)
     samples, rest = divmod(steps, every)
@@ -96,8 +96,18 @@ def _check_times(times: Sequence[float] | np.ndarray, duration: float) -> np.nda
     return t
 
 
-def _check_memory(duration: float, interval: float, dimension: int) -> None:
-    """Raise ValueError if the samples of a run do not fit into memory."""
+def check_memory(duration: float, interval: float, dimension: int) -> None:
+    """
+    Raise ValueError if the samples of a run do not fit into memory.
+
+    Parameters
+    ----------
+    duration, interval : float
+        Of the run, and from one sample to the next [s].
+    dimension : int
+        Coordinates of each, of all trajectories.
+
+    """
     samples = duration / interval
     if samples * dimension > MOST_NUMBERS:
         raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
