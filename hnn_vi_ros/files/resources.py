@@ -79,7 +79,10 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
                     f'{", ".join(names)}; or give the path of a .yaml file')
     # By what stands before the suffix: all files share that.
     files = path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ()
-    hint = did_you_mean(path.stem, [file.stem for file in files])
-    hint = hint.replace('?', f'{path.suffix}?') or did_you_mean(path.stem, names)
+    beside_it = {file.stem: file.name for file in files}
+    hint = did_you_mean(path.stem, beside_it)
+    for stem, name in beside_it.items():
+        hint = hint.replace(f' {stem}?', f' {name}?')
+    hint = hint or did_you_mean(path.stem, names)
     raise error(f'{text}: no such file{hint}; give the path of a {what}, or the name of a shipped '
                 f'one: {", ".join(names)}')

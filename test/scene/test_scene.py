@@ -201,6 +201,7 @@ def test_scene_file_that_is_no_mapping_is_refused(write, content):
 @pytest.mark.parametrize('given, says', [
     ('nothing.yaml', 'nothing.yaml: no such file; give the path of a scene, or the name of a '
      'shipped one: air_track, '),
+    ('mine.yml', 'mine.yml: no such file; did you mean mine.yaml?; give the path'),
     ('mime.yaml', 'mime.yaml: no such file; did you mean mine.yaml?; give the path'),
     ('doube_pendulum.yaml', 'no such file; did you mean double_pendulum?; give the path'),
     # A suffix that all have is no likeness.
