@@ -139,7 +139,7 @@ def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
 def test_parts_in_place_of_those_of_the_scene_are_the_members_as_well(tmp_path: Path):
     scene = scene_of(tmp_path, mechanisms('arm', 3))
     parts = {'initial_state': ([0.2, 0.1], [0.4, -0.3]), 'step_size': 0.01,
-             'effects': [scene.effects[0].model_dump(), {'kind': 'damping', 'rate': 0.1}]}
+             'effects': [scene.effects[0].model_dump()]}
     found = simulate_spread(scene, 0.1, every=10, **parts)
     (q, p) = parts['initial_state']
     changed = scene.changed({**parts, 'initial_state': {'q': q, 'p': p}})
