@@ -12,6 +12,16 @@ from hnn_vi_ros.models.model_card import EnsembleCard
 from mechanical_models import random_mechanical
 import numpy as np
 
+# How to train on a few states of it, to which the size of a network is added.
+OSCILLATOR = """\
+coordinates: [{name: x}]
+data:
+  kind: exact
+  hamiltonian: {kind: harmonic_oscillator}
+  box: {q: [[-1.0, 1.0]], p: [[-1.0, 1.0]]}
+  samples: 60
+"""
+
 
 def ensemble(count: int, factor: float | None = 2.0, change: float = 0.05) -> Checkpoint:
     """Return members that are changes of one random network of one coordinate."""

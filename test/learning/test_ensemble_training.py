@@ -4,6 +4,7 @@
 
 from pathlib import Path
 
+from ensembles import OSCILLATOR
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.learning import ensemble as module
 from hnn_vi_ros.learning.dataset import Dataset
@@ -15,13 +16,7 @@ from hnn_vi_ros.studies.uncertainty import auroc, detection, gradient_spread
 import numpy as np
 import pytest
 
-TINY = """\
-coordinates: [{name: x}]
-data:
-  kind: exact
-  hamiltonian: {kind: harmonic_oscillator}
-  box: {q: [[-1.0, 1.0]], p: [[-1.0, 1.0]]}
-  samples: 60
+TINY = OSCILLATOR + """\
 hidden: [8]
 adam_steps: 60
 lbfgs_steps: 40

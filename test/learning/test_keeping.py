@@ -8,6 +8,7 @@ from pathlib import Path
 import re
 
 from belt import BELT, motion_by_a_belt
+from ensembles import OSCILLATOR
 from helpers import random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingError, StepFailure
 from hnn_vi_ros.files.yaml_text import dump_yaml
@@ -21,13 +22,7 @@ from hnn_vi_ros.models.model_card import Box, PredictionError
 import numpy as np
 import pytest
 
-TINY = """\
-coordinates: [{name: x}]
-data:
-  kind: exact
-  hamiltonian: {kind: harmonic_oscillator}
-  box: {q: [[-1.0, 1.0]], p: [[-1.0, 1.0]]}
-  samples: 60
+TINY = OSCILLATOR + """\
 hidden: [4]
 adam_steps: 2
 lbfgs_steps: 0
