@@ -35,7 +35,7 @@ def write_screenshot(name: str, duration: float, path: Path) -> None:
             probe.bind(('', 0))
             port = str(probe.getsockname()[1])
         subprocess.run([sys.executable, '-m', 'rerun_cli', recording, '--window-size', _WINDOW,
-                        '--screenshot-to', shot, '--port', port], check=True, timeout=120.0)
+                        '--screenshot-to', shot, '--port', port], check=True, timeout=600.0)
         picture = Image.open(shot).convert('RGB')
         picture.thumbnail((_WIDTH, _WIDTH), Image.Resampling.LANCZOS)
         # Every colour has its share, however few points it has: that of an arrow, or of a curve.
