@@ -326,32 +326,28 @@ def _drifting(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:
 
 
 def _peers(results: Mapping[str, Results]) -> Iterator[str]:
-    silent = True
+    lines = []
     for name, horizon, rows in _cases(results):
         if not peers(rows):
             continue
-        silent, ratios = False, {}
+        ratios = {}
         # Where no path can be followed, energies are compared.
-        column, what = ('path_error', 'path errors') if _has_paths(rows) else (
-            'energy_band', 'energy bands')
+        column, what = ('path_error', 'path error') if _has_paths(rows) else (
+            'energy_band', 'energy band [J]')
         for error in _PEER_ERRORS:
             best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
             if best and other:
                 ratios[error] = ratio(best, other)
-        if not ratios:
-            yield (f'- {name}, T = {horizon:g} s: of the {what} from 1e-3 to 1e-10, there is none '
-                   'that both reach.')
-            continue
-        slower = {error: value for error, value in ratios.items() if value > 1.0}
-        yield (f'- {name}, T = {horizon:g} s: of {len(ratios)} {what} from 1e-3 to 1e-10 '
-               'that both reach, our best method is faster than every peer at '
-               f'{len(ratios) - len(slower)}, in {min(ratios.values()):.2g} to '
-               f"{max(ratios.values()):.2g} of the best peer's time" + (
-                   '; slower at ' + ', '.join(f'{error:g} ({value:.2g} times)'
-                                              for error, value in slower.items())
-                   if slower else '') + '.')
-    if silent:
+        cells = [f'{ratios[error]:.2g}' if error in ratios else '-' for error in _PEER_ERRORS]
+        lines.append(f'| {name} | {horizon:g} | {what} | {" | ".join(cells)} |')
+    if not lines:
         yield 'No peer was measured; `--peers` does that.'
+        return
+    yield ('The time of our cheapest method over that of the cheapest peer, by the error that is '
+           'asked for; below 1, ours is faster; a dash: not reached by both.\n')
+    yield '| scene | T [s] | error | ' + ' | '.join(f'{e:g}' for e in _PEER_ERRORS) + ' |'
+    yield '|---' * (3 + len(_PEER_ERRORS)) + '|'
+    yield from lines
 
 
 def _learned(results: Mapping[str, Results]) -> Iterator[str]:
