@@ -6,36 +6,33 @@ Simulations that torch can differentiate: exact derivatives of the compiled step
 Takes the extra ``train``. See docs/gradients.md.
 """
 
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.addresses import by_address
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.learning.weights import OnWeights, with_weights
-from hnn_vi_ros.models.learned import warn_of_scheme
-from hnn_vi_ros.run.acting_effects import flow_rates
-from hnn_vi_ros.run.dependences import Dependence, on_number
-from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
+from hnn_vi_ros.learning.weights import check_weights, OnWeights, with_weights
+from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
+from hnn_vi_ros.run.dependences import Dependence
+from hnn_vi_ros.run.derivatives import Change
 from hnn_vi_ros.run.recorders import check_memory
+from hnn_vi_ros.run.scene_run import Numbers, SceneRun
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.named_numbers import with_numbers
+from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.system import System
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-__all__ = ['Motion', 'simulate']
+__all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
 
 # Names of tensors of a model, among those of numbers of a scene.
 _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
+# What else a run depends on, by the names that these tensors have in it.
+_STEP, _WEIGHTS = 'step_size', 'weights'
 
 
 class Motion(NamedTuple):
@@ -110,75 +107,182 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         An argument that is not usable.
 
     """
-    if not isinstance(parameters, Mapping | None):
-        raise TypeError(f'parameters is a {type(parameters).__name__}: give a mapping of names '
-                        "to tensors, such as {'hamiltonian.mass': mass}")
-    given = {} if commands is None else {'commands': commands}
-    _check_tensors({'q0': q0, 'p0': p0, **given, **(parameters or {})})
-    check_count('every', every)
-    if checkpoints is not None:
-        check_count('checkpoints', checkpoints)
-    check_seconds('duration', duration)
-    scene, run, others = _prepared(
-        scene if isinstance(scene, Scene) else load_scene(scene), parameters or {}, step_size)
-    samples, d = _samples(duration, scene.known_step_size, every), len(scene.initial_state.q)
-    if q0.shape != p0.shape or q0.ndim not in (1, 2) or q0.shape[-1] != d or not len(q0):
-        raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
-                         f'expected ({d},) or (m, {d}) twice')
-    check_memory(duration, every * scene.known_step_size, q0.numel())
-    z0 = torch.cat([q0, p0], dim=-1)
-    trajectories = 1 if q0.ndim == 1 else len(q0)
-    if commands is not None and (commands.ndim not in (2, 3) or len(commands) != samples or (
-            commands.ndim == 3 and commands.shape[1] != trajectories)):
-        raise ValueError(f'commands have shape {tuple(commands.shape)}, expected ({samples}, c) '
-                         f'or ({samples}, {trajectories}, c)')
-    how = _How(samples, every, checkpoints)
-    z = _Run.apply(run, [dependence for dependence, _ in others], how,
-                   z0.reshape(-1, z0.shape[-1]), commands, *(tensor for _, tensor in others))
-    q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
-    h = step_size if isinstance(step_size, torch.Tensor) else scene.known_step_size
-    return Motion(torch.arange(samples + 1, dtype=torch.float64) * every * h, q, p)
+    _check_mapping(parameters)
+    if step_size is not None and not isinstance(step_size, torch.Tensor):
+        scene = scene if isinstance(scene, Scene) else load_scene(scene)
+        scene, step_size = scene.with_overrides(step_size), None
+    return DifferentiableSimulation(scene, tuple(parameters or ()))(
+        q0, p0, duration=duration, parameters=parameters, commands=commands, step_size=step_size,
+        every=every, checkpoints=checkpoints)
 
 
-def _prepared(scene: Scene, parameters: Mapping[str, torch.Tensor],
-              step_size: float | torch.Tensor | None
-              ) -> tuple[Scene, DifferentiableRun, list[tuple[Dependence, torch.Tensor]]]:
-    """Return the scene with its method and numbers, its run, and all that this depends on."""
-    weights = {name.removeprefix('hamiltonian.'): tensor for name, tensor in parameters.items()
-               if _WEIGHT.fullmatch(name)}
-    numbers = {name: tensor for name, tensor in parameters.items()
-               if not _WEIGHT.fullmatch(name)}
-    single = numbers | ({'step_size': step_size} if isinstance(step_size, torch.Tensor) else {})
-    _check_tensors(single)
-    for name, tensor in single.items():
-        if tensor.ndim:
-            raise ValueError(f'{name} has shape {tuple(tensor.shape)}, expected (): one number')
-    scene = with_numbers(scene, {name: float(number.detach()) for name, number in numbers.items()})
-    if isinstance(step_size, torch.Tensor):
-        step_size = float(step_size.detach())
-    scene, _ = resolve(scene.with_overrides(step_size))
-    if scene.events:
-        raise ValueError(f'events are not differentiable yet: leave those of {scene.name} out')
-    hamiltonian, h = scene.create_hamiltonian(), scene.known_step_size
-    warn_of_scheme(hamiltonian, scene.integrator.kind, h)
-    if weights:
-        hamiltonian = with_weights(hamiltonian, {
-            name: tensor.detach().numpy().copy() for name, tensor in weights.items()})
-    run = DifferentiableRun(hamiltonian, scene.create_integrator(), h, scene.create_effects())
-    others: list[tuple[Dependence, torch.Tensor]] = [
-        (_OnNumberOfScene(scene, hamiltonian, name, float(number.detach())), number)
-        for name, number in numbers.items()]
-    if 'step_size' in single:
-        others.append((run.on_step_size, single['step_size']))
-    if weights:
-        others.append((OnWeights(hamiltonian, list(weights)),
-                       torch.cat([tensor.reshape(-1) for tensor in weights.values()])))
-    return scene, run, others
+class DifferentiableSimulation:
+    """
+    A scene made ready to be simulated often, as a function that torch differentiates.
+
+    It is read, checked and compiled once. A call writes the numbers that it is given into the
+    memory of the compiled loops, and runs them; its states and derivatives are those of
+    ``simulate``, bit by bit. What one call is given has no influence on others, also where they
+    are differentiated later, and calls of several threads do not wait for each other.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        See ``simulate``.
+    parameters : sequence of str, optional
+        Names of what each call gives in place of the scene's; see ``simulate``.
+
+    Raises
+    ------
+    UnsupportedSystem, HnnViRosError, ValueError
+        See ``simulate``.
+
+    """
+
+    def __init__(self, scene: Scene | str | Path, parameters: Sequence[str] = ()):
+        self._scene, _ = resolve(scene if isinstance(scene, Scene) else load_scene(scene))
+        if self._scene.events:
+            raise ValueError('events are not differentiable yet: leave those of '
+                             f'{self._scene.name} out')
+        self._weights = [name for name in parameters if _WEIGHT.fullmatch(name)]
+        self._names = [name for name in parameters if not _WEIGHT.fullmatch(name)]
+        check_names(self._scene, self._names)
+        self._hamiltonian = self._scene.create_hamiltonian()
+        if self._weights:
+            check_weights(self._hamiltonian, map(_in_file, self._weights))
+        # What no thread is using at the moment.
+        self._idle = [SceneRun(self._scene, self._hamiltonian)]
+
+    def __call__(self, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
+                 parameters: Mapping[str, torch.Tensor] | None = None,
+                 commands: torch.Tensor | None = None,
+                 step_size: float | torch.Tensor | None = None, every: int = 1,
+                 checkpoints: int | None = None) -> Motion:
+        """
+        Simulate, with tensors for all the names that the simulation was made for.
+
+        Parameters
+        ----------
+        q0, p0, duration, parameters, commands, step_size, every, checkpoints
+            See ``simulate``.
+
+        Returns
+        -------
+        Motion
+            Times and states.
+
+        Raises
+        ------
+        HnnViRosError, ValueError, TypeError
+            See ``simulate``.
+
+        """
+        _check_mapping(parameters)
+        given, parameters = {'q0': q0, 'p0': p0}, parameters or {}
+        if commands is not None:
+            given['commands'] = commands
+        _check_tensors(given)
+        _check_tensors(parameters)
+        check_count('every', every)
+        if checkpoints is not None:
+            check_count('checkpoints', checkpoints)
+        check_seconds('duration', duration)
+        names, tensors = self._arranged(parameters, step_size)
+        h = self._scene.known_step_size if step_size is None else self._step(step_size)
+        warn_of_scheme(self._hamiltonian, self._scene.integrator.kind, h)
+        samples, d = _samples(duration, h, every), len(self._scene.initial_state.q)
+        if q0.shape != p0.shape or q0.ndim not in (1, 2) or q0.shape[-1] != d or not len(q0):
+            raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
+                             f'expected ({d},) or (m, {d}) twice')
+        check_memory(duration, every * h, q0.numel())
+        z0 = torch.cat([q0, p0], dim=-1)
+        trajectories = 1 if q0.ndim == 1 else len(q0)
+        if commands is not None and (commands.ndim not in (2, 3) or len(commands) != samples or (
+                commands.ndim == 3 and commands.shape[1] != trajectories)):
+            raise ValueError(f'commands have shape {tuple(commands.shape)}, expected ({samples}, '
+                             f'c) or ({samples}, {trajectories}, c)')
+        learned = None
+        if self._weights:
+            learned = with_weights(self._hamiltonian, {
+                _in_file(name): parameters[name].detach().numpy().copy()
+                for name in self._weights})
+        values = {name: float(parameters[name].detach()) for name in self._names}
+        how = _How(self, Numbers(values, h, learned), names, samples, every, checkpoints)
+        z = _Run.apply(how, z0.reshape(-1, 2 * d), commands, *tensors)
+        q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
+        return Motion(torch.arange(samples + 1, dtype=torch.float64) * every * (
+            step_size if isinstance(step_size, torch.Tensor) else h), q, p)
+
+    def _arranged(self, parameters: Mapping[str, torch.Tensor],
+                  step_size: float | torch.Tensor | None
+                  ) -> tuple[list[str], list[torch.Tensor]]:
+        """Return the names of what a run depends on, and tensors; all weights are one of them."""
+        expected = [*self._names, *self._weights]
+        if parameters.keys() != set(expected):
+            raise ValueError(f'parameters are {", ".join(parameters) or "none"}; expected those '
+                             f'that the simulation was made for: {", ".join(expected) or "none"}')
+        single = {name: parameters[name] for name in self._names}
+        if isinstance(step_size, torch.Tensor):
+            _check_tensors({_STEP: step_size})
+            single[_STEP] = step_size
+        for name, tensor in single.items():
+            if tensor.ndim:
+                raise ValueError(f'{name} has shape {tuple(tensor.shape)}, expected (): one '
+                                 'number')
+        names, tensors = [*single], [*single.values()]
+        if self._weights:
+            names.append(_WEIGHTS)
+            tensors.append(torch.cat([parameters[name].reshape(-1) for name in self._weights]))
+        return names, tensors
+
+    def _step(self, step_size: float | torch.Tensor) -> float:
+        """Return a step size in place of the scene's [s]; SceneError if it is none."""
+        h = float(step_size.detach() if isinstance(step_size, torch.Tensor) else step_size)
+        return self._scene.with_overrides(h).known_step_size
+
+    @contextmanager
+    def holding(self, numbers: Numbers) -> Iterator[SceneRun]:
+        """Lend a run with these values, which nothing else uses meanwhile."""
+        try:
+            held = self._idle.pop()
+        except IndexError:
+            held = SceneRun(self._scene, self._hamiltonian)
+        try:
+            held.hold(numbers)
+            yield held
+        finally:
+            self._idle.append(held)
+
+    def dependence(self, held: SceneRun, numbers: Numbers, name: str) -> Dependence:
+        """Return the dependence of a run on what has a name in ``_How``."""
+        if name == _STEP:
+            return held.run.on_step_size
+        if name == _WEIGHTS:
+            assert isinstance(numbers.hamiltonian, LearnedHamiltonian)
+            return OnWeights(numbers.hamiltonian, list(map(_in_file, self._weights)))
+        return held.on_number(name)
 
 
 class _How(NamedTuple):
-    """Number of samples, steps from one to the next, and most snapshots."""
+    """
+    All that a run is told beside the tensors by which it is differentiated.
 
+    Parameters
+    ----------
+    simulation : DifferentiableSimulation
+        What runs.
+    numbers : Numbers
+        The values of tensors that are numbers.
+    names : list of str
+        What each further tensor stands for.
+    samples, every, checkpoints : int
+        Number of samples, steps from one to the next, and most snapshots.
+
+    """
+
+    simulation: DifferentiableSimulation
+    numbers: Numbers
+    names: list[str]
     samples: int
     every: int
     checkpoints: int | None
@@ -188,89 +292,60 @@ class _Run(torch.autograd.Function):
     """A run, by its initial states (m, 2 d) and by what else it depends on."""
 
     @staticmethod
-    def forward(run: DifferentiableRun, dependences: list[Dependence], how: _How,
-                z0: torch.Tensor, commands: torch.Tensor | None, *others: torch.Tensor
-                ) -> torch.Tensor:
-        return torch.from_numpy(run.record(
-            z0.detach().numpy(), how.samples, how.every,
-            None if commands is None else commands.detach().numpy(),
-            checkpoints=how.checkpoints))
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: torch.Tensor) -> None:
-        ctx.run, ctx.dependences, _, z0, commands, *_ = inputs
-        ctx.shape = tuple(z0.shape)
-        ctx.commands = None if commands is None else tuple(commands.shape)
+    def forward(ctx: Any, how: _How, z0: torch.Tensor, commands: torch.Tensor | None,
+                *_: torch.Tensor) -> torch.Tensor:
+        rows = None if commands is None else commands.detach().numpy()
+        with how.simulation.holding(how.numbers) as held:
+            if _STEP in how.names:
+                held.run.on_step_size  # noqa: B018  refused before a step is taken
+            z = held.run.record(z0.detach().numpy(), how.samples, how.every, rows,
+                                checkpoints=how.checkpoints)
+            ctx.how, ctx.recorded = how, held.run.recorded
+        return torch.from_numpy(z)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangents: torch.Tensor) -> tuple:
-        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[5:]) if needed]
-        by_commands = np.empty(ctx.commands) if ctx.needs_input_grad[4] else None
-        gradient, found = ctx.run.pull_back(
-            cotangents.contiguous().numpy(), [ctx.dependences[k] for k in wanted], by_commands)
-        others: list[torch.Tensor | None] = [None] * len(ctx.dependences)
+        how, recorded = ctx.how, ctx.recorded
+        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[3:]) if needed]
+        by_commands = np.empty(recorded.commands.shape) if ctx.needs_input_grad[2] else None
+        with how.simulation.holding(how.numbers) as held:
+            held.run.go_back_to(recorded)
+            gradient, found = held.run.pull_back(cotangents.contiguous().numpy(), [
+                how.simulation.dependence(held, how.numbers, how.names[k]) for k in wanted],
+                by_commands)
+        others: list[torch.Tensor | None] = [None] * len(how.names)
         for k, part in zip(wanted, found, strict=True):
             others[k] = torch.from_numpy(part)
         pushed = None if by_commands is None else torch.from_numpy(by_commands)
-        return None, None, None, torch.from_numpy(gradient), pushed, *others
+        return None, torch.from_numpy(gradient), pushed, *others
 
     @staticmethod
     def jvp(ctx: Any, *tangents: torch.Tensor | None) -> torch.Tensor:
+        how, recorded = ctx.how, ctx.recorded
         z0, commands, *others = (
             None if change is None else change.detach().contiguous().numpy()
-            for change in tangents[3:])
-        changes = [(dependence, change) for dependence, change in zip(
-            ctx.dependences, others, strict=True) if change is not None and change.any()]
-        tangents = np.zeros(ctx.shape) if z0 is None else z0
-        return torch.from_numpy(
-            ctx.run.push_forward([Change(tangents, changes, commands)])[0])
+            for change in tangents[1:])
+        with how.simulation.holding(how.numbers) as held:
+            held.run.go_back_to(recorded)
+            changes = [(how.simulation.dependence(held, how.numbers, name), change)
+                       for name, change in zip(how.names, others, strict=True)
+                       if change is not None and change.any()]
+            first = np.zeros(recorded.z.shape) if z0 is None else z0
+            return torch.from_numpy(
+                held.run.push_forward([Change(first, changes, commands)])[0])
 
 
-class _OnNumberOfScene:
-    """The dependence on a number of a scene; what it takes is made when it is first asked for."""
+def _in_file(name: str) -> str:
+    """Return the name that a tensor has in its model file."""
+    return name.removeprefix('hamiltonian.')
 
-    def __init__(self, scene: Scene, hamiltonian: Hamiltonian, name: str, value: float):
-        self._scene, self._hamiltonian = scene, hamiltonian
-        self._name, self._value = name, value
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the gradient; see Dependence."""
-        return self._made.contracted(q, p, weights)
-
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return the change; see Dependence."""
-        return self._made.changed(q, p, change)
-
-    @property
-    def rates(self) -> np.ndarray | None:
-        """Return how rates of damping change with the number."""
-        return getattr(self._made, 'rates', None)
-
-    @cached_property
-    def _made(self) -> Dependence:
-        try:
-            # Rates are those of effects, on which numbers of H have no influence.
-            return on_number(self._kernel, self._value,
-                             self._rates if self._name.startswith('effects.') else None)
-        except SceneError as problem:
-            raise ValueError(f'{self._name} = {self._value:g} is too near to the end of its '
-                             f'range to be differentiated by: {problem}') from problem
-
-    def _rates(self, value: float) -> np.ndarray:
-        """Return the rates of damping around the steps with another value."""
-        scene = with_numbers(self._scene, {self._name: value})
-        return flow_rates(self._hamiltonian, scene.create_integrator(), scene.create_effects())
-
-    def _kernel(self, value: float) -> Kernel:
-        """Return the kernel of H with another value."""
-        scene = with_numbers(self._scene, {self._name: value})
-        hamiltonian = self._hamiltonian if self._name.startswith('effects.') \
-            else scene.create_hamiltonian()
-        if not scene.effects:
-            # Then a system is H and the method themselves, which the run has checked.
-            return by_address(hamiltonian.kernel)
-        return System(hamiltonian, scene.create_effects(), scene.create_integrator()).kernel
+def _check_mapping(parameters: Mapping[str, torch.Tensor] | None) -> None:
+    """Raise unless parameters are by their names."""
+    if not isinstance(parameters, Mapping | None):
+        raise TypeError(f'parameters is a {type(parameters).__name__}: give a mapping of names '
+                        "to tensors, such as {'hamiltonian.mass': mass}")
 
 
 def _check_tensors(tensors: Mapping[str, torch.Tensor]) -> None:

@@ -2,16 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulations that torch differentiates: their states, and their derivatives."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 import re
 import tracemalloc
 
 import hnn_vi_ros
-from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
 from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.torch import Motion, simulate
+from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
 import numpy as np
 import pytest
 import torch
@@ -290,10 +291,14 @@ def test_what_cannot_be_differentiated_is_refused_by_name(pendulum, changes, err
         simulate(**arguments)
 
 
-def test_example_of_the_docs_runs(capsys):
+def test_examples_of_the_docs_run(capsys):
     text = (Path(__file__).parents[1] / 'docs' / 'gradients.md').read_text(encoding='utf-8')
-    (example,) = re.findall(r'```python\n(.*?)```', text, re.DOTALL)
-    exec(compile(example, 'gradients.md', 'exec'), {})
+    names: dict = {}
+    for example in re.findall(r'```python\n(.*?)```', text, re.DOTALL):
+        exec(compile(example, 'gradients.md', 'exec'), names)
+    assert torch.equal(names['motion'].q, names['simulation'](
+        names['q0'], names['p0'], duration=10.0, every=100,
+        parameters={'hamiltonian.mass': names['mass']}).q)
     assert len(re.findall('tensor', capsys.readouterr().out)) == 2
 
 
@@ -372,3 +377,86 @@ def test_step_size_with_forces_is_refused():
     with pytest.raises(UnsupportedSystem, match='the step size is not differentiable yet togeth'):
         simulate(forced('gauss4'), state, state, duration=0.2,
                  step_size=torch.tensor(0.02, dtype=torch.float64))
+
+
+MASS = 'hamiltonian.mass'
+
+
+def gradients(simulation: DifferentiableSimulation, mass: float, q: float = 1.3,
+              **others: float) -> list[torch.Tensor]:
+    """Return q at the end, and its derivatives by its start and by the mass."""
+    start, number = (torch.tensor(value, dtype=torch.float64, requires_grad=True)
+                     for value in (q, mass))
+    last = simulation(start[None], torch.ones(1, dtype=torch.float64), duration=1.0, every=100,
+                      parameters={MASS: number, **{
+                          name: torch.tensor(value, dtype=torch.float64)
+                          for name, value in others.items()}}).q[-1, 0]
+    return [last.detach(), *torch.autograd.grad(last, (start, number))]
+
+
+def same(one: list[torch.Tensor], other: list[torch.Tensor]) -> bool:
+    return all(map(torch.equal, one, other))
+
+
+@pytest.mark.parametrize('effects', [
+    [], [{'kind': 'damping', 'rate': 0.1}],
+    [{'kind': 'joint_friction', 'friction': {'angle': 0.2}, 'speed': 0.5}]])
+def test_call_of_a_prepared_simulation_finds_nothing_of_earlier_ones(pendulum, effects):
+    scene = pendulum.changed({'effects': effects})
+    name = {'damping': {'effects.0.rate': 0.2}, 'joint_friction': {
+        'effects.0.friction.angle': 0.4}}.get(effects[0]['kind'] if effects else '', {})
+    often = DifferentiableSimulation(scene, [MASS, *name])
+    other = gradients(often, 2.0, -0.4, **{key: 0.7 * value for key, value in name.items()})
+    found = gradients(often, 1.1, **name)
+    assert same(found, gradients(DifferentiableSimulation(scene, [MASS, *name]), 1.1, **name))
+    assert not any(map(torch.equal, found, other))
+
+
+def test_earlier_call_is_differentiated_with_its_own_numbers(pendulum):
+    simulation, one = DifferentiableSimulation(pendulum, [MASS]), torch.ones(1).double()
+    masses = [torch.tensor(mass, dtype=torch.float64, requires_grad=True) for mass in (1.1, 2.0)]
+    steps = [0.01, torch.tensor(0.02, dtype=torch.float64, requires_grad=True)]
+    total = sum(simulation(one, one, duration=1.0, every=50, step_size=h, parameters={MASS: mass}
+                           ).q[-1, 0] for mass, h in zip(masses, steps, strict=True))
+    together = torch.autograd.grad(total, masses)
+    for mass, h, found in zip(masses, steps, together, strict=True):
+        alone = simulate(pendulum, one, one, duration=1.0, every=50, step_size=h,
+                         parameters={MASS: mass}).q[-1, 0]
+        assert torch.equal(found, torch.autograd.grad(alone, mass)[0])
+
+
+def test_threads_and_prepared_simulations_share_nothing(pendulum):
+    shared, alone = (DifferentiableSimulation(pendulum, [MASS]) for _ in range(2))
+    masses = [0.5 + 0.1 * k for k in range(12)]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda mass: gradients(shared, mass), masses))
+    for mass, own in zip(masses, found, strict=True):
+        assert same(own, gradients(alone, mass))
+
+
+def test_failed_call_of_a_prepared_simulation_leaves_nothing_behind(pendulum):
+    simulation = DifferentiableSimulation(pendulum, [MASS])
+    expected = gradients(simulation, 1.1)
+    with pytest.raises(SceneError, match='mass'):
+        gradients(simulation, -1.0)
+    with pytest.raises(StateError):
+        gradients(simulation, 2.0, float('nan'))
+    assert same(gradients(simulation, 1.1), expected)
+
+
+def test_prepared_simulation_takes_the_names_that_it_was_made_for(pendulum):
+    simulation, one = DifferentiableSimulation(pendulum, [MASS]), torch.ones(1).double()
+    for given in ({}, {'hamiltonian.length': one[0]}):
+        with pytest.raises(ValueError, match='^parameters are .*; expected those that the '
+                                             'simulation was made for: hamiltonian.mass$'):
+            simulation(one, one, duration=1.0, parameters=given)
+    with pytest.raises(ValueError, match="exact_pendulum has no number 'mass'; it has: "):
+        DifferentiableSimulation(pendulum, ['mass'])
+
+
+def test_derivatives_of_derivatives_are_refused(pendulum):
+    q = torch.ones(1, dtype=torch.float64, requires_grad=True)
+    last = DifferentiableSimulation(pendulum)(q, 0.0 * q.detach(), duration=1.0).q[-1, 0]
+    (first,) = torch.autograd.grad(last, q, create_graph=True)
+    with pytest.raises(RuntimeError, match='once_differentiable'):
+        torch.autograd.grad(first.sum(), q)

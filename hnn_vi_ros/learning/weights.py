@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Derivatives of H of a trained model by the weights of its networks."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -46,6 +46,18 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]
         There is no such tensor, or it has another shape.
 
     """
+    known = check_weights(hamiltonian, weights)
+    assert isinstance(hamiltonian, LearnedHamiltonian)
+    for name, value in weights.items():
+        if value.shape != known[name].shape:
+            raise ValueError(f'{name} has shape {value.shape}, expected {known[name].shape}')
+    checkpoint = hamiltonian.checkpoint
+    networks = dict(checkpoint.networks) | _layers(checkpoint, known | dict(weights))
+    return type(hamiltonian)(replace(checkpoint, networks=networks))
+
+
+def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Return the tensors of a trained H by name; raise as ``with_weights`` does for others."""
     if not isinstance(hamiltonian, LearnedHamiltonian):
         raise UnsupportedSystem(
             f'weights of {type(hamiltonian).__name__} are not differentiable yet: it is not H of '
@@ -58,13 +70,10 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]
         raise UnsupportedSystem('weights of an ensemble are not differentiable yet: take one of '
                                 'its members, with member: K in hamiltonian')
     known = dict(_tensors(checkpoint))
-    for name, value in weights.items():
+    for name in names:
         if name not in known:
             raise ValueError(f'the model has no tensor {name!r}; it has: {", ".join(known)}')
-        if value.shape != known[name].shape:
-            raise ValueError(f'{name} has shape {value.shape}, expected {known[name].shape}')
-    networks = dict(checkpoint.networks) | _layers(checkpoint, known | dict(weights))
-    return type(hamiltonian)(replace(checkpoint, networks=networks))
+    return known
 
 
 class OnWeights:

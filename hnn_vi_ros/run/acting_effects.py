@@ -27,8 +27,6 @@ class ActingEffects:
         Of H with all effects; what its forces find of time and commands is written by ``acting``.
     hamiltonian : Hamiltonian
         H of d coordinates.
-    integrator : Integrator
-        The method.
     effects : sequence of Effect
         All of them.
     h : float
@@ -41,14 +39,13 @@ class ActingEffects:
 
     """
 
-    def __init__(self, system: System, hamiltonian: Hamiltonian, integrator: Integrator,
-                 effects: Sequence[Effect], h: float):
-        if system.effect_state.gauge.any() and flow_rates(
-                hamiltonian, integrator, effects).any():
+    def __init__(self, system: System, hamiltonian: Hamiltonian, effects: Sequence[Effect],
+                 h: float):
+        self.rates = flow_rates(hamiltonian, system.method, effects)
+        if system.effect_state.gauge.any() and self.rates.any():
             raise UnsupportedSystem('the effect damping is not differentiable yet in magnetic '
                                     'fields; leave one of them out')
         self._system, self._h, self._channels = system, h, system.kernel.channels
-        self.rates = flow_rates(hamiltonian, integrator, effects)
         self._flow = np.concatenate([
             np.ones(len(self.rates)), np.zeros(self._channels),
             np.exp(-0.5 * h * self.rates), np.zeros(self._channels)])
@@ -70,8 +67,7 @@ class ActingEffects:
             How many steps.
 
         """
-        # A copy, of which the way back takes the steps again whatever becomes of the caller's.
-        self.commands = None if commands is None else commands.copy()
+        self.commands = commands
         if commands is None:
             return
         if NUMBERS not in self._system.motors.takes:

@@ -46,7 +46,7 @@ class Checkpoints:
         self.kept: dict[int, Snapshot] = {}
         self.highest = self.repeated = 0
         # Those that are met first on the way back.
-        self._on_the_way, first, free = {0}, 0, most
+        self._on_the_way, first, free = set(range(min(count, 1))), 0, most
         while free > 1 and count - first > 1:
             first, free = first + split(count - first, free), free - 1
             self._on_the_way.add(first)

@@ -63,8 +63,8 @@ class OnNumber:
         return change * self._slope(q, p)
 
 
-def on_number(kernel_of: Callable[[float], Kernel], value: float,
-              rates_of: Callable[[float], np.ndarray] | None = None) -> Dependence:
+def on_number(changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]], value: float
+              ) -> Dependence:
     """
     Return the dependence on a number of H, by differences of H' of order 6.
 
@@ -73,12 +73,12 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float,
 
     Parameters
     ----------
-    kernel_of : callable
-        Returns the kernel of H with another value of the number.
+    changed : callable
+        Returns the kernel of H with another value of the number, and the rates of damping around
+        the steps then, None where they do not depend on it (see ``flow_rates``); of the value,
+        and of how many spacings it is away.
     value : float
         The number.
-    rates_of : callable, optional
-        Returns the rates of damping around the steps with another value; see ``flow_rates``.
 
     Raises
     ------
@@ -86,10 +86,8 @@ def on_number(kernel_of: Callable[[float], Kernel], value: float,
         There is no room for differences on either side.
 
     """
-    slope = _Slope(kernel_of, value)
-    rates = None if rates_of is None else sum(
-        (weight * rates_of(other) for other, (weight, _) in slope.values), np.zeros(()))
-    return OnNumber(slope, rates)
+    slope = _Slope(changed, value)
+    return OnNumber(slope, slope.rates)
 
 
 class _Slope:
@@ -98,29 +96,38 @@ class _Slope:
 
     Parameters
     ----------
-    kernel_of : callable
+    changed : callable
         See on_number.
     value : float
         The number.
 
+    Attributes
+    ----------
+    rates : np.ndarray, shape (d,), or None
+        The derivative of the rates of damping.
+
     """
 
-    def __init__(self, kernel_of: Callable[[float], Kernel], value: float):
-        self._kernel_of, self._value, self._rounding = kernel_of, value, _ROUNDING
-        self._take(_SPACING * (abs(value) or 1.0))
+    def __init__(self, changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]],
+                 value: float):
+        self._changed, self._value, self._rounding = changed, value, _ROUNDING
+        rates = self._take(_SPACING * (abs(value) or 1.0))
+        self.rates = sum(rates, np.zeros(())) if rates else None
 
-    def _take(self, spacing: float) -> None:
+    def _take(self, spacing: float) -> list[np.ndarray]:
+        """Take a spacing, and return the parts of the derivative of rates."""
         problem: SceneError | None = None
         for stencil in (_MIDDLE, _ABOVE, _BELOW):
-            values = [(self._value + offset * spacing, (weight / spacing, lower / spacing))
-                      for offset, (weight, lower) in stencil.items()]
             try:
-                kernels = [(weights, self._kernel_of(other)) for other, weights in values]
-            except SceneError as found:
-                problem = problem or found
+                found = [(weight / spacing, lower / spacing,
+                          *self._changed(self._value + offset * spacing, offset))
+                         for offset, (weight, lower) in stencil.items()]
+            except SceneError as raised:
+                problem = problem or raised
                 continue
-            self._spacing, self.values, self._kernels = spacing, values, kernels
-            return
+            self._spacing = spacing
+            self._kernels = [((weight, lower), kernel) for weight, lower, kernel, _ in found]
+            return [weight * own for weight, _, _, own in found if own is not None]
         assert problem is not None
         raise problem
 

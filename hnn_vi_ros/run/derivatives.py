@@ -3,30 +3,25 @@
 """Runs whose derivatives are known: the exact ones of the steps that were taken."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau
-from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
 from hnn_vi_ros.run.acting_effects import ActingEffects, check_effects
 from hnn_vi_ros.run.checkpoints import Checkpoints
 from hnn_vi_ros.run.dependences import Dependence, gradient_of, OnNumber
-from hnn_vi_ros.run.ensemble import BLOCK
+from hnn_vi_ros.run.differentiable_methods import check_unknowns, differentiable_tableau
+from hnn_vi_ros.run.recorded import Block, Recorded, Segment, segments_of
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.stage_work import StageWork
 from hnn_vi_ros.simulation.stages import entry_of, find_stages, pull_back, push_forward
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
-# Steps that are differentiated at a time, at least, and most snapshots that are kept, unless
-# fewer are asked for.
-_PIECE, _SNAPSHOTS = 64, 1000
+# Most snapshots that are kept, unless fewer are asked for.
+_SNAPSHOTS = 1000
 
 
 class Change(NamedTuple):
@@ -49,13 +44,6 @@ class Change(NamedTuple):
     commands: np.ndarray | None = None
 
 
-class _Segment(NamedTuple):
-    """Steps that follow one another."""
-
-    first: int
-    count: int
-
-
 class DifferentiableRun:
     """
     A run of some trajectories, and products of its derivatives with vectors.
@@ -65,8 +53,9 @@ class DifferentiableRun:
     theorem (see stages): what comes out is the derivative of the discrete trajectory, to
     round-off, not an approximation of that of the flow.
 
-    Of N steps only sqrt(N) snapshots are kept, or as few as ``record`` is asked for. A product
-    takes the steps between two of them once more, bit by bit.
+    Of N steps only sqrt(N) snapshots are kept, or as few as ``record`` is asked for, and the
+    states between the last one and the end. A product takes the other steps between two of them
+    once more, bit by bit.
 
     Parameters
     ----------
@@ -91,17 +80,44 @@ class DifferentiableRun:
 
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
                  effects: Sequence[Effect] = ()):
-        self._tableau = _differentiable(hamiltonian, integrator)
+        self._tableau = differentiable_tableau(hamiltonian, integrator)
         check_effects(effects, integrator)
-        self._h, system = float(step_size), System(hamiltonian, effects, integrator)
-        self._acting = ActingEffects(system, hamiltonian, integrator, effects, self._h)
-        self._kernel, self._d = system.kernel, system.kernel.dimension  # channels included
-        _check_unknowns(self._tableau, integrator, self._d)
+        self._integrator, self._h = integrator, float(step_size)
+        self._build(hamiltonian, effects)
+
+    def _build(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> None:
+        self._hamiltonian, self._effects = hamiltonian, list(effects)
+        self._system = System(hamiltonian, effects, self._integrator)
+        self._acting = ActingEffects(self._system, hamiltonian, effects, self._h)
+        self._kernel = self._system.kernel
+        self._d = self._kernel.dimension  # channels included
+        check_unknowns(self._integrator, self._tableau, self._d)
         self._work = StageWork.empty(self._tableau.stages, self._d)
-        self._arguments = hamiltonian, integrator, self._h
-        self._effects = list(effects)
         self._simulation: Simulation | None = None
         self._entries: dict[Callable[..., int], Callable[..., int]] = {}
+
+    def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect], step_size: float
+                     ) -> None:
+        """
+        Take other numbers of the same H, effects and step size, for runs from now on.
+
+        What is compiled, and as a rule its memory, is that of the runs before.
+
+        Parameters
+        ----------
+        hamiltonian, effects, step_size
+            As of the constructor, of the same kinds.
+
+        """
+        self._h = float(step_size)
+        runs = [self._system, *([self._simulation] if self._simulation else [])]
+        if not all(part.take_numbers(hamiltonian, effects) for part in runs):
+            self._build(hamiltonian, effects)
+            return
+        self._hamiltonian, self._effects = hamiltonian, list(effects)
+        self._acting = ActingEffects(self._system, hamiltonian, effects, self._h)
+        if self._simulation is not None:
+            self._simulation.step_size = self._h
 
     def record(self, z: np.ndarray, samples: int, every: int = 1,
                commands: np.ndarray | None = None, first: np.ndarray | None = None,
@@ -139,34 +155,37 @@ class DifferentiableRun:
             The states are not usable.
 
         """
-        steps = samples * every
-        self._every, self._z = every, z.copy()
-        self._first = np.zeros(len(z), dtype=int) if first is None else np.array(first, dtype=int)
-        self._acting.set_commands(commands, every)
-        stride = max(_PIECE, math.isqrt(steps))
-        self._segments = [_Segment(a, min(stride, steps - a)) for a in range(0, steps, stride)]
-        most = min(_SNAPSHOTS, len(self._segments)) if checkpoints is None else checkpoints
-        self._blocks: list[tuple[slice, Checkpoints]] = []
+        segments = segments_of(samples * every)
+        begin = np.zeros(len(z), dtype=int) if first is None else np.array(first, dtype=int)
+        # Copies, with which the way back goes whatever becomes of the caller's.
+        commands = None if commands is None else commands.copy()
+        recorded = Recorded(z.copy(), every, begin, commands, segments, [])
+        self.go_back_to(recorded)
+        # In the last segment the states themselves are kept.
+        before = max(len(segments) - 1, 0)
+        most = min(_SNAPSHOTS, max(before, 1)) if checkpoints is None else checkpoints
         sampled = np.empty((samples + 1, *z.shape))
         sampled[0] = z
-        for block in self._together(commands is not None and commands.ndim == 3):
-            simulation, kept = self._start(block), Checkpoints(len(self._segments), most)
-            for k, segment in enumerate(self._segments):
+        for rows in recorded.together():
+            simulation, kept = self._start(rows), Checkpoints(before, most)
+            states = sampled[:1, rows]
+            for k, segment in enumerate(segments):
                 kept.pass_by(k, simulation.snapshot)
-                states = self._advance(simulation, block, segment)
-                inside, at = self._samples_in(segment)
-                sampled[at, block] = states[inside]
-            self._blocks.append((block, kept))
+                states = self._advance(simulation, rows, segment)
+                inside, at = recorded.samples_in(segment)
+                sampled[at, rows] = states[inside]
+            recorded.blocks.append(Block(rows, kept, states))
         return sampled
 
-    def _together(self, alone: bool) -> Iterator[slice]:
-        """Yield the blocks of trajectories that step together."""
-        a = 0
-        while a < len(self._z):
-            same = self._first[a:a + (1 if alone else BLOCK)] == self._first[a]
-            b = a + (len(same) if same.all() else int(same.argmin()))
-            yield slice(a, b)
-            a = b
+    @property
+    def recorded(self) -> Recorded:
+        """Return the record of the last run."""
+        return self._recorded
+
+    def go_back_to(self, recorded: Recorded) -> None:
+        """Make an earlier run, of the same numbers, the last one."""
+        self._recorded = recorded
+        self._acting.set_commands(recorded.commands, recorded.every)
 
     def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
                   by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -191,28 +210,27 @@ class DifferentiableRun:
         gradient, others = cotangents[0].copy(), [np.zeros(()) for _ in dependences]
         if by_commands is not None:
             by_commands[...] = 0.0
-        for block, kept in self._blocks:
-            simulation = self._start(block)
-            following = self._acting.padded(np.zeros_like(gradient[block]))
-            again = partial(self._take_again, simulation, block)
-            for k in kept.backwards(simulation.restore, again, simulation.snapshot):
-                segment = self._segments[k]
-                stages, states = self._stages(simulation, segment, block)
+        recorded = self._recorded
+        for block in recorded.blocks:
+            following = self._acting.padded(np.zeros_like(gradient[block.rows]))
+            for segment, states in self._backwards(block):
+                stages, states = self._stages(segment, block.rows, states)
                 local = np.zeros((segment.count + 1, *following.shape))
-                inside, at = self._samples_in(segment)
-                local[1 + inside] = self._acting.padded(cotangents[at, block])
+                inside, at = recorded.samples_in(segment)
+                local[inside] = self._acting.padded(cotangents[at, block.rows])
                 local[-1] += following
                 directions = np.empty_like(stages)
                 felt = np.empty((segment.count, 2, *local.shape[1:]))
-                self._call(pull_back, segment, block, stages, local, directions, felt)
+                self._call(pull_back, segment, block.rows, stages, local, directions, felt)
                 following = local[0]
-                at_stages, weights = self._timed(stages, segment, block), self._halves(directions)
+                at_stages, weights = (self._timed(stages, segment, block.rows),
+                                      self._halves(directions))
                 others = [total + dependence.contracted(*at_stages, weights)
                           + self._by_rates(dependence, states, felt)
                           for total, dependence in zip(others, dependences, strict=True)]
                 if by_commands is not None:
-                    self._add_by_commands(by_commands, directions, segment, block)
-            gradient[block] += self._acting.cut(following)
+                    self._add_by_commands(by_commands, directions, segment, block.rows)
+            gradient[block.rows] += self._acting.cut(following)
         return gradient, [np.asarray(total) for total in others]
 
     def push_forward(self, changes: Sequence[Change]) -> np.ndarray:
@@ -225,29 +243,51 @@ class DifferentiableRun:
             r of them, for which the steps are taken and differentiated together.
 
         """
-        last = sum(segment.count for segment in self._segments)
-        sampled = np.empty((len(changes), last // self._every + 1, *self._z.shape))
-        for block, _ in self._blocks:
-            simulation = self._start(block)
-            tangents = np.stack([change.tangents[block] for change in changes])
-            sampled[:, 0, block], before = tangents, self._acting.padded(tangents)
-            for segment in self._segments:
-                stages, states = self._stages(simulation, segment, block)
+        recorded = self._recorded
+        sampled = np.empty((len(changes), recorded.samples + 1, *recorded.z.shape))
+        for block in recorded.blocks:
+            rows = block.rows
+            tangents = np.stack([change.tangents[rows] for change in changes])
+            sampled[:, 0, rows], before = tangents, self._acting.padded(tangents)
+            for segment, states in self._forwards(block):
+                stages, states = self._stages(segment, rows, states)
                 local = np.empty((segment.count + 1, *before.shape))
                 local[0] = before
                 sources = np.zeros((segment.count, *before.shape[:2], stages.shape[2]))
                 added = np.zeros((segment.count, 2, *before.shape))
                 for r, change in enumerate(changes):
                     self._add_sources(sources[:, r], added[:, :, r], change, stages, states,
-                                      segment, block)
-                self._call(push_forward, segment, block, stages, sources, added, local)
-                inside, at = self._samples_in(segment)
-                sampled[:, at, block] = self._acting.cut(local[1 + inside]).swapaxes(0, 1)
+                                      segment, rows)
+                self._call(push_forward, segment, rows, stages, sources, added, local)
+                inside, at = recorded.samples_in(segment)
+                sampled[:, at, rows] = self._acting.cut(local[inside]).swapaxes(0, 1)
                 before = local[-1]
         return sampled
 
+    def _backwards(self, block: Block) -> Iterator[tuple[Segment, np.ndarray]]:
+        """Yield the segments from the last one on, each with its states; see _advance."""
+        segments, rows = self._recorded.segments, block.rows
+        if segments:
+            yield segments[-1], block.last
+        if len(segments) > 1:
+            simulation = self._start(rows)
+            for k in block.kept.backwards(
+                    simulation.restore, lambda k: self._advance(simulation, rows, segments[k]),
+                    simulation.snapshot):
+                yield segments[k], self._advance(simulation, rows, segments[k])
+
+    def _forwards(self, block: Block) -> Iterator[tuple[Segment, np.ndarray]]:
+        """Yield the segments from the first one on, each with its states; see _advance."""
+        *segments, last = self._recorded.segments or [Segment(0, 0)]
+        if segments:
+            simulation = self._start(block.rows)
+            for segment in segments:
+                yield segment, self._advance(simulation, block.rows, segment)
+        if last.count:
+            yield last, block.last
+
     def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
-                     stages: np.ndarray, states: np.ndarray, segment: _Segment, block: slice
+                     stages: np.ndarray, states: np.ndarray, segment: Segment, block: slice
                      ) -> None:
         """Add what changes of all but states do in a segment; see stages.push_forward."""
         halves = sources.reshape(*sources.shape[:2], 2, -1)
@@ -272,32 +312,23 @@ class DifferentiableRun:
 
     def _start(self, block: slice) -> Simulation:
         """Return the simulation with its trajectories at the initial states of a block."""
-        q, p = np.split(self._z[block], 2, axis=1)
+        q, p = np.split(self._recorded.z[block], 2, axis=1)
         if self._simulation is None:
-            self._simulation = Simulation(*self._arguments, q, p, self._effects, 'stop')
-        self._simulation.restart(q, p, step=int(self._first[block.start]))
+            self._simulation = Simulation(
+                self._hamiltonian, self._integrator, self._h, q, p, self._effects, 'stop')
+        self._simulation.restart(q, p, step=int(self._recorded.first[block.start]))
         return self._simulation
 
-    def _advance(self, simulation: Simulation, block: slice, segment: _Segment) -> np.ndarray:
-        """Take a segment's steps; return the states after them, shape (K, m, 2 d)."""
-        return self._acting.advance(simulation, block, *segment, self._every)
+    def _advance(self, simulation: Simulation, block: slice, segment: Segment) -> np.ndarray:
+        """Take a segment's steps; return the states before and after, shape (K + 1, m, 2 d)."""
+        before = np.concatenate([simulation.q, simulation.p], axis=1)[None]
+        return np.concatenate([before, self._acting.advance(
+            simulation, block, *segment, self._recorded.every)])
 
-    def _take_again(self, simulation: Simulation, block: slice, k: int) -> None:
-        """Take the steps of a segment for what follows."""
-        self._advance(simulation, block, self._segments[k])
-
-    def _samples_in(self, segment: _Segment) -> tuple[np.ndarray, np.ndarray]:
-        """Return which of the states after a segment's steps are samples, and which samples."""
-        steps = np.arange(segment.first + 1, segment.first + segment.count + 1)
-        inside = np.flatnonzero(steps % self._every == 0)
-        return inside, steps[inside] // self._every
-
-    def _stages(self, simulation: Simulation, segment: _Segment, block: slice
+    def _stages(self, segment: Segment, block: slice, states: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:
-        """Take a segment's steps; return stages (K, m, 2 s d), states (K + 1, m, 2 d)."""
-        before = np.hstack([simulation.q, simulation.p])[None]
-        states = self._acting.padded(np.concatenate([
-            before, self._advance(simulation, block, segment)]))
+        """Return the stages of a segment's steps, (K, m, 2 s d), and the states as kernels do."""
+        states = self._acting.padded(states)
         stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
         self._call(find_stages, segment, block, states, stages)
         return stages, states
@@ -309,34 +340,34 @@ class DifferentiableRun:
         return np.zeros(()) if rates is None else np.array(float(
             (felt * self._acting.flowed(states) * self._acting.per_momentum(rates)).sum()))
 
-    def _add_by_commands(self, gradient: np.ndarray, directions: np.ndarray, segment: _Segment,
+    def _add_by_commands(self, gradient: np.ndarray, directions: np.ndarray, segment: Segment,
                          block: slice) -> None:
         """Add the gradient by the commands that hold in a segment: a force lessens H_q."""
         places = self._acting.places
         d, s = places.shape[1], self._tableau.stages
         on_q = directions[..., :s * self._d].reshape(*directions.shape[:2], s, self._d)
         felt = -on_q[..., :d].sum(axis=2) @ places.T
-        rows = (segment.first + np.arange(segment.count)) // self._every
+        rows = segment.steps // self._recorded.every
         if gradient.ndim == 2:
             np.add.at(gradient, rows, felt.sum(axis=1))
         else:
             np.add.at(gradient[:, block], rows, felt)
 
-    def _add_commands(self, sources: np.ndarray, commands: np.ndarray, segment: _Segment,
+    def _add_commands(self, sources: np.ndarray, commands: np.ndarray, segment: Segment,
                       block: slice) -> None:
         """Add to the sources what commands that change make of H_q at the stages."""
         places = self._acting.places
         d, s = places.shape[1], self._tableau.stages
-        rows = (segment.first + np.arange(segment.count)) // self._every
+        rows = segment.steps // self._recorded.every
         change = commands[rows][:, None] if commands.ndim == 2 else commands[rows, block]
         view = sources[:, :, 0].reshape(*sources.shape[:2], s, self._d)
         view[..., :d] -= (change @ places)[:, :, None]
 
-    def _call(self, loop: Callable[..., int], segment: _Segment, block: slice,
+    def _call(self, loop: Callable[..., int], segment: Segment, block: slice,
               *arrays: np.ndarray) -> None:
         """Run a loop of the module stages over the steps of a segment, or raise."""
         times = self._times(segment, block)
-        acting = self._acting.acting(block, segment.first, times, self._every)
+        acting = self._acting.acting(block, segment.first, times, self._recorded.every)
         arguments = self._kernel, self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
             self._entries[loop] = entry_of(loop, *arguments)
@@ -348,11 +379,11 @@ class DifferentiableRun:
             raise HnnViRosError(f'the step at t = {t:.9g} s has no derivative: {problem}; use a '
                                 'smaller step_size or another integrator')
 
-    def _times(self, segment: _Segment, block: slice) -> np.ndarray:
+    def _times(self, segment: Segment, block: slice) -> np.ndarray:
         """Return the times at which a segment's steps begin [s], shape (K,)."""
-        return (self._first[block.start] + segment.first + np.arange(segment.count)) * self._h
+        return (self._recorded.first[block.start] + segment.steps) * self._h
 
-    def _timed(self, stages: np.ndarray, segment: _Segment, block: slice) -> np.ndarray:
+    def _timed(self, stages: np.ndarray, segment: Segment, block: slice) -> np.ndarray:
         """Return the stages' halves for a kernel whose clock is at the start of the run."""
         channels = self._kernel.channels
         if channels:
@@ -366,25 +397,3 @@ class DifferentiableRun:
         s = self._tableau.stages
         return np.ascontiguousarray(
             stages.reshape(-1, 2, s * self._d).swapaxes(0, 1)).reshape(2, -1)
-
-
-def _differentiable(hamiltonian: Hamiltonian, integrator: Integrator) -> PartitionedTableau:
-    """Return the tableau of a method, or raise UnsupportedSystem."""
-    tableau = integrator.partitioned
-    if tableau is None:
-        able = methods_that(lambda method: method.partitioned is not None)
-        raise UnsupportedSystem(f'{method_name(integrator)} is not differentiable yet; methods '
-                                f'that are: {able}')
-    if not hamiltonian.canonical:
-        raise UnsupportedSystem('a model of the family symplectic_form is not differentiable yet: '
-                                'its second derivatives are differences')
-    return tableau
-
-
-def _check_unknowns(tableau: PartitionedTableau, integrator: Integrator, d: int) -> None:
-    unknowns = 2 * tableau.stages * d
-    if unknowns > LARGEST_MATRIX:
-        raise UnsupportedSystem(
-            f'{method_name(integrator)} has {tableau.stages} stages of {d} coordinates, '
-            f'{unknowns} unknowns, of which up to {LARGEST_MATRIX} are differentiable; take a '
-            'method of fewer stages')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The numbers of a scene's Hamiltonian and effects, by name."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from hnn_vi_ros.scene import Scene
@@ -35,19 +35,30 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
         A value is out of its range.
 
     """
-    known = numbers_of(scene)
-    for name in numbers:
-        if name not in known:
-            raise ValueError(f'{scene.name} has no number {name!r}; it has: '
-                             f'{", ".join(known) or "none"}')
+    if not numbers:
+        return scene
     values = scene.model_dump(include=set(_KEYS))
+    _check(scene, values, numbers)
     for name, number in numbers.items():
         *path, last = name.split('.')
         place: Any = values
         for key in path:
             place = place[_index(place, key)]
         place[_index(place, last)] = number
-    return scene.changed(values) if numbers else scene
+    return scene.changed(values)
+
+
+def check_names(scene: Scene, names: Iterable[str]) -> None:
+    """Raise ValueError, which names the numbers that there are, unless a scene has these."""
+    _check(scene, scene.model_dump(include=set(_KEYS)), names)
+
+
+def _check(scene: Scene, values: Mapping[str, Any], names: Iterable[str]) -> None:
+    known = [name for key in _KEYS for name, _ in _numbers(key, values[key])]
+    for name in names:
+        if name not in known:
+            raise ValueError(f'{scene.name} has no number {name!r}; it has: '
+                             f'{", ".join(known) or "none"}')
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:

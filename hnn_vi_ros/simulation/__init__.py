@@ -114,8 +114,7 @@ class Simulation:
         raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
                         'arrays; build another one, and give its restore() the snapshot() of this')
 
-    def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0
-                ) -> None:
+    def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0) -> None:
         """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
         q, p = self._system.check_state(q, p)
         self._system.effect_state.reset(stream)
@@ -137,6 +136,12 @@ class Simulation:
             raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
         self._update_gradient()
         self._energy0 = self.energy
+
+    def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
+        """Have other numbers from the next ``restart`` on, or return False; see System."""
+        taken = self._system.take_numbers(hamiltonian, effects)
+        self.hamiltonian, self.motors = self._system.hamiltonian, self._system.motors
+        return taken
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
         """Raise StateError if nothing can begin at a state."""
@@ -357,7 +362,8 @@ class Simulation:
         outcome, now, gradients, self.residual, spent, most, costliest = self._loops[self._active](
             self.step_size, done, every, self._z, self._z1, self._memories[self._active],
             q_out, p_out)
-        self._count(most, self.steps + costliest + 1 - done)
+        if most > self.costliest[0]:
+            self.costliest = most, self.steps + costliest + 1 - done
         self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
         self.rescued += (now - done) * (self._active != 0)
         return outcome, now, self.residual, spent
@@ -368,11 +374,6 @@ class Simulation:
         forget(self._memories[self._active])
         self._evaluate_gradient()
         self.gradients += 1
-
-    def _count(self, gradients: int, step: int) -> None:
-        """Note what a step took."""
-        if gradients > self.costliest[0]:
-            self.costliest = gradients, step
 
     def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
         """Take one step by a fallback; return what came of the first one if none will do."""
@@ -396,5 +397,6 @@ class Simulation:
                 reason += f', given up after {taken.given_up} gradients in sub-steps'
             return StepFailure(reason, self.time, self.step_size, residual, spent)
         self.steps += 1
-        self._count(spent, self.steps)
+        if spent > self.costliest[0]:
+            self.costliest = spent, self.steps
         return None

@@ -20,6 +20,7 @@ from hnn_vi_ros.kernels.addresses import by_address, fill_energies, Target
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.simulation.motors import Motors
+from hnn_vi_ros.simulation.refilling import refill
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -104,6 +105,8 @@ class System:
         In the scene's order.
     integrator : Integrator
         The method.
+    effect_state : EffectState, optional
+        That of another system of the same effects, to be shared with it.
 
     Attributes
     ----------
@@ -132,9 +135,9 @@ class System:
     """
 
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
-                 integrator: Integrator):
+                 integrator: Integrator, effect_state: EffectState | None = None):
         self._effects, self.method = list(effects), integrator
-        self.effect_state = EffectState.empty(
+        self.effect_state = effect_state or EffectState.empty(
             len(effects), hamiltonian.dimension, sum(one.knots for one in effects))
         kinds = [_kind(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
@@ -160,6 +163,41 @@ class System:
                 'order there, and implicit steps may find no solution; train with another '
                 'activation', stacklevel=3)
         self._assemble(integrator)
+
+    def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
+        """
+        Let H and the effects have other numbers, where compiled code finds them.
+
+        Parameters
+        ----------
+        hamiltonian, effects
+            Of the same kinds as those of the system.
+
+        Returns
+        -------
+        bool
+            False where they do not fit into its memory, and a system of their own has to be made.
+
+        """
+        if not self._effects:
+            # Then the system is H itself.
+            taken = refill(self.kernel, hamiltonian.kernel)
+            self.hamiltonian = hamiltonian if taken else self.hamiltonian
+            return taken
+        # What magnetic fields sum up in it.
+        self.effect_state.gauge[...] = 0.0
+        other = System(hamiltonian, effects, self.method, self.effect_state)
+        for i, place in enumerate(self._places):
+            if place > Place.NODES:
+                # The method holds the arrays.
+                if not _assign(self._parameters[i], other._parameters[i]):
+                    return False
+                other._parameters[i] = self._parameters[i]
+        if other._places != self._places or not refill(self.kernel, other.kernel):
+            return False
+        other.kernel, other.integrator = self.kernel, self.integrator
+        self.__dict__ = other.__dict__
+        return True
 
     @property
     def lockstep(self) -> bool:
@@ -330,3 +368,14 @@ class System:
 def _kind(effect: Effect) -> str:
     """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
     return _KINDS.get(type(effect), type(effect).__name__)
+
+
+def _assign(old: Any, new: Any) -> bool:
+    """Write the numbers in parameters into the arrays of others; False where they do not fit."""
+    if isinstance(old, tuple) and isinstance(new, tuple):
+        return len(old) == len(new) and all(map(_assign, old, new))
+    if isinstance(old, np.ndarray) and isinstance(new, np.ndarray):
+        if old is not new and old.shape == new.shape:
+            old[...] = new
+        return old.shape == new.shape
+    return bool(old == new)

