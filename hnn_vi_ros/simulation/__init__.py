@@ -3,6 +3,7 @@
 """A scene compiled into one kernel that advances the state by whole steps."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 import time
 from typing import Any, NoReturn
 import warnings
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 # Relative to a state: solutions that are further apart are not the same one, to round-off.
-_SAME = 1e-8
+_SAME, _FIRST = 1e-8, itemgetter(0)
 
 
 class Simulation:
@@ -362,8 +363,7 @@ class Simulation:
         outcome, now, gradients, self.residual, spent, most, costliest = self._loops[self._active](
             self.step_size, done, every, self._z, self._z1, self._memories[self._active],
             q_out, p_out)
-        if most > self.costliest[0]:
-            self.costliest = most, self.steps + costliest + 1 - done
+        self.costliest = max(self.costliest, (most, self.steps + costliest + 1 - done), key=_FIRST)
         self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
         self.rescued += (now - done) * (self._active != 0)
         return outcome, now, self.residual, spent
@@ -387,8 +387,7 @@ class Simulation:
                 doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
         self.gradients += taken.gradients
         self.rescued += taken.rescued or (taken.ok and self._active != 0)
-        if not np.isnan(taken.residual):
-            self.residual = taken.residual
+        self.residual = self.residual if np.isnan(taken.residual) else taken.residual
         spent += taken.gradients
         if not taken.ok:
             reason = self._system.reason(
@@ -397,6 +396,5 @@ class Simulation:
                 reason += f', given up after {taken.given_up} gradients in sub-steps'
             return StepFailure(reason, self.time, self.step_size, residual, spent)
         self.steps += 1
-        if spent > self.costliest[0]:
-            self.costliest = spent, self.steps
+        self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
         return None
