@@ -459,4 +459,4 @@ def test_derivatives_of_derivatives_are_refused(pendulum):
     last = DifferentiableSimulation(pendulum)(q, 0.0 * q.detach(), duration=1.0).q[-1, 0]
     (first,) = torch.autograd.grad(last.square(), q, create_graph=True)
     with pytest.raises(RuntimeError, match='differentiate twice'):
-        torch.autograd.grad(first.sum(), q)
+        first.sum().backward()
