@@ -30,10 +30,12 @@ _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
 _TEXT = """\
 # What accuracy costs in time
 
-Written by `ros2 run hnn_vi_ros work_precision --all`, from measurements on {machine}, commit
-{commit}. Every number in its sentences is computed from the tables. The same rows can be explored,
+Written by `ros2 run hnn_vi_ros work_precision --all`, from measurements on {machine}.
+Every number in its sentences is computed from the tables. The same rows can be explored,
 with a table of what to take for an error of your own: open [explore.html](accuracy/explore.html)
 in a browser; it needs no network.
+
+{measured}
 
 A row is a method at one step size, run from the scene's initial state to a horizon T.
 
@@ -190,14 +192,28 @@ def _unwritable(docs: Path, problem: OSError) -> ParameterError:
 def as_page(results: Mapping[str, Results]) -> str:
     """Return the page; the results are those of each scene."""
     parts: dict[str, Callable] = {
-        'choice': _choice, 'choices': _choices, 'left_out': _left_out,
+        'measured': _measured, 'choice': _choice, 'choices': _choices, 'left_out': _left_out,
         'first_order': _first_order,
         'first_order_energy': _first_order_energy, 'rk4': _rk4, 'peers': _peers,
         'learned': _learned, 'scenes': _scenes, 'toctree': _toctree}
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
-    commits = dict.fromkeys(name for entry in results.values() for name in entry.commits)
-    return _TEXT.format(machine=' and '.join(machines), commit=', '.join(commits),
+    return _TEXT.format(machine=' and '.join(machines),
                         **{name: '\n'.join(part(results)) for name, part in parts.items()})
+
+
+def _measured(results: Mapping[str, Results]) -> Iterator[str]:
+    """Name the commits that were measured; with the scenes, where these were not all the same."""
+    found: dict[str, list[str]] = {}
+    for name, entry in results.items():
+        found.setdefault(' and '.join(entry.commits), []).append(name)
+    if len(found) == 1:
+        yield f'Commit: {next(iter(found))}.'
+        return
+    yield ('Not all scenes were measured at the same commit, nor on the same day: compare times '
+           'within a scene only.')
+    yield ''
+    for commits, names in found.items():
+        yield f'- {commits}: {", ".join(names)}.'
 
 
 def _write_scene(folder: Path, scene: str, results: Results) -> Iterator[Path]:

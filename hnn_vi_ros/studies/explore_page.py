@@ -43,13 +43,14 @@ def write_floors(path: Path, results: Mapping[str, Results],
     """
     scenes = {scene: {repr(horizon): _floor(entry, horizon) for horizon in shown[scene]}
               for scene, entry in results.items()}
-    # Other studies' scenes stay; see turning_costs.
-    kept = read_floors(path.parent)['scenes'] if path.is_file() else {}
+    # Other studies' scenes stay, and the commits that may be theirs; see turning_costs.
+    before = read_floors(path.parent) if path.is_file() else {'scenes': {}, 'commits': []}
+    others = before['commits'] if before['scenes'].keys() - scenes.keys() else []
     card = {'machine': ' and '.join(dict.fromkeys(
         entry.identity['machine'] for entry in results.values())),
-        'commits': list(dict.fromkeys(
-            name for entry in results.values() for name in entry.commits)),
-        'scenes': {**kept, **scenes}}
+        'commits': list(dict.fromkeys([
+            *(name for entry in results.values() for name in entry.commits), *others])),
+        'scenes': {**before['scenes'], **scenes}}
     path.write_text(json.dumps(card, indent=1) + '\n', encoding='utf-8')
     return path
 

@@ -4,6 +4,7 @@
 
 import csv
 import dataclasses
+import json
 from pathlib import Path
 import re
 
@@ -448,6 +449,19 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path, monkeypatch):
             'RMS (95 %: 0.0001 to 0.0003) and 0.0008 J at most (95 %: 0.0005 to 0.0008). The '
             'learned H itself is off by 0.001') in text
     assert text.count('](accuracy/') == 1 + len(SCENES)
+    assert 'Commit: ' in text
+    # One scene measured elsewhere is named; what other studies added to the page to explore stays.
+    floors = tmp_path / 'docs' / accuracy_page.FOLDER / explore_page.FLOORS
+    card = json.loads(floors.read_text())
+    floors.write_text(json.dumps({**card, 'commits': ['0therstudy'], 'scenes': {
+        **card['scenes'], 'heavy_top': card['scenes']['kepler']}}))
+    results = {scene: Results(tmp_path / 'results' / scene) for scene in SCENES}
+    results['kepler'].commits = ['abc1234']
+    assert '\n- abc1234: kepler.\n' in accuracy_page.as_page(results)
+    explore_page.write_floors(floors, results, {scene: [] for scene in SCENES})
+    kept = json.loads(floors.read_text())
+    assert 'heavy_top' in kept['scenes'] and {'abc1234', '0therstudy'} <= {*kept['commits']}
+    floors.write_text(json.dumps(card))
     pages = [path for path in written if path.suffix == '.md']
     assert '| gauss8@1e-4 | 0.1 | 0.01 | 1 |' in next(
         path for path in pages if path.stem == 'pendulum').read_text()
