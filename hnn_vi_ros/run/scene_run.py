@@ -13,7 +13,7 @@ from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.dependences import Dependence, on_number
 from hnn_vi_ros.run.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.named_numbers import with_numbers
+from hnn_vi_ros.scene.named_numbers import with_known_numbers
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
@@ -27,7 +27,7 @@ class Numbers(NamedTuple):
     Parameters
     ----------
     values : mapping of str to float
-        By the names of ``numbers_of``.
+        By names of ``numbers_of`` that were checked.
     step_size : float
         h [s].
     hamiltonian : Hamiltonian or None
@@ -80,7 +80,7 @@ class SceneRun:
             self._held = numbers
             return
         self._held = None
-        scene = with_numbers(self._scene, numbers.values)
+        scene = with_known_numbers(self._scene, numbers.values)
         hamiltonian, effects = self._made(scene, numbers.values)
         if numbers.hamiltonian is not None:
             hamiltonian = numbers.hamiltonian.copy()
@@ -111,7 +111,7 @@ class SceneRun:
                  ) -> tuple[Kernel, np.ndarray | None]:
         """Return the kernel with another value, and the rates of damping that depend on it."""
         scene, hamiltonian, effects = self._now
-        scene = with_numbers(scene, {name: value})
+        scene = with_known_numbers(scene, {name: value})
         # Numbers of H have no influence on effects, nor these on H.
         if name.startswith(_EFFECTS):
             effects = scene.create_effects()

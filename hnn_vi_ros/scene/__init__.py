@@ -140,7 +140,7 @@ class Scene(StrictModel):
     def changed(self, changes: Mapping[str, Any]) -> 'Scene':
         """Return this scene with other values of some keys, or raise SceneError."""
         # The code that it names was admitted when it was read.
-        scene = _validated({**self.model_dump(), **changes},
+        scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
                            f'{self.source} with other {", ".join(changes)}')
         scene._origin = replace(
             self._origin, replaced=self._origin.replaced | changes.keys())

@@ -35,10 +35,15 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
         A value is out of its range.
 
     """
+    check_names(scene, numbers)
+    return with_known_numbers(scene, numbers)
+
+
+def with_known_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
+    """Return what with_numbers does, of names that were checked."""
     if not numbers:
         return scene
-    values = scene.model_dump(include=set(_KEYS))
-    _check(scene, values, numbers)
+    values = scene.model_dump(include={name.partition('.')[0] for name in numbers})
     for name, number in numbers.items():
         *path, last = name.split('.')
         place: Any = values
@@ -50,11 +55,7 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
 
 def check_names(scene: Scene, names: Iterable[str]) -> None:
     """Raise ValueError, which names the numbers that there are, unless a scene has these."""
-    _check(scene, scene.model_dump(include=set(_KEYS)), names)
-
-
-def _check(scene: Scene, values: Mapping[str, Any], names: Iterable[str]) -> None:
-    known = [name for key in _KEYS for name, _ in _numbers(key, values[key])]
+    known = numbers_of(scene)
     for name in names:
         if name not in known:
             raise ValueError(f'{scene.name} has no number {name!r}; it has: '
