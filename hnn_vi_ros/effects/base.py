@@ -76,12 +76,17 @@ class EffectState(NamedTuple):
                    np.zeros((dimension, dimension)), np.zeros(effects),
                    Reference.empty(dimension, knots))
 
-    def reset(self, stream: int) -> None:
-        """Go back to before the first step, on a stream of random numbers."""
+    def reset(self, stream: int, time: float = 0.0,
+              held: Mapping[str, np.ndarray] | None = None) -> None:
+        """Go back to before the first step; a snapshot's commands go on until their time-outs."""
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
                       self.resting, *self.reference):
             array[...] = 0
-        self.draws[2] = stream
+        self.clock[0], self.draws[2] = time, stream
+        if held is not None:
+            self.command[...] = held['live.command']
+            for name, array in zip(Reference._fields, self.reference, strict=True):
+                array[...] = held[f'live.reference.{name}'][:len(array)]
 
 
 class EffectError(ValueError):

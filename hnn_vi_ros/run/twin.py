@@ -6,7 +6,7 @@ from collections import deque
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.effects.commands import Command, JointPath, Observation
+from hnn_vi_ros.effects.commands import Command, Observation
 from hnn_vi_ros.effects.observations import select
 from hnn_vi_ros.errors import ModelError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
@@ -109,7 +109,7 @@ class Twin:
     def _forget(self) -> None:
         """Know nothing of the machine."""
         self.newest, self.failed = None, 0
-        self._command = self._before = None
+        self._before: tuple[float, np.ndarray] | None = None
         self._ended: deque[float] = deque(maxlen=_KEPT)
         self._due = -np.inf
         self._count, self._mean, self._square = 0, np.zeros(len(self.names)), np.zeros(
@@ -135,7 +135,6 @@ class Twin:
         if isinstance(command, Observation):
             self._observe(command)
             return
-        self._command = command, self._now
         for prediction in self._active():
             prediction.simulation.set_command(command)
 
@@ -224,16 +223,8 @@ class Twin:
         q[self._places], v[self._places] = position - delay * velocity, velocity
         try:
             p = momentum(simulation.hamiltonian, q, v, own.p.copy())
-            simulation.restart(q, p, step=own.steps)
-            if self._command is not None:
-                simulation.set_command(self._aged(*self._command))
+            simulation.restart(q, p, step=own.steps, held=own.snapshot())
         except (ModelError, StepFailure, ValueError):
             self.failed += 1
             return
         waiting[0].began = self._now + delay
-
-    def _aged(self, command: Command, since: float) -> Command:
-        """Return a command as it stands now."""
-        if isinstance(command, JointPath):
-            return command._replace(delay=command.delay - (self._now - since))
-        return command

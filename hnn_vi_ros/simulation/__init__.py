@@ -115,11 +115,11 @@ class Simulation:
         raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
                         'arrays; build another one, and give its restore() the snapshot() of this')
 
-    def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0) -> None:
-        """Begin anew at a step, or raise as the constructor; a seed's streams differ in noise."""
+    def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
+                held: dict[str, np.ndarray] | None = None) -> None:
+        """Begin anew at a step, or raise as the constructor; commands of a snapshot are held."""
         q, p = self._system.check_state(q, p)
-        self._system.effect_state.reset(stream)
-        self._system.effect_state.clock[0] = step * self.step_size
+        self._system.effect_state.reset(stream, step * self.step_size, held)
         self.steps, self.gradients, self.residual = step, 0, 0.0
         self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
         n = q.size // self.hamiltonian.dimension * self._kernel.dimension

@@ -136,3 +136,25 @@ def test_observation_far_beyond_a_joint_is_refused_and_not_counted(tmp_path: Pat
             accompanied.set_command(Observation(
                 ('angle',), 0.0, np.array([position]), np.array([velocity])))
     assert twin.newest is None
+
+
+@pytest.mark.parametrize('restored', [False, True])
+def test_prediction_begins_with_the_commands_that_hold_and_no_others(
+        tmp_path: Path, restored: bool):
+    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
+    simulation, machine = build(scene), build(scene_of(tmp_path))
+    twin = Twin(scene, simulation)
+    accompanied = Accompanied(simulation, [twin])
+    for one in (accompanied, machine):
+        one.set_command([5.0])
+        # Longer than a command holds, or on the way to there, as where a bag is resumed.
+        one.advance(100 if restored else 240)
+    if restored:
+        accompanied.restore(simulation.snapshot())
+    for _ in range(40):
+        accompanied.set_command(seen(machine))
+        # The momentum of the observed velocity is rounded.
+        assert twin.newest.normalised < 1e-20 or np.isnan(twin.newest.normalised)
+        for one in (accompanied, machine):
+            one.advance(EVERY)
+    assert twin.newest.running > 0.3
