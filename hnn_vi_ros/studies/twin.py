@@ -8,12 +8,12 @@ sample, with the measured forces as commands. What the twin reports is told besi
 ``evaluate``, whose predictions begin every 0.05 s at smoothed states.
 """
 
+from argparse import ArgumentParser
 from collections.abc import Sequence
 from pathlib import Path
 import sys
 
 from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.config import find_config
 from hnn_vi_ros.learning.evaluate import parts_of, simulation_of
 from hnn_vi_ros.learning.evaluation import score, simulated, variance_of
@@ -56,8 +56,11 @@ def replay(twin: Twin, simulation: Accompanied, motion: Motion, q: np.ndarray, v
 
 def main(argv: Sequence[str]) -> None:
     """Print what the twin and evaluate say of each other."""
-    if len(argv) != 3:
-        raise ParameterError('expected a scene, a training configuration, and its data')
+    parser = ArgumentParser('python -m hnn_vi_ros.studies.twin', description=main.__doc__)
+    parser.add_argument('scene')
+    parser.add_argument('config', help='configuration of the training')
+    parser.add_argument('data', help='its data')
+    parser.parse_args(argv)
     scene, config = load_scene(argv[0]), load_machine(find_config(argv[1]))
     names = [coordinate.name for coordinate in config.coordinates]
     motions, _ = read_motions(Path(argv[2]), config.data, names, [argv[2]])
