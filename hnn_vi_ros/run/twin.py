@@ -91,6 +91,7 @@ class Twin:
     def __init__(self, scene: Scene, simulation: Simulation):
         (observer,) = (choice for choice in scene.effects if choice.kind == 'observer')
         self.names, self._deviations = list(observer.coordinates), observer.deviations
+        self._timeout = observer.timeout
         names = columns(simulation.hamiltonian.coordinates)[0]
         self._places = [names.index(name) for name in self.names]
         free = [choice.model_dump() for choice in scene.effects if choice.kind != 'observer']
@@ -125,6 +126,11 @@ class Twin:
     def advance(self, n: int) -> None:
         """See Companion."""
         for prediction in self._active():
+            if prediction.began is not None and (
+                    self._now - prediction.began > _LONGEST + self._timeout):
+                # For how long it was valid nobody has seen.
+                prediction.began = None
+                continue
             try:
                 prediction.simulation.advance(n)
             except StepFailure:
@@ -174,7 +180,8 @@ class Twin:
         error, normalised, age = found[0] if found else (
             np.full(len(self.names), np.nan), np.nan, 0.0)
         now = self._now + seen.delay
-        if now >= self._due - _SAME:
+        # From a velocity that nobody knows nothing can be predicted.
+        if now >= self._due - _SAME and np.isfinite(velocity).all():
             self._predict(position, velocity, seen.delay)
             # At even times, whatever the rate of the observations.
             late = self._due <= now - self._every
@@ -190,7 +197,7 @@ class Twin:
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             normalised = float(np.where(error == 0.0, 0.0, error**2 / self._variance).sum())
         if not normalised < VALID or age >= _LONGEST - _SAME:
-            self._ended.append(age)
+            self._ended.append(min(age, _LONGEST))
             prediction.began = None
         return normalised, age
 
@@ -201,11 +208,11 @@ class Twin:
         return self._square / self._count
 
     def _velocity(self, position: np.ndarray, velocity: np.ndarray, delay: float) -> np.ndarray:
-        """Return velocities, by the observation before where none were observed."""
+        """Return velocities, by the observation before where none were; NaN without."""
         now, before = self._now + delay, self._before
         self._before = now, position
-        if before is None or now <= before[0]:
-            return np.nan_to_num(velocity)
+        if before is None or not 0.0 < now - before[0] <= self._timeout:
+            return velocity
         return np.where(np.isnan(velocity), (position - before[1]) / (now - before[0]), velocity)
 
     def _at(self, simulation: Simulation, delay: float) -> np.ndarray:

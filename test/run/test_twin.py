@@ -110,9 +110,27 @@ def test_velocities_that_are_not_observed_are_those_between_observations(tmp_pat
     simulation, machine = build(scene), build(scene_of(tmp_path, angle=1.5))
     twin = Twin(scene, simulation)
     reports = follow(twin, Accompanied(simulation, [twin]), machine, 20, velocity=False)
-    # The first begins at rest, as the machine does.
-    assert reports[1].normalised < 1e-20
-    assert np.isfinite([report.normalised for report in reports[1:]]).all()
+    # Before two observations no velocity is known, and nothing is predicted.
+    assert np.isnan([report.normalised for report in reports[:2]]).all()
+    assert np.isfinite([report.normalised for report in reports[2:]]).all()
+
+
+@pytest.mark.parametrize('gap', [200, 2000])
+def test_nothing_is_predicted_across_a_silence_of_the_machine(tmp_path: Path, gap: int):
+    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
+    simulation, machine = build(scene), build(scene_of(tmp_path, angle=1.5))
+    twin = Twin(scene, simulation)
+    accompanied = Accompanied(simulation, [twin])
+    follow(twin, accompanied, machine, 3, velocity=False)
+    for one in (accompanied, machine):
+        one.advance(gap)
+    running = len(twin.running)
+    accompanied.set_command(seen(machine, velocity=False))
+    # No velocity is that between observations further apart than the time-out.
+    assert len(twin.running) <= running
+    # A prediction of which nobody has seen the end tells nothing, least of all 10 s.
+    assert len(twin.times) <= 1 and all(time <= 2.0 for time in twin.times)
+    assert running == (1 if gap == 200 else 0)
 
 
 def test_twin_forgets_the_machine_where_the_run_begins_anew(tmp_path: Path):
