@@ -130,8 +130,10 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
             fewer and values.ndim == 2 and len(values) == shape[0]
             and 1 <= values.shape[1] <= shape[1])
         if not fits or values.dtype.kind not in 'fiu':
+            column = values.shape == shape[:1] and (fewer or shape[1:] == (1,))
             raise DataError(f'{path}: {name} has shape {values.shape} of {values.dtype}, expected '
-                            f'numbers of shape {shape}{", or with fewer columns" * fewer}')
+                            f'numbers of shape {shape}{", or with fewer columns" * fewer}'
+                            f'{f"; save {key}[:, None]" * column}')
         return values.astype(np.float64)
 
     name = f'{run}/' if run else ''
