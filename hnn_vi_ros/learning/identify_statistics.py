@@ -107,13 +107,16 @@ def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
     sizes, rows, told = told_directions(slopes.reshape(-1, slopes.shape[3]) / scale)
     inverse = _inverse(scale, sizes[told], rows[told])
     null = rows[~told].T / scale[:, None]
-    coloured, meat = _correlated(solution, slopes)
+    correlations = [correlations_of(solution.residuals[:, :, c], solution.windows.there)
+                    for c in range(slopes.shape[2])]
+    coloured = np.array([1.0 + 2.0 * float(np.sum(own)) for own in correlations])
+    meat = _correlated(slopes, correlations)
     covariance = inverse @ meat @ inverse * _robust_factor(problem, solution)
     names = [(number.name, number.unit) for number in free.numbers]
     values = [*solution.values]
     if states:
         rows = _first_windows(solution)
-        own = [_own_covariance(solution, problem, w) for _, w in rows]
+        own = [_own_covariance(solution, problem, w, correlations) for _, w in rows]
         gain = np.concatenate([np.eye(len(values)), *(back[w] for _, w in rows)])
         covariance = gain @ covariance @ gain.T
         null = gain @ null
@@ -134,23 +137,20 @@ def _inverse(scale: np.ndarray, sizes: np.ndarray, rows: np.ndarray) -> np.ndarr
     return found
 
 
-def _correlated(solution: Solution, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the factor of each measured quantity, and J^T R J."""
+def _correlated(slopes: np.ndarray, correlations: Sequence[Sequence[float]]) -> np.ndarray:
+    """Return J^T R J of derivatives, shape (W, T, C, n), by correlations of each quantity."""
     n = slopes.shape[3]
-    factors, meat = np.ones(slopes.shape[2]), np.zeros((n, n))
-    for c in range(slopes.shape[2]):
-        own, residuals = slopes[:, :, c], solution.residuals[:, :, c]
-        part = np.einsum('wti,wtj->ij', own, own)
-        correlations = correlations_of(residuals, solution.windows.there)
-        added = np.zeros_like(part)
-        for k, r in enumerate(correlations, 1):
+    meat = np.zeros((n, n))
+    for c, found in enumerate(correlations):
+        own = slopes[:, :, c]
+        added = np.zeros((n, n))
+        for k, r in enumerate(found, 1):
             lagged = np.einsum('wti,wtj->ij', own[:, :-k], own[:, k:])
             added += r * (lagged + lagged.T)
         # What correlations seem to take away is kept: the data are never better than white.
         sizes, rows = np.linalg.eigh(added)
-        meat += part + (rows * np.maximum(sizes, 0.0)) @ rows.T
-        factors[c] = 1.0 + 2.0 * float(np.sum(correlations))
-    return factors, meat
+        meat += np.einsum('wti,wtj->ij', own, own) + (rows * np.maximum(sizes, 0.0)) @ rows.T
+    return meat
 
 
 def correlations_of(residuals: np.ndarray, there: np.ndarray) -> list[float]:
@@ -185,14 +185,18 @@ def _robust_factor(problem: Problem, solution: Solution) -> float:
     return float(((weights * own)**2).mean() / (weights**3).mean()**2)
 
 
-def _own_covariance(solution: Solution, problem: Problem, w: int) -> np.ndarray:
+def _own_covariance(solution: Solution, problem: Problem, w: int,
+                    correlations: Sequence[Sequence[float]]) -> np.ndarray:
     """Return the covariance of the initial state of a window if all numbers were known."""
     n = solution.starts.shape[1]
     slopes = solution.by_starts[w].reshape(-1, n)
     raw = np.linalg.norm(slopes, axis=0)
     scale = np.where(raw > 0.0, raw, 1.0)
     sizes, rows, told = told_directions(slopes / scale)
-    return _inverse(scale, sizes[told], rows[told]) * _robust_factor(problem, solution)
+    inverse = _inverse(scale, sizes[told], rows[told])
+    meat = _correlated(solution.by_starts[w:w + 1], correlations)
+    found: np.ndarray = inverse @ meat @ inverse * _robust_factor(problem, solution)
+    return found
 
 
 def _first_windows(solution: Solution) -> list[tuple[str, int]]:

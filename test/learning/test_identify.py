@@ -15,7 +15,7 @@ from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
 from hnn_vi_ros.learning.identify_scene import edited
 from hnn_vi_ros.learning.identify_statistics import (
-    correlations_of, Estimates, estimates_of, profile)
+    _own_covariance, correlations_of, Estimates, estimates_of, profile)
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
 from hnn_vi_ros.learning.motions import Motion, smoothed, steps_between
 from hnn_vi_ros.run.dependences import difference
@@ -296,6 +296,27 @@ def test_profile_is_as_wide_as_the_interval_where_noise_is_correlated(
     assert told.high - told.low == pytest.approx(one.high - one.low, rel=0.1 if robust else 0.02)
 
 
+def test_initial_state_is_as_uncertain_as_correlated_noise_makes_it(pendulum, tmp_path):
+    log, random, share = swing(pendulum, 12.0, 2, None), np.random.default_rng(3), 0.8
+    noise = np.zeros_like(log.q)
+    for k, white in enumerate(random.normal(size=len(noise))):
+        noise[k] = share * noise[k - 1] + 4e-3 * white
+    free = freed(pendulum, tmp_path, length=1.0)
+    solution, problem, _ = fit(free, [replace(log, q=log.q + noise)], False, None, False)
+    slopes = solution.by_starts[0, :, 0]
+    lags = np.arange(len(slopes))
+    inverse = np.linalg.inv(slopes.T @ slopes)
+    true = inverse @ slopes.T @ share**np.abs(lags[:, None] - lags) @ slopes @ inverse
+    correlations = [correlations_of(solution.residuals[:, :, 0], solution.windows.there)]
+    own = _own_covariance(solution, problem, 0, correlations)
+    # Some 9 times those of white noise, told within a quarter by so many samples.
+    assert np.diag(own) == pytest.approx(np.diag(true), rel=0.3)
+    white = _own_covariance(solution, problem, 0, [[]])
+    assert (np.diag(white) < 0.3 * np.diag(true)).all()
+    found = estimates_of(solution, problem, free, pendulum.create_hamiltonian().coordinates, True)
+    assert (np.diag(found.covariance)[1:] >= np.diag(own)).all()
+
+
 def test_correlated_noise_is_noticed_and_white_noise_is_not():
     random, n, share = np.random.default_rng(4), 20000, 0.8
     white = random.normal(size=n)
@@ -381,6 +402,7 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
     ([DELAY], {}, 'the data hold no forces that could come late'),
     (['length', 'length'], {}, 'stands twice'),
     (['length'], {'q': np.zeros((100, 2))}, 'expected numbers of shape (100, 1)'),
+    (['length'], {'q': np.zeros(100)}, 'shape (100, 1); save q[:, None]'),
     (['length'], {'t': np.arange(5.0), 'q': np.zeros((5, 1))}, '5 samples, expected at least 20'),
     (['length'], {'tau': np.ones((100, 1))}, 'has no effect external_force'),
     (['length'], {'t': np.arange(0.0), 'q': np.zeros((0, 1))}, 'no samples, expected at least 20'),
