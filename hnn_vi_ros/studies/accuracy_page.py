@@ -209,8 +209,8 @@ def _measured(results: Mapping[str, Results]) -> Iterator[str]:
     if len(found) == 1:
         yield f'Commit: {next(iter(found))}.'
         return
-    yield ('Not all scenes were measured at the same commit, nor on the same day: compare times '
-           'within a scene only.')
+    yield ('Not all scenes were measured at the same commit, nor on the same day: compare '
+           'times within a scene and horizon only.')
     yield ''
     for commits, names in found.items():
         yield f'- {commits}: {", ".join(names)}.'
