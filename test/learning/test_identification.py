@@ -168,7 +168,7 @@ def test_held_parameters_stay_those_of_the_urdf(tmp_path):
     for one in (weak['forearm.inertia_yy'], weak['upper_arm.inertia_yy']):
         expected = sum(factor * in_urdf[name] for name, factor in one.combination.items())
         assert abs(one.value - expected) < 0.5 * one.standard_error
-    assert 'The data tell little of these' in identified_text(_model(network, motions).card)
+    assert 'The data hardly determine these' in identified_text(_model(network, motions).card)
 
 
 def _model(network, motions):

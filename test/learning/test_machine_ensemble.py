@@ -100,7 +100,7 @@ def test_ensemble_of_a_machine_is_trained_calibrated_and_runs(
 
 
 @pytest.mark.parametrize(('words', 'message'), [
-    (['two_joint_arm', '--ensemble', '3'], 'a rigid_body tells how sure it is'),
+    (['two_joint_arm', '--ensemble', '3'], 'a rigid_body has the uncertainty of each parameter'),
     (['dfki_double_pendulum', '--ensemble', '1'], 'expected 2 to 64 members')])
 def test_ensemble_that_cannot_be_is_refused(tmp_path: Path, words: list, message: str):
     with pytest.raises(ParameterError, match=message):
