@@ -79,7 +79,7 @@ def test_bag_begun_while_a_command_is_held_agrees_bit_by_bit(tmp_path, driven):
 def test_driven_run_whose_commands_are_gone_is_not_certified(tmp_path, driven):
     bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS)
     verdict = check_replay(as_received(bag, tmp_path / 'a.mcap', without=['commands']))
-    assert not verdict.good and 'the log does not tell at which step' in verdict.text
+    assert not verdict.good and 'the log does not say at which step' in verdict.text
     # At which step those acted that came at some time of another clock is not known either.
     assert not check_replay(as_received(bag, tmp_path / 'b.mcap')).good
 
