@@ -21,7 +21,7 @@ DRAWN = ('gravity', 'spring', 'magnetic_field', 'soft_wall', 'damping', 'dry_fri
 MOTORS = 'motors'
 # Of half of what the mechanism fills: the arrow of the largest force of the first samples at most,
 # and the radius of one.
-_SHARE, _RADIUS = 1.5, 0.03
+_SHARE, _RADIUS = 1.0, 0.03
 # What q is varied by, relative to its range, for the derivatives of places.
 _STEP = 1e-6
 # Those of the palette, from its third on: the first two are taken by mechanisms.

@@ -45,7 +45,7 @@ def test_forces_of_a_body_by_its_place_are_those_of_the_effects():
     # Of the momentum of the velocity, p - c A(q).
     assert found['damping'].shape == (1, 3) and found['damping'][0, 1] == 0.0
     # One newton is 1, 2 or 5 times a power of ten long, and the largest force is in the view.
-    assert f'{scale:e}'[0] in '125' and scale * 19.62 <= 1.5 < 2.5 * scale * 19.62
+    assert f'{scale:e}'[0] in '125' and scale * 19.62 <= 1.0 < 2.5 * scale * 19.62
 
 
 def test_force_of_a_magnetic_field_is_what_the_motion_shows():
@@ -85,9 +85,9 @@ def test_recording_holds_arrows_and_says_how_long_a_newton_is(tmp_path: Path):
     assert {'/world/forces/damping', '/world/forces/periodic_drive'} <= found.keys()
     drive = np.array(found['/world/forces/periodic_drive']['Arrows3D:vectors']).reshape(-1, 3)
     told = ' '.join(np.ravel(found['/events']['TextLog:text']))
-    assert ('arrows of forces, 1 N is 0.1 m long: damping green, periodic_drive pink') in told
+    assert ('arrows of forces, 1 N is 0.05 m long: damping green, periodic_drive pink') in told
     # 10.7 N m at t = 0, on a rod drawn 1 m long.
-    assert np.linalg.norm(drive[0]) == pytest.approx(0.1 * 10.7, rel=1e-5)
+    assert np.linalg.norm(drive[0]) == pytest.approx(0.05 * 10.7, rel=1e-5)
 
 
 def test_drawn_effects_are_forces_or_potentials_that_scenes_know():
