@@ -191,6 +191,53 @@ def _judge(k, residual, previous, slow, MOST: tl.constexpr, CONNECTED: tl.conste
 
 
 @triton.jit
+def _network(w1, b1, w2, b2, last, n, WIDTH: tl.constexpr):
+    """Return the weights of 2-n-n-1 as ``_gradient`` takes them, filled up with zeros."""
+    units = tl.arange(0, WIDTH)
+    known = units < n
+    both = known[:, None] & known[None, :]
+    return (tl.load(w1 + 2 * units, mask=known, other=0.0),
+            tl.load(w1 + 2 * units + 1, mask=known, other=0.0),
+            tl.load(b1 + units, mask=known, other=0.0),
+            tl.load(w2 + n * units[:, None] + units[None, :], mask=both, other=0.0),
+            tl.load(w2 + n * units[None, :] + units[:, None], mask=both, other=0.0),
+            tl.load(b2 + units, mask=known, other=0.0),
+            tl.load(last + units, mask=known, other=0.0))
+
+
+@triton.jit
+def _load_rows(array, columns, m, there):
+    """Return three rows of an array, shape (columns,) each."""
+    return (tl.load(array + columns, there, 0.0), tl.load(array + m + columns, there, 0.0),
+            tl.load(array + 2 * m + columns, there, 0.0))
+
+
+@triton.jit
+def _store_rows(array, columns, m, there, first, second, third):
+    """Store three rows of an array, shape (columns,) each."""
+    tl.store(array + columns, first, there)
+    tl.store(array + m + columns, second, there)
+    tl.store(array + 2 * m + columns, third, there)
+
+
+@triton.jit
+def _defect(value, x, base, change, rounding):
+    """Return value - x over the size of the terms of an equation; see ``solve``."""
+    scale = tl.maximum(tl.maximum(tl.abs(base), change), rounding)
+    scale = tl.where((scale > 0.0) & (scale < _LEAST_SCALE), _LEAST_SCALE, scale)
+    size = tl.where(scale > 0.0, scale, tl.maximum(tl.abs(value), tl.abs(x)))
+    difference = value - x
+    return tl.where(difference == 0.0, difference, difference / tl.where(size > 0.0, size, 1.0))
+
+
+@triton.jit
+def _remember(solved, solution, count, first, second, third):
+    """Return how many earlier solutions there are, and these, after one that is solved."""
+    return (tl.where(solved, tl.minimum(count + 1, 3), count), tl.where(solved, solution, first),
+            tl.where(solved, first, second), tl.where(solved, second, third))
+
+
+@triton.jit
 def take_steps(z, carry, slope, counts, earlier, earlier_too, todo, outcomes, most, at, numbers,
                w1, b1, w2, b2, last, m, n, end, LEAPFROG: tl.constexpr, EXTRAPOLATE: tl.constexpr,
                MOST: tl.constexpr, CONNECTED: tl.constexpr, WIDTH: tl.constexpr,
@@ -225,16 +272,7 @@ def take_steps(z, carry, slope, counts, earlier, earlier_too, todo, outcomes, mo
     """
     columns = tl.program_id(0).to(tl.int64) * COLUMNS + tl.arange(0, COLUMNS)
     there = columns < m
-    units = tl.arange(0, WIDTH)
-    known = units < n
-    w_q = tl.load(w1 + 2 * units, mask=known, other=0.0)
-    w_p = tl.load(w1 + 2 * units + 1, mask=known, other=0.0)
-    bias_1 = tl.load(b1 + units, mask=known, other=0.0)
-    bias_2 = tl.load(b2 + units, mask=known, other=0.0)
-    w_out = tl.load(last + units, mask=known, other=0.0)
-    both = known[:, None] & known[None, :]
-    w_2 = tl.load(w2 + n * units[:, None] + units[None, :], mask=both, other=0.0)
-    w_2_turned = tl.load(w2 + n * units[None, :] + units[:, None], mask=both, other=0.0)
+    w_q, w_p, bias_1, w_2, w_2_turned, bias_2, w_out = _network(w1, b1, w2, b2, last, n, WIDTH)
     step, rounding_p, rounding_q = tl.load(numbers), tl.load(numbers + 1), tl.load(numbers + 2)
     h = 0.5 * step if LEAPFROG else step
 
@@ -243,14 +281,10 @@ def take_steps(z, carry, slope, counts, earlier, earlier_too, todo, outcomes, mo
     p_carry = tl.load(carry + m + columns, there, 0.0)
     H_q, H_p = tl.load(slope + columns, there, 0.0), tl.load(slope + m + columns, there, 0.0)
     count = tl.load(counts + columns, there, 0)
-    first, second = tl.load(earlier + columns, there, 0.0), tl.load(
-        earlier + m + columns, there, 0.0)
-    third = tl.load(earlier + 2 * m + columns, there, 0.0)
+    first, second, third = _load_rows(earlier, columns, m, there)
     # Of the second half of a leapfrog; what eq. (6) leaves as it is.
     count_too = tl.load(counts + m + columns, there, 0) if LEAPFROG else count
-    first_too, second_too = tl.load(earlier_too + columns, there, 0.0), tl.load(
-        earlier_too + m + columns, there, 0.0)
-    third_too = tl.load(earlier_too + 2 * m + columns, there, 0.0)
+    first_too, second_too, third_too = _load_rows(earlier_too, columns, m, there)
     halfway = there & (columns < 0)
     p_half, p_half_carry, H_p_half = p, p_carry, H_p
 
@@ -285,13 +319,7 @@ def take_steps(z, carry, slope, counts, earlier, earlier_too, todo, outcomes, mo
         found = tl.where(halfway, found_p, found_q) if LEAPFROG else found_q
         value, rest = _plus(base, base_carry, factor * found)
 
-        scale = tl.maximum(tl.maximum(tl.abs(base), tl.abs(h) * tl.abs(known_slope)),
-                           tl.abs(h) * rounding)
-        scale = tl.where((scale > 0.0) & (scale < _LEAST_SCALE), _LEAST_SCALE, scale)
-        size = tl.where(scale > 0.0, scale, tl.maximum(tl.abs(value), tl.abs(x)))
-        difference = value - x
-        defect = tl.where(difference == 0.0, difference, difference / tl.where(
-            size > 0.0, size, 1.0))
+        defect = _defect(value, x, base, tl.abs(h) * tl.abs(known_slope), tl.abs(h) * rounding)
         residual = tl.abs(defect)
         k += 1
         gradients += 1
@@ -320,15 +348,11 @@ def take_steps(z, carry, slope, counts, earlier, earlier_too, todo, outcomes, mo
             half = solved & ~halfway
             p_half, p_half_carry = tl.where(half, x, p_half), tl.where(half, x_carry, p_half_carry)
             H_p_half = tl.where(half, found_p, H_p_half)
-            third_too = tl.where(stepped, second_too, third_too)
-            second_too = tl.where(stepped, first_too, second_too)
-            first_too = tl.where(stepped, x - base, first_too)
-            count_too = tl.where(stepped, tl.minimum(count_too + 1, 3), count_too)
+            count_too, first_too, second_too, third_too = _remember(
+                stepped, x - base, count_too, first_too, second_too, third_too)
         else:
             half = stepped
-        third, second = tl.where(half, second, third), tl.where(half, first, second)
-        first = tl.where(half, x - base, first)
-        count = tl.where(half, tl.minimum(count + 1, 3), count)
+        count, first, second, third = _remember(half, x - base, count, first, second, third)
         q, q_carry = tl.where(stepped, q_new, q), tl.where(stepped, q_new_carry, q_carry)
         p, p_carry = tl.where(stepped, p_new, p), tl.where(stepped, p_new_carry, p_carry)
         H_q, H_p = tl.where(stepped, found_q, H_q), tl.where(stepped, found_p, H_p)
@@ -352,14 +376,10 @@ def take_steps(z, carry, slope, counts, earlier, earlier_too, todo, outcomes, mo
     tl.store(slope + columns, H_q, there)
     tl.store(slope + m + columns, H_p, there)
     tl.store(counts + columns, count, there)
-    tl.store(earlier + columns, first, there)
-    tl.store(earlier + m + columns, second, there)
-    tl.store(earlier + 2 * m + columns, third, there)
+    _store_rows(earlier, columns, m, there, first, second, third)
     if LEAPFROG:
         tl.store(counts + m + columns, count_too, there)
-        tl.store(earlier_too + columns, first_too, there)
-        tl.store(earlier_too + m + columns, second_too, there)
-        tl.store(earlier_too + 2 * m + columns, third_too, there)
+        _store_rows(earlier_too, columns, m, there, first_too, second_too, third_too)
     tl.store(todo + columns, left, there)
     tl.store(outcomes + columns, outcome, there)
     tl.store(most + columns, costliest, there)
