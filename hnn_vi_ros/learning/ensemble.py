@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles: resampled data, members in one model, and what their spread tells of errors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -134,11 +134,17 @@ def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | N
     Inference for Regression, JASA 2018.
 
     """
+    return with_calibration(checkpoint, lambda: _calibration(checkpoint, config, test))
+
+
+def with_calibration(checkpoint: Checkpoint, find: Callable[[], dict[str, object]]) -> Checkpoint:
+    """Return an ensemble with what is found of its spread on its card, or why nothing is."""
     try:
-        found = _calibration(checkpoint, config, test)
+        found = find()
     except HnnViRosError as problem:
         # What was trained is a model all the same, and says so.
         found = {'calibration': f'none: {problem}'[:1000]}
+    assert checkpoint.card.ensemble is not None, 'an ensemble has its card'
     ensemble = checkpoint.card.ensemble.model_copy(update=found)
     return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import warnings
 
-from hnn_vi_ros.errors import (
-    AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure)
+from hnn_vi_ros.errors import AlarmWarning, DataError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.ensemble import band_text, check_count, conformal_factors
+from hnn_vi_ros.learning.ensemble import (
+    band_text, check_count, conformal_factors, with_calibration)
 from hnn_vi_ros.learning.machine_config import MachineConfig, Trajectory
 from hnn_vi_ros.learning.machine_training import part_of
 from hnn_vi_ros.learning.motions import MIN_SAMPLES, Motion
@@ -120,13 +120,8 @@ def calibrated_machine(checkpoint: Checkpoint, held: Sequence[Motion], test: Seq
     """
     ensemble = checkpoint.card.ensemble
     assert ensemble is not None, 'an ensemble has its card'
-    try:
-        found = _calibration(checkpoint, ensemble.level, held, test)
-    except HnnViRosError as problem:
-        # What was trained is a model all the same, and says so.
-        found = {'calibration': f'none: {problem}'[:1000]}
-    ensemble = ensemble.model_copy(update=found)
-    return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
+    level = ensemble.level
+    return with_calibration(checkpoint, lambda: _calibration(checkpoint, level, held, test))
 
 
 def _calibration(checkpoint: Checkpoint, level: float, held: Sequence[Motion],
