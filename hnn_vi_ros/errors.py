@@ -11,15 +11,29 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+# Names in a list; characters of a message, of a longer one from its begin and from its end.
+_MOST_LISTED = 20
+_LONGEST, _TAIL = 2000, 400
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.7) -> str:
     """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
-    nearest = get_close_matches(word, known, n=1, cutoff=0.7)
+    nearest = get_close_matches(word, known, n=1, cutoff=cutoff)
     return f'; did you mean {nearest[0]}?' if nearest else ''
+
+
+def listed(names: Iterable[object]) -> str:
+    """Return names for a message: of many the first, and how many more there are."""
+    every = [*names]
+    more = len(every) - _MOST_LISTED
+    return ', '.join(map(str, every[:_MOST_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
 
 
 class HnnViRosError(Exception):
     """
     Base of every error that this package raises on purpose.
+
+    A message of more than 2000 characters loses its middle: what it quotes may be of any length.
 
     Attributes
     ----------
@@ -29,6 +43,11 @@ class HnnViRosError(Exception):
     """
 
     remedy: ClassVar[str] = ''
+
+    def __init__(self, message: str = ''):
+        if len(message) > _LONGEST:
+            message = f'{message[:_LONGEST - _TAIL]} ... {message[-_TAIL:]}'
+        super().__init__(message)
 
 
 class SceneError(HnnViRosError):

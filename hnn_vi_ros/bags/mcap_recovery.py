@@ -21,7 +21,7 @@ from hnn_vi_ros.bags.even_grid import Missing, missing_in_all
 from hnn_vi_ros.bags.mcap_check import data_crc_holds, is_finished
 from hnn_vi_ros.bags.mcap_copy import copy_messages, describe_topic, ros_distro
 from hnn_vi_ros.bags.mcap_file import McapFile
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 
 
@@ -109,7 +109,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     path = files[0]
     if len(files) > 1 or path.name.endswith(('.db3', '.zstd')):
         raise RecordingError(f'{bag}: expected one .mcap file, found '
-                             f'{", ".join(file.name for file in files)}; give one, unpacked')
+                             f'{listed(file.name for file in files)}; give one, unpacked')
     try:
         with open_file(path, path) as stream, _not_being_recorded(stream, path):
             file = McapFile(path, path, thorough=True)

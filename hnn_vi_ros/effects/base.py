@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from hnn_vi_ros.effects.commands import Reference
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
@@ -384,7 +385,7 @@ def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:
     """Return the column of a coordinate in q, or raise ValueError with the valid names."""
     places = scalar_columns(coordinates)
     if name not in places:
-        raise ValueError(f'no coordinate {name!r}; valid coordinates: {", ".join(places)}')
+        raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(places)}')
     return places[name]
 
 
@@ -394,5 +395,5 @@ def per_coordinate(coordinates: Sequence[Coordinate], name: str, values: float |
     array, names = np.array(values, dtype=np.float64), columns(coordinates)[1]
     if array.ndim and array.size != len(names):
         raise ValueError(f'{name} has {array.size} values, expected 1 or one for each of the '
-                         f'coordinates {", ".join(names)}')
+                         f'coordinates {listed(names)}')
     return np.broadcast_to(array, len(names)).copy()

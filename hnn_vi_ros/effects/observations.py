@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.commands import Command, Observation
+from hnn_vi_ros.errors import listed
 import numpy as np
 
 MOST_PREDICTIONS = 40
@@ -53,7 +54,7 @@ def check_observed(names: Sequence[str], deviations: Sequence[float] | None, pre
     if deviations is not None and (len(deviations) != len(names) or not all(
             np.isfinite(one) and one > 0.0 for one in deviations)):
         raise ValueError(f'deviations = {deviations} must be positive and finite, one for each of '
-                         f'{", ".join(names)}')
+                         f'{listed(names)}')
 
 
 def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +71,7 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
     for name in names:
         if given.count(name) != 1:
             raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it '
-                             f'once; observed are {", ".join(names)}')
+                             f'once; observed are {listed(names)}')
     rows = [given.index(name) for name in names]
     position, velocity = command.position[rows], command.velocity[rows]
     if not (np.abs(position) <= _LARGEST).all() or (np.abs(velocity) > _LARGEST).any():

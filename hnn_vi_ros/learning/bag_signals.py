@@ -9,7 +9,7 @@ from typing import final, NamedTuple, TYPE_CHECKING
 from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, JointStates
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import MOMENTUM
-from hnn_vi_ros.errors import DataError, RecordingError
+from hnn_vi_ros.errors import DataError, listed, RecordingError
 import numpy as np
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ class SignalReader:
                 rows.append(found[1])
         if len(rows) < (1 if field == '*' else 2):
             raise DataError(f'{self.path}: {name} has {len(rows)} messages with the joints '
-                            f'{", ".join(self._joints)}; record for longer, or name joints that '
+                            f'{listed(self._joints)}; record for longer, or name joints that '
                             'it has in data.joints')
         if len({len(row) for row in rows}) != 1:
             raise DataError(f'{self.path}: {name}: its messages have different lengths')
@@ -212,7 +212,7 @@ class SignalReader:
         if not set(self._joints) <= seen:
             raise DataError(f'{self.path}: {name} has no joint '
                             f'{next(joint for joint in self._joints if joint not in seen)!r}; '
-                            f'its joints: {", ".join(sorted(seen)) or "none"}')
+                            f'its joints: {listed(sorted(seen)) or "none"}')
         return self._times(name, stamps), np.array(rows)
 
     def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
@@ -318,8 +318,8 @@ class SignalReader:
         return [channel for channel in self._reader.channels.values() if channel.topic == topic]
 
     def _contents(self) -> str:
-        return ', '.join(sorted({f'{channel.topic} ({self._schema(channel)})'
-                                 for channel in self._reader.channels.values()})) or 'nothing'
+        return listed(sorted({f'{channel.topic} ({self._schema(channel)})'
+                              for channel in self._reader.channels.values()})) or 'nothing'
 
     def _schema(self, channel: 'Channel') -> str:
         schema = self._reader.schemas.get(channel.schema_id)

@@ -10,7 +10,7 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.energy_account import balance
@@ -290,7 +290,7 @@ def _read(source: Path, config: MachineConfig, given: list[str]
     names = list(dict.fromkeys(run_of(motion) for motion in motions))
     for run in data.test_runs:
         if run not in names:
-            raise DataError(f'{source}: data.test_runs: no run {run!r} among {", ".join(names)}')
+            raise DataError(f'{source}: data.test_runs: no run {run!r} among {listed(names)}')
     train, test = split_motions(motions, data.test_runs)
     if not train:
         raise DataError(f'{source}: data.test_runs leave nothing to learn from')

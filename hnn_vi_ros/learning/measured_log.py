@@ -8,7 +8,7 @@ from pathlib import Path
 import re
 from typing import Literal, Protocol
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.dataset import (
@@ -149,7 +149,7 @@ def parse_log(path: Path, raw: bytes, data: Columns, lacking: bool = False
             continue  # a header line
         if len(fields) != len(data.columns):
             raise DataError(f'{path}:{number}: {len(fields)} columns, expected '
-                            f'{len(data.columns)}: {", ".join(data.columns)}')
+                            f'{len(data.columns)}: {listed(data.columns)}')
         rows.append([np.nan if lacking and fields[i].lower() in ('', 'nan') else
                      _number(path, number, i, fields[i], name)
                      for i, name in enumerate(data.columns)])

@@ -9,7 +9,7 @@ from pathlib import Path
 import zipfile
 import zlib
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
@@ -108,10 +108,10 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
     for run in wanted:
         if run not in found:
             raise DataError(f'{path}: no run {run!r} with a key {first}; its runs: '
-                            f'{", ".join(found) or "none"}; name the keys in data')
+                            f'{listed(found) or "none"}; name the keys in data')
     if not wanted:
         raise DataError(f'{path}: no key {first}, nor any RUN/{first}; it has '
-                        f'{", ".join([*arrays][:8]) or "none"}; name the keys in data')
+                        f'{listed(arrays) or "none"}; name the keys in data')
     found_runs = [_run(path, run, arrays, data, d) for run in wanted]
     named = ', '.join(run for run in wanted if run)
     return as_motions(found_runs, data, f'{path.name}: {named}' if named else path.name,
@@ -123,7 +123,7 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
     def array(key: str, shape: tuple[int, ...], fewer: bool = False) -> np.ndarray:
         name = f'{run}/{key}' if run else key
         if name not in arrays:
-            raise DataError(f'{path}: no key {name}; it has {", ".join([*arrays][:8])}; name the '
+            raise DataError(f'{path}: no key {name}; it has {listed(arrays)}; name the '
                             'keys in data')
         values = arrays[name]
         fits = values.shape == shape or (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.learning.bag_signals import ARRAY, SignalReader
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
@@ -64,7 +64,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
     joints = data.joints or list(names)
     if len(joints) != len(names):
         raise DataError(f'data.joints names {len(joints)} joints for {len(names)} coordinates: '
-                        f'{", ".join(names)}')
+                        f'{listed(names)}')
     runs, digests = [], []
     for path in paths:
         reader, forces = _reader(path, joints, data)

@@ -8,7 +8,7 @@ import re
 import stat
 import zipfile
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
@@ -34,7 +34,7 @@ def read_layers(path: Path) -> Layers:
     """
     networks = read_networks(path)
     if len(networks) != 1:
-        names = ', '.join(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
+        names = listed(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
         raise ModelError(f'{path}: holds {len(networks)} networks ({names}), expected one; '
                          f'{_SHAPES}')
     (layers,) = networks.values()

@@ -12,7 +12,7 @@ from typing import Any
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.user_folders import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.inputs import INPUTS
@@ -307,7 +307,7 @@ class RecordedRun:
                 return next((node for node in nodes if f'{node}/scene' in kinds), nodes[0]), names
         raise RecordingError(
             f'{self.reader.path}: holds no topic state of a simulator, nor q and p; topics: '
-            f'{", ".join(sorted(kinds)) or "none"}')
+            f'{listed(sorted(kinds)) or "none"}')
 
     def _type_of(self, channel: int) -> str:
         schema = self.reader.schemas.get(self.reader.channels[channel].schema_id)

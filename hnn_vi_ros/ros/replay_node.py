@@ -10,7 +10,7 @@ import sys
 
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, RecordingError
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
@@ -127,7 +127,7 @@ class ReplayNode(Node):
         known = sorted({channel.topic for channel in self._reader.channels.values()})
         if unknown := [name for name in wanted if name not in known]:
             raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
-                                 f'{", ".join(known) or "none"}')
+                                 f'{listed(known) or "none"}')
         left_out = {CLOCK_TOPIC[0]} if settings.publish_clock else set()
         if not wanted:
             left_out |= self._heard()

@@ -12,7 +12,7 @@ from hnn_vi_ros.effects.base import (
     Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together, Wrapping)
 from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
-from hnn_vi_ros.errors import StateError, UnsupportedSystem
+from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS, REDUNDANT
@@ -288,7 +288,7 @@ class System:
 
     def _check_coordinates(self, hamiltonian: Hamiltonian, integrator: Integrator) -> None:
         check_method(integrator, hamiltonian)
-        names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
+        names = listed(coordinate.name for coordinate in hamiltonian.coordinates)
         for index, (effect, label) in enumerate(zip(self._effects, self.labels, strict=True)):
             if hamiltonian.rotations and not effect.turns:
                 able = ', '.join(kind for kind, other in EFFECTS.items() if other.turns)

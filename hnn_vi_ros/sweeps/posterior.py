@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import DataError, did_you_mean
+from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.files.yaml_text import one_line
 import numpy as np
@@ -106,7 +106,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     for name in wanted:
         if name not in names or name not in found.parameters:
             raise DataError(f'{where}: no {name!r} among its parameters and its covariance'
-                            f'{did_you_mean(name, names)}; there are: {", ".join(names)}')
+                            f'{did_you_mean(name, names)}; there are: {listed(names)}')
     chosen = [names.index(name) for name in wanted]
     covariance = np.array(found.covariance.matrix)[np.ix_(chosen, chosen)]
     return Posterior([*wanted.values()],

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import math
 import re
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, KINDS, RIGID, Robot, SLIDING)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, place, Work
@@ -54,7 +54,7 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
 
     """
     if base not in robot.links:
-        raise ValueError(f'base = {base!r} is no link; links: {", ".join(robot.links)}')
+        raise ValueError(f'base = {base!r} is no link; links: {listed(robot.links)}')
     builder = _Builder(robot, locked, base)
     moving = {joint.name: joint for joint in builder.joints}
     order = list(moving) if joints is None else list(joints)
@@ -64,7 +64,7 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
         for joint in values:
             if joint not in valid:
                 raise ValueError(f'{name} names {joint!r}, which is no joint that moves; valid: '
-                                 f'{", ".join(valid) or "none"}')
+                                 f'{listed(valid) or "none"}')
     for joint, value in rotor_inertia.items():
         if not (math.isfinite(value) and value >= 0.0):
             raise ValueError(f'rotor_inertia of {joint} = {value} must be a number from 0')
@@ -98,18 +98,19 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
         if name not in moving:
             why = 'it is locked' if name in met else 'no such joint moves'
             raise ValueError(f'joints names {name!r}: {why}; moving joints: '
-                             f'{", ".join(moving) or "none"}')
+                             f'{listed(moving) or "none"}')
     if len(set(order)) < len(order):
-        raise ValueError(f'joints = {list(order)} must name each joint once')
-    left = [name for name in moving if name not in order]
+        raise ValueError(f'joints = [{listed(order)}] must name each joint once')
+    named = set(order)
+    left = [name for name in moving if name not in named]
     if left:
-        raise ValueError(f'joints leaves out {", ".join(left)}; name them too, or hold them where '
+        raise ValueError(f'joints leaves out {listed(left)}; name them too, or hold them where '
                          f'they are to be: locked: {{{left[0]}: 0.0}}')
     if not order:
         raise ValueError('joints has none that moves; take another base, or lock fewer')
     if len(order) > MOST_JOINTS:
         raise ValueError(f'joints: {len(order)} move, at most {MOST_JOINTS} can; lock some, or '
-                         f'take another base: {", ".join(order)}')
+                         f'take another base: {listed(order)}')
     for name in order:
         if not _NAME.match(name):
             raise ModelError(f'{moving[name].place}: the name of a coordinate must be a letter or '
@@ -134,7 +135,7 @@ def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
             free = diagonal <= 0.0
     names = [joint.name for joint, one in zip(joints, free, strict=True) if one]
     first = next(joint for joint, one in zip(joints, free, strict=True) if one)
-    raise ModelError(f'{first.place}: {", ".join(names)} can move without moving any mass or '
+    raise ModelError(f'{first.place}: {listed(names)} can move without moving any mass or '
                      f'inertia; give <inertial> to link {first.child!r} or those behind it, lock '
                      'the joint, or give its rotor_inertia')
 
@@ -187,8 +188,8 @@ class _Builder:
         while self._waiting:
             self._pass(*self._waiting.pop())
         if self._mimics:
-            text = ', '.join(f'{joint.name} (of {joint.mimics})' for joint in self._mimics)
-            held = ', '.join(f'{joint.name}: 0.0' for joint in self._mimics)
+            text = listed(f'{joint.name} (of {joint.mimics})' for joint in self._mimics)
+            held = listed(f'{joint.name}: 0.0' for joint in self._mimics)
             raise ModelError(f'{self._mimics[0].place}: joints that mimic others are not '
                              f'simulated: {text}; hold them where they are to be: '
                              f'locked: {{{held}}}')
