@@ -166,6 +166,43 @@ def test_robot_moves_up_to_twelve_joints(tmp_path, number, refused):
         assert build(tmp_path, text, **arguments).dimension == 12
 
 
+def ladder(number: int, tail: str = '') -> str:
+    """Return a robot of so many joints, each on the link that the one before carries."""
+    return '\n'.join(['<robot name="ladder"><link name="link0"/>', *(
+        f'<joint name="joint{i}" type="continuous"><parent link="link{i - 1}"/>'
+        f'<child link="link{i}"/></joint><link name="link{i}"/>' for i in range(1, number + 1)),
+        f'{tail}</robot>'])
+
+
+ALL = [f'joint{i}' for i in range(1, 1900)]
+
+
+@pytest.mark.parametrize('number, tail, arguments, expected', [
+    # Before any of its joints is looked at: the mistake in the last line is not found.
+    (14_000, '<joint/>', {}, 'robot.urdf: 14001 links and 14001 joints, at most 2000 of each'),
+    (1900, '', {}, r'joints: 1900 move, at most 12 can; .* joint20, \.\.\. \(1880 more\)'),
+    (1900, '', {'joints': ALL}, r'joints leaves out joint1900; name them too'),
+    (1900, '', {'joints': [*ALL, *ALL]}, r'joints = \[joint1, .*must name each joint once'),
+    (1900, '', {'joints': ['joint5']}, r'leaves out joint1, .* \(1879 more\); name them too'),
+    (1900, '', {'joints': ['none']}, r'no such joint moves; moving joints: .* \(1880 more\)'),
+    (1900, '', {'base': 'none'}, r'is no link; links: link0, .* \(1881 more\)'),
+    (1900, '<link name="loose1"/>', {}, 'several links hang on nothing: link0, loose1'),
+    (50, ''.join(f'<link name="loose{i}"/>' for i in range(1800)), {},
+     r'several links hang on nothing: link0, .* \(1781 more\)'),
+    (1900, '<joint name="j" type="fixed"><parent link="link7"/><child link="none"/></joint>', {},
+     r"joint 'j': no link 'none'; links: link0, .* \(1881 more\)"),
+    (1900, f'<joint name="j" type="fixed"><parent link="link7"/><child link="{"x" * 10**6}"/>'
+     '</joint>', {}, "joint 'j': no link 'xxx.* more"),
+    (1900, f'<joint name="j" type="{"x" * 10**6}"><parent link="link7"/><child link="end"/>'
+     '</joint><link name="end"/>', {}, "joint 'j': type 'xxx.* cannot be simulated")])
+def test_robot_of_very_many_joints_is_refused_in_one_short_line(
+        tmp_path, number, tail, arguments, expected):
+    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]} | arguments
+    with pytest.raises((ModelError, ValueError), match=expected) as caught:
+        build(tmp_path, ladder(number, tail), **arguments)
+    assert len(str(caught.value)) < 2100 and '\n' not in str(caught.value)
+
+
 def test_joint_whose_name_cannot_name_a_coordinate_is_refused_unless_it_is_held(tmp_path):
     text = chain([1.0, 1.0], [1.0, 1.0]).replace('name="j2"', 'name="j 2/x"')
     arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}

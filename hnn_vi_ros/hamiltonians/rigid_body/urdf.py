@@ -3,12 +3,12 @@
 """Read a robot from a URDF: its links and joints; what it looks like is not read."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 import math
 from pathlib import Path
 import re
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.xml_text import Element, MAX_BYTES, parse_xml
 from hnn_vi_ros.files.yaml_text import one_line
@@ -18,6 +18,8 @@ import numpy as np
 # Without a way back: the time that it takes is proportional to the length.
 _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
 _LONGEST_NAME = 200
+# Ten times those of the largest published humanoids.
+_MOST_LINKS = 2000
 # In SI units; larger ones, of which products overflow, are mistakes. Limits may be any number.
 _LARGEST = 1e12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
@@ -51,8 +53,11 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     if macro is not None:
         raise ModelError(f'{where}:{macro.line}: <{macro.tag}>: a xacro, which is no URDF yet; '
                          'make one of it: xacro FILE > robot.urdf')
-    joints = [_joint(element, where) for element in root.named('joint')]
-    links = root.named('link')
+    links, between = root.named('link'), root.named('joint')
+    if max(len(links), len(between)) > _MOST_LINKS:
+        raise ModelError(f'{where}: {len(links)} links and {len(between)} joints, at most '
+                         f'{_MOST_LINKS} of each are read; leave out what is not simulated')
+    joints = [_joint(element, where) for element in between]
     _check_names([_name(element, where) for element in links], 'link', where)
     _check_names([joint.name for joint in joints], 'joint', where)
     carried: dict[str, list[Joint]] = {_name(element, where): [] for element in links}
@@ -61,7 +66,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in carried:
-                raise ModelError(f'{joint.place}: no link {end!r}; links: {_list(carried)}')
+                raise ModelError(f'{joint.place}: no link {end!r}; links: {listed(carried)}')
         carried[joint.parent].append(joint)
     first = _root(list(carried), joints, where)
     return Robot(root.attributes.get('name', ''), {
@@ -92,7 +97,7 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
         carriers[joint.child] = joint
     roots = [link for link in links if link not in carriers]
     if len(roots) > 1:
-        raise ModelError(f'{where}: several links hang on nothing: {_list(roots)}; join all but '
+        raise ModelError(f'{where}: several links hang on nothing: {listed(roots)}; join all but '
                          'one to others, by fixed joints for example')
     # Towards the base, each link once.
     known = set(roots)
@@ -101,11 +106,11 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
         while link not in known:
             if link in path:
                 raise ModelError(f'{path[link].place}: joints in a circle: '
-                                 f'{_list(joint.name for joint in path.values())}; a tree has '
+                                 f'{listed(joint.name for joint in path.values())}; a tree has '
                                  'none: leave one of them out')
             path[link] = carriers[link]
             link = carriers[link].parent
-        known |= path.keys()
+        known.update(path)
     return roots[0]
 
 
@@ -238,9 +243,3 @@ def _check_names(names: Sequence[str], tag: str, where: str) -> None:
 
 def _place(element: Element, where: str) -> str:
     return f'{where}:{element.line}: {element.tag} {element.attributes["name"]!r}'
-
-
-def _list(names: Iterator[str] | Sequence[str] | dict[str, list[Joint]]) -> str:
-    """Return names for an error; of many the first."""
-    every = list(names)
-    return ', '.join(every[:20]) + (', ...' if len(every) > 20 else '')
