@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.scene import load_scene
 import numpy as np
 import pytest
-from urdf_robots import chain, TREE, TREE_ARGUMENTS
+from urdf_robots import chain, TREE, TREE_ARGUMENTS, with_quaternions
 
 INERTIA = '<inertia ixx="0.2" ixy="0.01" ixz="-0.02" iyy="0.25" iyz="0.03" izz="0.1"/>'
 
@@ -42,6 +42,116 @@ def test_rotation_is_about_fixed_axes_in_turn():
     # y is turned to z by the first, x to y and z stays by the second.
     np.testing.assert_allclose(robot.links['a'].joints[0].rotation,
                                [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15)
+
+
+@pytest.mark.parametrize('version', ['1.1', '1.2'])
+def test_quaternions_turn_as_the_angles_that_they_stand_for(version):
+    frames, turned = (parse_urdf(text.encode(), 'robot.urdf').links
+                      for text in (TREE, with_quaternions(TREE, version)))
+    assert turned.keys() == frames.keys()
+    # Of rotations: some units of round-off.
+    for name, link in frames.items():
+        for own, other in zip(link.joints, turned[name].joints, strict=True):
+            np.testing.assert_allclose(other.rotation, own.rotation, rtol=0, atol=2e-15)
+        if link.inertial is not None:
+            np.testing.assert_allclose(turned[name].inertial.moments, link.inertial.moments,
+                                       rtol=0, atol=1e-15 * np.trace(link.inertial.moments))
+
+
+LIMIT = 'lower="-0.5" upper="0.5" velocity="1" effort="90"'
+
+
+@pytest.mark.parametrize('version, old, new, expected', [
+    ('2.0', '', '', r"robot.urdf:1: robot version='2.0' cannot be read; valid: 1.0, 1.1, 1.2"),
+    ('1', '', '', "robot version='1' cannot be read"),
+    ('1.3', '', '', "robot version='1.3' cannot be read"),
+    ('', '', '', "robot version='' cannot be read"),
+    ('1.0', '', '', None), ('1.1', '', '', None), ('1.2', '', '', None),
+    ('1.0', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"',
+     "robot.urdf:8: joint 'hip': origin: quat_xyzw is of version 1.1, and this file of 1.0"),
+    (None, 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"', r'write <robot version="1.1">, or rpy'),
+    ('1.1', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"', None),
+    ('1.1', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1e-200"', None),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'rpy="0 0 0" quat_xyzw="0 0 0 1"',
+     "robot.urdf:7: joint 'hip': origin has rpy and quat_xyzw; leave one of them out"),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 0"', 'quat_xyzw = 0 0 0 0 is no rotation'),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 1"', 'quat_xyzw has 3 numbers, expected 4'),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1 0"', 'has more than 4 numbers, expected 4'),
+    ('1.2', 'rpy="0.5 0.1 -0.3"', 'quat_xyzw="0 0 0 nan"', "link 'trunk': origin quat_xyzw = 'na"),
+    # What is limited beside these acts on no robot here; version 1.2 asks for both or none.
+    ('1.2', LIMIT, f'{LIMIT} acceleration="2" deceleration="3" jerk="40"', None),
+    ('1.2', LIMIT, f'{LIMIT} jerk="-40"', "joint 'rail': limit jerk = -40 must not be negative"),
+    ('1.2', LIMIT, f'{LIMIT} acceleration="fast"', "limit acceleration = 'fast' must be a finite"),
+    ('1.2', LIMIT, 'lower="-0.5"', "joint 'rail': limit without upper; version 1.2 has both"),
+    ('1.2', LIMIT, 'effort="90"', "joint 'rail': limit without lower; version 1.2 has both"),
+    ('1.1', LIMIT, 'lower="-0.5"', None),
+    ('1.2', f'<limit {LIMIT}/>', '', None)])
+def test_each_version_of_the_format_is_read_as_urdfdom_reads_it(
+        tmp_path, version, old, new, expected):
+    assert old in TREE
+    text = TREE.replace(old, new, 1) if old else TREE
+    if version is not None:
+        text = text.replace('<robot ', f'<robot version="{version}" ', 1)
+    if expected is None:
+        assert build(tmp_path, text).dimension == 5
+        return
+    with pytest.raises(ModelError, match=expected) as caught:
+        build(tmp_path, text)
+    assert '\n' not in str(caught.value) and 'robot.urdf:' in str(caught.value)
+
+
+@pytest.mark.parametrize('old, new, expected', [
+    ('rpy="0.3 0.5', 'ryp="0.3 0.5', "robot.urdf:8: joint 'hip': origin: unknown attribute 'ryp'; "
+     r'did you mean rpy\?; valid: xyz, rpy, quat_xyzw'),
+    ('damping="2.5"', 'dampnig="2.5"', "joint 'rail': dynamics: .*'dampnig'; did you mean damping"),
+    ('rpy="0.5 0.1', 'Rpy="0.5 0.1', "robot.urdf:9: link 'trunk': inertial: origin: .* 'Rpy'; did"),
+    ('ixz="-0.02"', 'ixz="-0.02" Ixx="1"', "robot.urdf:10: link 'trunk': inertial: inertia: .*'Ixx"),
+    ('value="3.5"', 'value="3.5" unit="g"', "inertial: mass: unknown attribute 'unit'; valid: val"),
+    ('xyz="1 2 -2"', 'xyz="1 2 -2" frame="world"', "axis: unknown attribute 'frame'; valid: xyz"),
+    ('effort="90"', 'efort="90"', "joint 'rail': limit: .* 'efort'; did you mean effort"),
+    ('<child link="hand"/>', '<child link="hand" joint="x"/>', "child: .* 'joint'; valid: link"),
+    ('type="continuous"', 'type="continuous" axis="0 0 1"', "joint 'hip': .* 'axis'; valid: name"),
+    ('<link name="base"/>', '<link name="base" mass="1"/>', "link 'base': .*'mass'; valid: name"),
+    ('<robot ', '<robot verison="1.0" ', "robot.urdf:1: robot: .* 'verison'; did you mean version"),
+    ('<mimic joint="finger"/>', '<mimic joint="finger" offest="1"/>', "mimic: .* mean offset"),
+    ('<mimic joint="finger"/>', '<mimic/>', "joint 'follower': mimic without joint; expected"),
+    ('<axis xyz="1 2 -2"/>', '<axis/>', "joint 'hip': axis without xyz; expected <axis xyz="),
+    ('<axis xyz="1 2 -2"/>', '<axs xyz="1 2 -2"/>',
+     "robot.urdf:8: joint 'hip': <axs> means nothing there; did you mean axis"),
+    ('<axis xyz="1 2 -2"/>', '<Axis xyz="1 2 -2"/>', '<Axis> means .* did you mean axis'),
+    ('<dynamics ', '<dynamic ', 'did you mean dynamics'),
+    ('<mass value="3.5"/>', '<mas value="3.5"/>', "link 'trunk': inertial: <mas> means nothing"),
+    ('<link name="base"/>', '<link name="base"/><lnik name="more"/>', 'robot: <lnik> .* mean link'),
+    ('<link name="base"/>', '<link name="base"><mass value="1"/></link>',
+     "link 'base': <mass> means nothing there; valid: inertial"),
+    ('<link name="base"/>', '<link name="base"><joint name="x" type="fixed"/></link>', '<joint> m'),
+    # Extensions are those of others, and so are attributes that published robots have.
+    ('<axis xyz="1 2 -2"/>', '<axis xyz="1 2 -2" rpy="0 0 0"/><drake:rotor_inertia value="1"/>'
+     '<joint_properties damping="1"/><actuator name="a"/>', None),
+    ('<dynamics ', '<dynamics drake:b="1" spring_stiffness="0" mu_coulomb="0" ', None),
+    ('<link name="base"/>', '<link name="base" type="x"><visual><orgin/></visual><contact/>'
+     '<origin xyz="0 0 0"/><sensor><mas/></sensor></link><gazebo reference="base"><mass/></gazebo>'
+     '<transmission><joint name="x"/></transmission><ros2_control><joint name="hip"><limit x="1"/>'
+     '</joint></ros2_control><material/><mujoco/><loop_joint/>', None),
+    ('<robot ', '<robot xmlns="http://www.ros.org" xmlns:drake="http://drake.mit.edu" ', None)])
+def test_misspelt_name_of_what_has_physical_meaning_is_answered_with_the_nearest(
+        tmp_path, old, new, expected):
+    assert old in TREE
+    text = TREE.replace(old, new, 1)
+    if 'drake:' in new and 'xmlns' not in new:
+        text = text.replace('<robot ', '<robot xmlns:drake="http://drake.mit.edu" ', 1)
+    if expected is None:
+        assert build(tmp_path, text).dimension == 5
+        return
+    with pytest.raises(ModelError, match=expected) as caught:
+        build(tmp_path, text)
+    assert '\n' not in str(caught.value) and 'robot.urdf:' in str(caught.value)
+
+
+def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):
+    for axis in ('<axis/>', '<axis xyz="0 0 0"/>'):
+        text = TREE.replace('<parent link="hand"/>', f'<parent link="hand"/>{axis}', 1)
+        assert text != TREE and build(tmp_path, text).dimension == 5
 
 
 @pytest.mark.parametrize('old, new, expected', [
