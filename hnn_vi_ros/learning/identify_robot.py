@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Units
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.scene import Scene
 
@@ -21,8 +22,8 @@ _LINK: dict[str, _Place] = {
     **{name: (('inertial', 'inertia'), name, None) for name in _MOMENTS}}
 _JOINT: dict[str, _Place] = {
     'damping': (('dynamics',), 'damping', None), 'friction': (('dynamics',), 'friction', None)}
-_UNITS = {'mass': 'kg', 'damping': 'N m s/rad', 'friction': 'N m',
-          **{f'centre_{axis}': 'm' for axis in _AXES}, **dict.fromkeys(_MOMENTS, 'kg m2')}
+_UNITS = {'mass': 'kg', **{f'centre_{axis}': 'm' for axis in _AXES},
+          **dict.fromkeys(_MOMENTS, 'kg m2')}
 
 
 def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
@@ -30,7 +31,9 @@ def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
     if scene.hamiltonian.kind != 'urdf':
         return {}
     root = _parsed(robot_file(scene))
-    return {f'{owner}.{name}': (_value(element, attribute, word), _UNITS[name])
+    own = {joint.get('name'): Units.of(joint.get('type', '')) for joint in root.findall('joint')}
+    return {f'{owner}.{name}': (_value(element, attribute, word), _UNITS.get(name) or (
+        own[owner].damping if name == 'damping' else own[owner].force))
             for owner, name, element, attribute, word in _numbers(root)}
 
 

@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -11,6 +12,22 @@ import numpy as np
 # Joints with one coordinate, and those without.
 TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
+
+
+class Units(NamedTuple):
+    """Units of a joint: of q and p, of its force, of its viscous friction, and of a rotor."""
+
+    q: str
+    p: str
+    force: str
+    damping: str
+    rotor: str
+
+    @classmethod
+    def of(cls, kind: str) -> 'Units':
+        """Return those of a kind of joint."""
+        return cls('m', 'kg m/s', 'N', 'N s/m', 'kg') if kind == SLIDING else \
+            cls('rad', 'kg m2/s', 'N m', 'N m s/rad', 'kg m2')
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +117,11 @@ class Joint:
     damping: float
     friction: float
     mimics: str | None
+
+    @property
+    def units(self) -> Units:
+        """Return its units."""
+        return Units.of(self.kind)
 
     @property
     def moves(self) -> bool:
