@@ -3,6 +3,7 @@
 """URDF files: what is read of them, and what each mistake is answered with."""
 
 import re
+import warnings
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
@@ -208,8 +209,6 @@ def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):
     ('damping="2.5"', 'damping="-2.5"', "joint 'rail': damping = -2.5 must not be negative"),
     ('effort="90"', 'effort="-90"', 'limit effort = -90 must not be negative'),
     ('effort="90"', 'effort="1e308"', None),
-    # The ground does not move.
-    ('izz="1"', 'izz="9"', None),
 ])
 def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, new, expected):
     assert old in TREE
@@ -219,6 +218,65 @@ def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, 
     with pytest.raises(ModelError, match=expected) as caught:
         build(tmp_path, TREE.replace(old, new, 1))
     assert '\n' not in str(caught.value) and 'robot.urdf' in str(caught.value)
+
+
+# No body has these; that of a tip, whose motion is that of its joints, is refused.
+FLAT = '<inertia ixx="1e-5" ixy="0" ixz="0" iyy="1e-5" iyz="0" izz="1e-5"/>'
+LONG = FLAT.replace('izz="1e-5"', 'izz="9e-5"')
+
+
+@pytest.mark.parametrize('old, new, arguments, expected', [
+    # What rests, even of a mass that is none.
+    ('iyz="0" izz="1"', 'iyz="0" izz="9"', {},
+     "robot.urdf:2: link 'ground': principal moments of inertia 1, 1, 9 kg m2: .*, since it rests"),
+    ('<mass value="9"/>', '<mass value="-9"/>', {}, "'ground': mass = -9 kg .*, since it rests"),
+    # Held by locked, in a tool that is a body with it.
+    (FLAT, LONG, {'locked': {'follower': 0.0, 'finger': 0.0}, 'joints': None},
+     "'tip': principal .*(triangle inequality).* since together with what it is fixed to it is p"),
+    # Fixed, and without mass.
+    ('<link name="hand"/>', f'<link name="hand"><inertial><mass value="0"/>{FLAT}</inertial></link>',
+     {}, "'hand': principal .* without mass; give .* since together with what it is fixed to"),
+    # Behind a joint that is locked.
+    (INERTIA, INERTIA.replace('0.1"', '9"'), {'locked': {
+        'follower': 0.0, 'hip': 0.0, 'wrist': 0.0, 'finger': 0.0, 'tail': 0.0}, 'joints': ['rail'],
+        'rotor_inertia': {}}, "'trunk': principal .* since it rests"),
+    # Behind the base.
+    ('<mass value="9"/>', '<mass value="-9"/>', {'base': 'base'}, None),
+])
+def test_link_that_no_body_could_be_is_told_where_it_does_not_matter(
+        tmp_path, old, new, arguments, expected):
+    assert old in TREE
+    arguments = TREE_ARGUMENTS | arguments
+    if arguments['joints'] is None:
+        arguments['joints'] = ['wrist', 'tail', 'rail', 'hip']
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        robot = build(tmp_path, TREE.replace(old, new, 1), **arguments)
+    told = [str(warning.message) for warning in caught]
+    assert len(told) == (expected is not None) and not any('\n' in line for line in told)
+    assert all(re.search(expected, line) for line in told)
+    # What is told changes nothing: the body is as heavy as its links together.
+    assert (np.linalg.eigvalsh(robot.masses(np.zeros((1, robot.dimension)))[0]) > 0.0).all()
+
+
+def test_slide_on_what_rests_turns_no_moments_of_inertia(tmp_path):
+    text = chain([1.0], [1.0]).replace('continuous', 'prismatic').replace('ixx="0"', 'ixx="-5"')
+    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
+    with pytest.warns(UserWarning, match="'l1': .* none may be negative; .* it does not turn"):
+        robot = build(tmp_path, text, **arguments)
+    assert robot.masses(np.zeros((1, 1))).item() == 1.0
+    with pytest.raises(ModelError, match="'l1': mass = -1 kg must not be negative"):
+        build(tmp_path, text.replace('value="1.0"', 'value="-1"'), **arguments)
+
+
+def test_many_links_that_no_body_could_be_are_one_warning(tmp_path):
+    links = ''.join(f'<link name="odd{i}"><inertial><mass value="1"/>{LONG}</inertial></link>'
+                    f'<joint name="fixed{i}" type="fixed"><parent link="ground"/>'
+                    f'<child link="odd{i}"/></joint>' for i in range(1000))
+    with pytest.warns(UserWarning) as caught:
+        build(tmp_path, TREE.replace('</robot>', f'{links}</robot>'))
+    (told,) = (str(warning.message) for warning in caught)
+    assert told.startswith(str(tmp_path)) and told.endswith(', odd20, ... (979 more)')
 
 
 @pytest.mark.parametrize('arguments, expected', [

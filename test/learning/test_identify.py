@@ -9,6 +9,7 @@ import shutil
 
 import hnn_vi_ros
 from hnn_vi_ros.cli import _call
+from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.learning.identify import main
 from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
@@ -382,6 +383,14 @@ def test_numbers_of_a_slide_have_the_units_of_lengths(robot, tmp_path):
         'rotor_inertia.rail': 'kg', 'rotor_inertia.hip': 'kg m2', DELAY: 's'}
     free = free_scene(robot, [*units], {}, tmp_path, True)
     assert {number.name: number.unit for number in free.numbers} == units
+
+
+def test_number_of_a_link_that_is_fixed_to_another_is_that_of_a_body(robot, tmp_path):
+    # That of the tool with the hand could still be one, were these below zero.
+    free = free_scene(robot, ['tool.mass', 'tool.ixx', 'tip.mass'], {}, tmp_path, True)
+    assert [number.low for number in free.numbers] == [0.0, 0.0, 0.0]
+    with pytest.raises(ModelError, match="link 'tool': .*triangle inequality"):
+        free.at([0.4, 9.0, 0.1])
 
 
 def test_command_writes_numbers_posterior_report_and_scene(log, tmp_path, capsys):

@@ -12,6 +12,8 @@ import numpy as np
 # Joints with one coordinate, and those without.
 TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
+# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of the rules.
+_ROUNDING, _NOTHING = 1e-6, 1e-12
 
 
 class Units(NamedTuple):
@@ -49,6 +51,23 @@ class Inertial:
     mass: float
     centre: np.ndarray
     moments: np.ndarray
+
+    @property
+    def fault(self) -> str:
+        """Return why no body has this mass and these moments of inertia; empty if one has."""
+        low, middle, high = np.linalg.eigvalsh(self.moments)
+        room = _NOTHING + _ROUNDING * abs(high)
+        text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
+        if self.mass < 0.0:
+            return f'mass = {self.mass:g} kg must not be negative'
+        if low < -room:
+            return f'{text}: none may be negative; see ixx to izz'
+        if low + middle < high - room:
+            return (f'{text}: no body has one that is more than the two others together (triangle '
+                    'inequality); see ixx to izz, and their unit')
+        if self.mass == 0.0 and high > room:
+            return f'{text} without mass; give the mass, or leave inertial out'
+        return ''
 
 
 @dataclass(frozen=True)

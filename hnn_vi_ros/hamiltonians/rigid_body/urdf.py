@@ -237,13 +237,10 @@ def _inertial(link: Element, where: str) -> Inertial | None:
     if masses is None or inertia is None:
         raise ModelError(f'{place}: inertial without {"mass" if masses is None else "inertia"}; '
                          'give both, or leave inertial out of a link that weighs nothing')
-    mass = _number(masses, 'value', place)
-    if mass < 0.0:
-        raise ModelError(f'{place}: mass = {mass:g} kg must not be negative')
     xx, xy, xz, yy, yz, zz = (_number(inertia, key, place) for key in _MOMENTS)
     moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     centre, rotation = _frame(element, place)
-    return Inertial(mass, centre, rotation @ moments @ rotation.T)
+    return Inertial(_number(masses, 'value', place), centre, rotation @ moments @ rotation.T)
 
 
 def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
