@@ -144,11 +144,14 @@ def parse_log(path: Path, raw: bytes, data: Columns, lacking: bool = False
     for number, line in enumerate(text.split('\n'), start=1):
         if not line.strip() or line.lstrip().startswith(data.comment):
             continue
-        fields = [field.strip() for field in line.strip('\r').split(_SEPARATORS[data.delimiter])]
+        # No further than needed: a line may be as long as the file.
+        fields = [field.strip() for field in line.strip('\r').split(
+            _SEPARATORS[data.delimiter], len(data.columns) + 1)]
         if not rows and fields == data.columns:
             continue  # a header line
         if len(fields) != len(data.columns):
-            raise DataError(f'{path}:{number}: {len(fields)} columns, expected '
+            more = ' or more' * (len(fields) > len(data.columns) + 1)
+            raise DataError(f'{path}:{number}: {len(fields)} columns{more}, expected '
                             f'{len(data.columns)}: {listed(data.columns)}')
         rows.append([np.nan if lacking and fields[i].lower() in ('', 'nan') else
                      _number(path, number, i, fields[i], name)

@@ -22,6 +22,7 @@ import numpy as np
 # What is drawn for so many places has one seed: as many random states as places take long.
 _DRAWN = 32
 _LARGEST_FILE = 2**28
+_MOST_KEYS = 50_000
 # Values of a key.
 Column = Sequence[Any] | np.ndarray
 
@@ -183,15 +184,21 @@ class FileAxis(Axis):
         except (OSError, UnicodeDecodeError) as problem:
             raise DataError(f'{place}: {path}: {one_line(problem)}') from problem
         head, *lines = text.splitlines() if text else ['']
-        self.keys = [name.strip() for name in head.split(',')]
-        rows = [line.split(',') for line in lines if line.strip()]
-        if not rows:
+        lines = [line for line in lines if line.strip()]
+        if not lines:
             raise DataError(f'{place}: {path} has no row of numbers; its first line names keys '
                             'of the scene, and each further one has a number for each')
-        for number, row in enumerate(rows, 2):
-            if len(row) != len(self.keys):
-                raise DataError(f'{place}: {path}: row {number} has {len(row)} values, expected '
-                                f'{len(self.keys)}')
+        # Counted before they are split: a line may be as long as the file.
+        keys, *counts = (line.count(',') + 1 for line in (head, *lines))
+        if keys > _MOST_KEYS:
+            raise DataError(f'{place}: {path}: its first line names {keys} keys, more than '
+                            f'{_MOST_KEYS}, which no scene has')
+        for number, count in enumerate(counts, 2):
+            if count != keys:
+                raise DataError(f'{place}: {path}: row {number} has {count} values, expected '
+                                f'{keys}')
+        self.keys = [name.strip() for name in head.split(',')]
+        rows = [line.split(',') for line in lines]
         try:
             self._table = np.array(rows, dtype=np.float64)
         except ValueError as problem:

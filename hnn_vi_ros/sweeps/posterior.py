@@ -85,7 +85,8 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     """
     where = f'{place}: {path}'
     try:
-        raw = regular(path).read_bytes()
+        with regular(path).open('rb') as stream:
+            raw = stream.read(_LARGEST_FILE + 1)
         if len(raw) > _LARGEST_FILE:
             raise DataError(f'{where} is larger than {_LARGEST_FILE} bytes; {_REMEDY}')
         found = _File.model_validate(json.loads(raw))
