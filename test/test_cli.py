@@ -274,12 +274,13 @@ def test_activations_of_the_command_line_are_those_that_can_be_imported():
 
 def test_warning_is_one_line_and_stands_once(tmp_path):
     (tmp_path / 'robot.urdf').write_text(chain([1.0], [1.0]).replace(
-        '<link name="l0"/>', '<link name="l0"><inertial><mass value="-1"/><inertia ixx="1" ixy="0" '
-        'ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'))
+        '<link name="l0"/>', '<link name="l0"><inertial><mass value="-1"/><inertia ixx="1" '
+        'ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'))
     (tmp_path / 'robot.yaml').write_text(
         'hamiltonian: {kind: urdf, file: robot.urdf}\nintegrator: {kind: generalized_leapfrog}\n'
         'step_size: 0.01\ninitial_state: {q: [1.0], p: [0.0]}\n')
-    code = "import sys; sys.argv = ['scene', '--check', 'robot.yaml']; from hnn_vi_ros import cli; cli.scene()"
+    code = ("import sys; sys.argv = ['scene', '--check', 'robot.yaml']; "
+            'from hnn_vi_ros import cli; cli.scene()')
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             timeout=240, check=False, cwd=tmp_path)
     assert (result.returncode, result.stderr) == (0, (

@@ -93,7 +93,7 @@ def test_unknown_scene_names_the_shipped_ones():
     ('1e-2', '1 ms', r"mine.yaml:3: step_size: '1 ms' is no number of seconds, e.g. 0.001"),
     ('1e-2', '0', r'mine.yaml:3: step_size'),
     ('p: [0]', 'p: [0]\neffects: [{kind: servo, coordinates: [x], stiffness: high}]',
-     r"mine.yaml:7: effects.0.stiffness: must be a valid number or .* \[N/m\] or \[N m/rad\], not"),
+     r'mine.yaml:7: effects.0.stiffness: must be a valid number or .* \[N/m\] or \[N m/rad\]'),
     ('p: [0]', 'p: [0]\neffects: [{kind: joint_limits, lower: {x: low}}]',
      r"mine.yaml:7: effects.0.lower.x: 'low' is no number \[rad\] or \[m\]"),
     ('1e-2', '.nan', r'mine.yaml:3: step_size: .*finite'),

@@ -107,8 +107,8 @@ def test_joints_move_about_and_along_axes_of_any_length(tmp_path: Path):
 
 
 def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: Path):
-    capsule = ('<link name="base"><visual><geometry><capsule radius="0.1" length="0.5"/></geometry>'
-               '</visual></link>')
+    capsule = ('<link name="base"><visual><geometry><capsule radius="0.1" length="0.5"/>'
+               '</geometry></visual></link>')
     found = []
     for name, text in (('old', TREE), ('new', with_quaternions(TREE).replace(
             '<link name="base"/>', capsule))):
