@@ -1,46 +1,224 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Steps that are cut where any of several coordinates meets a stop, on which some may rest together.
+Rigid stops: steps that are cut where coordinates meet them, and impulses that hold what rests.
 
-As in bouncing.py, whose searches and tests these are, but for all stops of a scene at once: what
-rests is held by impulses that are found together, since joints share a mass matrix, and only a
-step that meets a stop takes more than one gradient at each end.
+All stops of an effect are treated together. Joints share a mass matrix, so that an impact at one
+stop changes the velocities at the others, and the impulses that hold several joints are coupled.
+A step that meets no stop costs one more gradient at each end, for the velocities there.
 """
 
 from collections.abc import Callable
-from typing import Any
+from functools import cache
+from typing import Any, ClassVar, NamedTuple
 
-from hnn_vi_ros.effects.bouncing import (
-    keep, MOST_IMPACTS, PUSHES, put_back, Rates, SHORTEST_FLIGHT)
+from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
-from hnn_vi_ros.effects.held import (
-    hold, is_in, match, OFF, ON, push, Stops, StopsWork, take_back)
 from hnn_vi_ros.effects.wrapped import energy_of
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Of the speed of an impact: what it drives other joints by that is no rounding.
-_DRIVEN = 1e-12
-# Impacts in a step, for each stop, after which short flights are taken for the end of a series.
+# A step with more impacts than this fails. An elastic body that bounces forever must neither be
+# brought to rest nor pass through the stop.
+MOST_IMPACTS = 10_000
+# Shorter flights, as a share of the step, are not followed one by one if the geometric series of
+# all remaining flights ends within the step. Such a flight reaches less than 3e-11 of the distance
+# that the same acceleration covers in a step, so that following it would change nothing but cost.
+_SHORTEST_FLIGHT = 1e-5
+# After this many impacts in a step, for each stop, short flights count as the end of a series:
+# joints that drive each other into their stops would otherwise fly and hit without end.
 _MANY = 2
+# Other joints count as driven by an impact above this share of its speed; less is rounding.
+_DRIVEN = 1e-12
+# A coordinate is held if it ends within _HELD roundings of its stop. Where rounding keeps the
+# iteration from that, a share _STALLED of the first depth is accepted, for the velocity is exact
+# either way. Each stop has at most _PUSHES trials.
+_HELD, _STALLED, _PUSHES = 8.0, 1e-9, 30
+# Velocities are iterated to rounding; a larger error, up to _NEAR roundings, is accepted only if
+# the iteration no longer reduces it.
+_NEWTON_ITERATIONS, _NEAR = 50, 1e3
+# In a trial, a stop is either not touched, or it pushes, or it was released because it would have
+# to pull.
+_OFF, _ON, _RELEASED = 0, 1, 2
+
+
+class Stops(NamedTuple):
+    """
+    Parameters of a step with W stops.
+
+    Parameters
+    ----------
+    columns : np.ndarray of int, shape (W,)
+        Columns of their coordinates in q.
+    positions : np.ndarray, shape (W,)
+        Positions of the stops, in the units of the coordinates.
+    signs : np.ndarray, shape (W,)
+        1 where the motion is free above the stop, -1 where it is free below.
+    restitution : float
+        e [1].
+    nodes, count, widths : np.ndarray, shape (W, 66, 5), (W, 2), (W, 3)
+        One ``Search`` for each stop.
+    kept : np.ndarray, shape (4, K)
+        Space for the pending work and the resting stops of the K effects, before the present part
+        of the step and before the step.
+    cuts : np.ndarray, shape (1,)
+        Impacts so far, including those of trials.
+
+    """
+
+    columns: np.ndarray
+    positions: np.ndarray
+    signs: np.ndarray
+    restitution: float
+    nodes: np.ndarray
+    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
+    widths: np.ndarray
+    kept: np.ndarray
+    cuts: np.ndarray
+
+    @classmethod
+    def of(cls, columns: np.ndarray, positions: np.ndarray, signs: np.ndarray,
+           restitution: float, effects: int) -> 'Stops':
+        """Return W stops with their space, in a scene with this number of effects."""
+        return cls(columns, positions, signs, restitution, *Search.several(columns.size),
+                   np.zeros((4, effects)), np.zeros(1, dtype=np.int64))
+
+
+class Rates(NamedTuple):
+    """Space of shape (n,) for a gradient and a Hessian-vector product."""
+
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
+    product_q: np.ndarray
+    product_p: np.ndarray
+
+
+class StopsWork(NamedTuple):
+    """
+    The workspace of a step with W stops.
+
+    Parameters
+    ----------
+    start : Point
+        The state at the beginning of the present part of the step, with the impulses of stops.
+    p : np.ndarray, shape (n,)
+        The momenta of ``start`` without the impulses.
+    rates : Rates
+        Velocities and accelerations.
+    touch : np.ndarray of int, shape (W,)
+        _OFF, _ON or _RELEASED for each stop.
+    impulse, change, target : np.ndarray, shape (W,)
+        The impulse of each stop towards its free side, its last change, and the velocity that the
+        coordinate is to have.
+    gap : np.ndarray, shape (3, W)
+        Distances at the end of this trial, of the previous trial, and of the first.
+    inverse, masses, matrix : np.ndarray, shape (W, W)
+        Changes of impulses for changes of distances; H_pp of the stops that are touched; space.
+    right : np.ndarray, shape (2, W)
+        Right-hand sides.
+
+    """
+
+    start: Point
+    p: np.ndarray
+    rates: Rates
+    touch: np.ndarray
+    impulse: np.ndarray
+    change: np.ndarray
+    target: np.ndarray
+    gap: np.ndarray
+    inverse: np.ndarray
+    masses: np.ndarray
+    matrix: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def empty(cls, n: int, stops: int) -> 'StopsWork':
+        """Return the workspace for n coordinates and a number of stops."""
+        return cls._make([
+            Point.empty(n), np.zeros(n), Rates(*np.zeros((4, n))),
+            np.zeros(stops, dtype=np.int64), *np.zeros((3, stops)), np.zeros((3, stops)),
+            *np.zeros((3, stops, stops)), np.zeros((2, stops))])
+
+
+class RigidContact(StepEffect):
+    """
+    An effect whose parameters are ``Stops``: velocities v turn into -e v there.
+
+    Parameters
+    ----------
+    restitution : float
+        e, from 0 to 1 [1].
+
+    Attributes
+    ----------
+    beyond : str
+        Clause of the error for an initial state on the wrong side of a stop.
+
+    """
+
+    acts, repeats, lockstep = Place.OUTSIDE, True, False
+    excludes = {Place.MANIFOLD: 'because its impulses would lead off the constraints'}
+    beyond: ClassVar[str]
+
+    def __init__(self, restitution: float):
+        if not 0.0 <= restitution <= 1.0:
+            raise ValueError(f'restitution = {restitution} must be from 0 to 1')
+        self.restitution, self.conservative = float(restitution), restitution == 1.0
+
+    def accepts(self, integrator: Integrator) -> bool:
+        """Return whether the energy of the method does not drift from impact to impact."""
+        # A method of order 1 errs by h at each impact, always to the same side.
+        needs = integrator.requirements
+        return needs.hamiltonian and integrator.order >= 2 and needs.from_state
+
+    def check_state(self, hamiltonian: Hamiltonian, parameters: Stops, q: np.ndarray) -> None:
+        """Raise ValueError if a coordinate of q, shape (d,), is on the wrong side of a stop."""
+        for column, position, sign in zip(
+                parameters.columns, parameters.positions, parameters.signs, strict=True):
+            if sign * (q[column] - position) < 0.0:
+                raise ValueError(f'the initial {hamiltonian.coordinates[column].name} = '
+                                 f'{float(q[column])!r} is {self.beyond} {float(position)!r}')
+
+    @staticmethod
+    def inner_step(integrator: Integrator) -> tuple[Step, bool]:
+        """Return the method's step, and whether the path may turn more than once in a step."""
+        return integrator.step, integrator.order > 2
+
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> StopsWork:
+        """Return the workspace of a step with the stops of the settings; see StepEffect."""
+        return StopsWork.empty(n, settings[0].columns.size)
+
+    @staticmethod
+    @cache
+    def wrap(step: tuple[Step, bool], keeps_gradient: bool) -> Step:
+        """Return the step, cut into parts by impacts; see StepEffect."""
+        return stop(*step)
 
 
 def stop(step: Step, high: bool) -> Step:
     """
-    Return a step for one trajectory that turns velocities at stops; see JointLimits.
+    Return a step for one trajectory that turns velocities at stops.
+
+    Each impact in a step is located on the polynomial through the step, then by steps of the
+    method that end on the stop to round-off. So are the impacts of a path that crosses the stop
+    and returns within the step. Between impacts the method takes steps, symplectic if it is.
 
     Parameters
     ----------
     step : callable
-        Of the method; parts of a step are steps of another length.
+        Step of the method; parts of a step are steps of another length.
     high : bool
-        Whether steps may be so long that the path turns round more than once in one.
+        Whether steps may be so long that the path turns more than once in one. The polynomial
+        then matches accelerations as well.
 
     """
     fly = _flight(step, high)
@@ -52,7 +230,7 @@ def stop(step: Step, high: bool) -> Step:
         _, stops, state, effect = options
         work, inside = memory[-1], memory[:-1]
         copy_point(z, work.start)
-        first = draws = keep(state, stops.kept, 2)
+        first = draws = _save(state, stops.kept, 2)
         rest, rounding, impacts, total, met = h, 0.0, 0, 0, -1
         while True:
             _begin(kernel, stops, state.resting[effect], work, met, high)
@@ -62,16 +240,15 @@ def stop(step: Step, high: bool) -> Step:
             rest -= part
             done, resting = 0.0, state.resting[effect]
             if outcome == OK:
-                done, resting = hold(kernel, z1, stops, work)
+                done, resting = _hold(kernel, z1, stops, work)
                 if met >= 0:
-                    # Joints that drive each other into their stops, in flights without end.
-                    ends = impacts > _MANY * stops.places.size and part <= SHORTEST_FLIGHT * h
+                    ends = impacts > _MANY * stops.columns.size and part <= _SHORTEST_FLIGHT * h
                     done, resting = _meet(
                         kernel, z1, stops, work, met, done, resting, ends, rest, h, rounding)
             if np.isnan(done) or impacts > MOST_IMPACTS:
                 outcome = NO_CONVERGENCE
             if outcome != OK:
-                put_back(state, stops.kept, 2, first)
+                _undo(state, stops.kept, 2, first)
                 return outcome, residual, total
             state.pending[effect] += done
             state.resting[effect] = resting
@@ -82,28 +259,29 @@ def stop(step: Step, high: bool) -> Step:
                 return OK, residual, total
             impacts += 1
             copy_point(z1, work.start)
-            draws = keep(state, stops.kept, 0)
+            draws = _save(state, stops.kept, 0)
             forget(inside)
     return stopping
 
 
 def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, float, float, int]]:
-    """Return what takes the parts of a step with impacts; see stop."""
+    """Return the function that takes the parts of a step; see stop."""
     @inlined
     def fly(kernel: Kernel, rest: float, h: float, options: Parameters, z1: Point,
             memory: tuple[Any, ...], rounding: float, draws: int
             ) -> tuple[int, int, float, float, float, int]:
         """
-        Step on to where the first stop is met, or for the rest of the step h.
+        Step to the first impact, or for the rest of the step h.
 
-        Return the outcome, the stop that was met or -1, the length of this part, the rounding of a
-        distance, the residual and the number of gradients. What rests on a stop meets nothing.
+        Return the outcome, the stop that was met or -1, the length of this part, the rounding of
+        a distance, the residual and the number of gradients. A stop is not searched while its
+        coordinate rests on it.
         """
         inner, stops, state, effect = options
         work, inside = memory[-1], memory[:-1]
-        # The stops are looked at one after another; each of them only until the first that was
-        # met so far.
-        wanted, until, met, at, tries, total = rest, rest, -1, 0, 0, 0
+        # The stops are searched one after another, each only up to the earliest impact so far.
+        wanted, until, met, tries, total = rest, rest, -1, 0, 0
+        at = _next_free(state.resting[effect], 0, stops.columns.size)
         while True:
             outcome, residual, gradients = step(kernel, wanted, inner, work.start, z1, inside)
             total += gradients
@@ -111,15 +289,15 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 break
             again = False
             if state.resting[effect] > 0.0:
-                again = push(kernel, wanted, z1, stops, state.resting[effect], work, tries)
+                again = _push(kernel, wanted, z1, stops, state.resting[effect], work, tries)
                 tries += 1
-                if tries > PUSHES * (stops.places.size + 1):
+                if tries > _PUSHES * (stops.columns.size + 1):
                     outcome = NO_CONVERGENCE
                     break
             if not again:
-                if at == stops.places.size:
+                if at == stops.columns.size:
                     break
-                _rates(kernel, z1, work.rates, high)
+                _fill_rates(kernel, z1, work.rates, high)
                 total += 1
                 have = wanted
                 action, wanted, until, met, at, rounding = _look(
@@ -131,48 +309,83 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 if action == FREE and (wanted == have or not wanted > 0.0):
                     break
                 tries = 0
-                take_back(kernel, work)
-            put_back(state, stops.kept, 0, draws)
-            # Steps of other lengths are no guide to the next start.
+                _take_back(kernel, work)
+            _undo(state, stops.kept, 0, draws)
+            # Solutions of trials of another length are bad initial guesses for the next one.
             forget(inside)
         if outcome == OK and not until > 0.0:
-            take_back(kernel, work)
+            _take_back(kernel, work)
             copy_point(work.start, z1)
-            put_back(state, stops.kept, 0, draws)
-            for k in range(stops.places.size):
-                work.touch[k] = ON if is_in(state.resting[effect], k) else OFF
+            _undo(state, stops.kept, 0, draws)
+            for k in range(stops.columns.size):
+                work.touch[k] = _ON if _is_in(state.resting[effect], k) else _OFF
         return outcome, met, until, rounding, residual, total
     return fly
 
 
+@inlined
+def _is_in(resting: float, k: int) -> bool:
+    """Return whether stop k belongs to the set that a number encodes as a sum of 2^k."""
+    return (int(resting) >> k) & 1 == 1
+
+
+@inlined
+def _next_free(resting: float, k: int, count: int) -> int:
+    """Return the first stop from k on that nothing rests on; ``count`` if there is none."""
+    while k < count and _is_in(resting, k):
+        k += 1
+    return k
+
+
 @called
-def _rates(kernel: Kernel, z: Point, rates: Rates, high: bool) -> None:
-    """Fill the velocities H_p, and what they change by if that is asked for."""
+def _save(state: EffectState, kept: np.ndarray, last: int) -> int:
+    """Copy the account of the effects to rows 0 to ``last``; return the random numbers drawn."""
+    # Copied element by element: for slices, numba also compiles the messages of errors.
+    for row in range(0, last + 1, 2):
+        for k in range(state.pending.size):
+            kept[row, k], kept[row + 1, k] = state.pending[k], state.resting[k]
+    return state.draws[1]
+
+
+@called
+def _undo(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
+    """Restore the account of the effects before a part of the step (row 0) or the step (2)."""
+    for k in range(state.pending.size):
+        state.pending[k], state.resting[k] = kept[row, k], kept[row + 1, k]
+    state.draws[1] = draws
+
+
+@called
+def _fill_rates(kernel: Kernel, z: Point, rates: Rates, high: bool) -> None:
+    """Fill the velocities H_p, and their rates of change if ``high``."""
     dH_dq, dH_dp, product_q, product_p = rates
     kernel.gradient(kernel.parameters, z.q, z.p, dH_dq, dH_dp)
     if high:
         for i in range(z.q.size):
             dH_dq[i] = -dH_dq[i]
-        # H_p changes by H'' (q', p').
+        # The rate of H_p is the lower half of H'' (q', p').
         kernel.hessian_vector(kernel.parameters, z.q, z.p, dH_dp, dH_dq, product_q, product_p)
 
 
 @called
 def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: int, high: bool
            ) -> None:
-    """Begin a part of the step: no stop pushes yet, those on which nothing rests are watched."""
-    start, rates = work.start, work.rates
+    """Begin a part of the step: release all stops, and begin the search of the free ones."""
+    start, rates, count = work.start, work.rates, stops.columns.size
     for i in range(start.p.size):
         work.p[i] = start.p[i]
-    _rates(kernel, start, rates, high)
-    for k in range(stops.places.size):
-        c, sign = stops.places[k], stops.signs[k]
-        work.touch[k], work.impulse[k] = OFF, 0.0
-        if is_in(resting, k):
+    if _next_free(resting, 0, count) < count:
+        _fill_rates(kernel, start, rates, high)
+    for k in range(count):
+        c, sign = stops.columns[k], stops.signs[k]
+        work.touch[k], work.impulse[k] = _OFF, 0.0
+        if _is_in(resting, k):
             continue
         distance, slope = sign * (start.q[c] - stops.positions[k]), sign * rates.dH_dp[c]
         bend = sign * rates.product_p[c] if high else 0.0
         if k == met:
+            # The impact put the coordinate on the stop, up to rounding that must not count as
+            # another crossing.
             distance, slope = 0.0, max(0.0, slope)
         begin(Search(stops.nodes[k], stops.count[k], stops.widths[k]), distance, slope, bend)
 
@@ -182,19 +395,19 @@ def _look(stops: Stops, resting: float, z: Point, rates: Rates, have: float, unt
           met: int, at: int, h: float, rounding: float, high: bool
           ) -> tuple[int, float, float, int, int, float]:
     """
-    Look for impacts, from the stop ``at`` on, by the state after a time ``have``.
+    Search the stops from ``at`` on for impacts, given the state after a time ``have``.
 
-    Return what is to be done and at what time, as ``seek``; the time and the stop of the first
-    impact so far; at which stop to go on; and the rounding of a distance.
+    Return the next action and its time as ``seek`` does, the time and the stop of the earliest
+    impact so far, the stop to continue with, and the rounding of a distance.
     """
-    while at < stops.places.size:
-        if is_in(resting, at):
+    while at < stops.columns.size:
+        if _is_in(resting, at):
             at += 1
             continue
-        c, sign = stops.places[at], stops.signs[at]
+        c, sign = stops.columns[at], stops.signs[at]
         search = Search(stops.nodes[at], stops.count[at], stops.widths[at])
         if search.count[0] == 0 and have != until:
-            # Its search begins with the state at the end of what is left.
+            # A search begins with the state at the end of the remaining time.
             return TRY, until, until, met, at, rounding
         position, reached = stops.positions[at], z.q[c]
         rounding = max(rounding, 4.0 * _EPS * max(abs(position), abs(reached)))
@@ -206,9 +419,9 @@ def _look(stops: Stops, resting: float, z: Point, rates: Rates, have: float, unt
         if action == LAND:
             until, met = time, at
             if not until > 0.0:
-                at = stops.places.size
+                at = stops.columns.size
         at += 1
-    return FREE, until, until, met, stops.places.size, rounding
+    return FREE, until, until, met, stops.columns.size, rounding
 
 
 @called
@@ -216,40 +429,41 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
           resting: float, ends: bool, rest: float, h: float, rounding: float
           ) -> tuple[float, float]:
     """
-    Turn the velocity at the stop that was met; return the work so far [J], and what rests.
+    Turn the velocity at the stop that was met; return the work so far [J] and the resting stops.
 
-    What rests on other stops stays there if the impact drives it into them, and leaves them
-    otherwise. Whether the flights that follow are too short to be followed is told as for a wall
-    (see bouncing.py), or by ``ends``; with e = 0 none follows.
+    A coordinate that rests on another stop stays there if the impact drives it into the stop, and
+    leaves otherwise. The one that hits comes to rest if e = 0, if ``ends``, or if the series of
+    its flights is too short to be followed. After a bounce with speed v against the acceleration
+    a, the flights take 2 v / a, 2 e v / a, ..., together 2 v / (a (1 - e)).
     """
-    c, sign, n = stops.places[met], stops.signs[met], work.touch.size
+    c, sign, n = stops.columns[met], stops.signs[met], work.touch.size
     before = energy_of(kernel, z)
     for k in range(n):
-        work.touch[k], work.target[k] = OFF, 0.0
+        work.touch[k], work.target[k] = _OFF, 0.0
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
     speed = abs(z.dH_dp[c])
-    work.touch[met], work.target[met] = ON, -stops.restitution * z.dH_dp[c]
+    work.touch[met], work.target[met] = _ON, -stops.restitution * z.dH_dp[c]
     for _ in range(n + 1):
-        if not match(kernel, z, stops, work):
+        if not _match(kernel, z, stops, work):
             return np.nan, resting
         driven = False
         for k in range(n):
-            if is_in(resting, k) and work.touch[k] == OFF \
-                    and stops.signs[k] * z.dH_dp[stops.places[k]] < -_DRIVEN * speed:
-                work.touch[k], driven = ON, True
+            if _is_in(resting, k) and work.touch[k] == _OFF \
+                    and stops.signs[k] * z.dH_dp[stops.columns[k]] < -_DRIVEN * speed:
+                work.touch[k], driven = _ON, True
         if not driven:
             break
-    _rates(kernel, z, work.rates, True)
+    _fill_rates(kernel, z, work.rates, True)
     kept = False
     for k in range(n):
-        at, pull = stops.places[k], -stops.signs[k] * work.rates.product_p[stops.places[k]]
-        leaving = stops.signs[k] * z.dH_dp[at]
-        if is_in(resting, k) and leaving > _DRIVEN * speed:
+        i = stops.columns[k]
+        pull, leaving = -stops.signs[k] * work.rates.product_p[i], stops.signs[k] * z.dH_dp[i]
+        if _is_in(resting, k) and leaving > _DRIVEN * speed:
             if _is_short(leaving, pull, rest, h, rounding):
-                work.touch[k], kept = ON, True
+                work.touch[k], kept = _ON, True
             else:
                 resting -= 2.0 ** k
-    if kept and not match(kernel, z, stops, work):
+    if kept and not _match(kernel, z, stops, work):
         return np.nan, resting
     stays = stops.restitution == 0.0 or (
         ends and (stops.restitution < 1.0 or speed * h <= rounding)) or _is_short(
@@ -258,7 +472,7 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
     if stays:
         work.target[met] = 0.0
         resting += 2.0 ** met
-        if not match(kernel, z, stops, work):
+        if not _match(kernel, z, stops, work):
             return np.nan, resting
     return done + energy_of(kernel, z) - before, resting
 
@@ -270,4 +484,198 @@ def _is_short(speed: float, pull: float, left: float, h: float, rounding: float)
         return False
     flight = 2.0 * speed / pull
     return 0.25 * speed * flight <= rounding or (
-        flight <= SHORTEST_FLIGHT * h and flight <= left)
+        flight <= _SHORTEST_FLIGHT * h and flight <= left)
+
+
+@called
+def _take_back(kernel: Kernel, work: StopsWork) -> None:
+    """Remove the impulses of all stops from the beginning of this part of the step."""
+    start, pushed = work.start, False
+    for k in range(work.touch.size):
+        pushed = pushed or work.impulse[k] != 0.0
+        work.touch[k], work.impulse[k] = _OFF, 0.0
+    if pushed:
+        for i in range(start.p.size):
+            start.p[i] = work.p[i]
+        kernel.gradient(kernel.parameters, start.q, start.p, start.dH_dq, start.dH_dp)
+
+
+@called
+def _push(kernel: Kernel, h: float, z: Point, stops: Stops, resting: float, work: StopsWork,
+          tries: int) -> bool:
+    """
+    Change momenta at the beginning of a step so that resting coordinates end on their stops.
+
+    Return whether to try a step from there. With the velocities that ``_hold`` removes at the end
+    this is the method of Shake and Rattle, of order 2; to put coordinates back after a free step
+    would be of order 1. The impulses are found by Broyden's method, which needs one step a trial
+    and the masses once, where Newton's would need derivatives of the step. A stop does not pull:
+    a coordinate leaves its stop if a free step takes it away, or if its impulse became negative.
+    """
+    touch, gap = work.touch, work.gap
+    grown = False
+    for k in range(touch.size):
+        gap[0, k] = stops.signs[k] * (z.q[stops.columns[k]] - stops.positions[k])
+        if _is_in(resting, k) and touch[k] == _OFF and gap[0, k] < 0.0:
+            touch[k], gap[2, k], grown = _ON, -gap[0, k], True
+    enough, any_on = True, False
+    for k in range(touch.size):
+        if touch[k] == _ON:
+            any_on = True
+            size = abs(gap[0, k])
+            stalled = not grown and tries > 1 and size >= 0.5 * abs(gap[1, k]) \
+                and size <= _STALLED * gap[2, k]
+            enough = enough and (stalled or size <= _HELD * _EPS * max(
+                abs(stops.positions[k]), gap[2, k]))
+    if not any_on:
+        return False
+    if enough:
+        k = int(np.argmin(work.impulse))
+        if work.impulse[k] >= 0.0:
+            return False
+        for i in range(touch.size):
+            work.change[i] = -work.impulse[i] if i == k else 0.0
+        touch[k] = _RELEASED
+        _apply(kernel, stops, work)
+        _invert(kernel, h, stops, work)
+        return True
+    if grown:
+        _invert(kernel, h, stops, work)
+    else:
+        _update(work)
+    for i in range(touch.size):
+        work.change[i] = 0.0
+        for j in range(touch.size):
+            if touch[i] == _ON and touch[j] == _ON:
+                work.change[i] -= work.inverse[i, j] * gap[0, j]
+    _apply(kernel, stops, work)
+    return True
+
+
+@called
+def _apply(kernel: Kernel, stops: Stops, work: StopsWork) -> None:
+    """Add the changes to the impulses, and to the momenta at the beginning."""
+    start = work.start
+    for k in range(work.touch.size):
+        work.impulse[k] += work.change[k]
+        start.p[stops.columns[k]] += stops.signs[k] * work.change[k]
+        work.gap[1, k] = work.gap[0, k]
+    kernel.gradient(kernel.parameters, start.q, start.p, start.dH_dq, start.dH_dp)
+
+
+@called
+def _fill_masses(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> None:
+    """Fill H_pp of the touched stops, towards their free sides; rows of others are the unit's."""
+    n = work.touch.size
+    zero, unit, product_q, product_p = work.rates
+    for j in range(n):
+        for i in range(n):
+            work.masses[i, j] = 1.0 if i == j else 0.0
+        if work.touch[j] != _ON:
+            continue
+        for i in range(z.q.size):
+            zero[i] = unit[i] = 0.0
+        unit[stops.columns[j]] = stops.signs[j]
+        kernel.hessian_vector(kernel.parameters, z.q, z.p, zero, unit, product_q, product_p)
+        for i in range(n):
+            if work.touch[i] == _ON:
+                work.masses[i, j] = stops.signs[i] * product_p[stops.columns[i]]
+
+
+@called
+def _solve(work: StopsWork) -> bool:
+    """Solve with the masses for the first row of ``right``, in place."""
+    for i in range(work.touch.size):
+        for j in range(work.touch.size):
+            work.matrix[i, j] = work.masses[i, j]
+    return solve_linear(work.matrix, work.right[0]) != 0
+
+
+@called
+def _invert(kernel: Kernel, h: float, stops: Stops, work: StopsWork) -> None:
+    """Fill the inverse of the derivative of distances by impulses, which is about h H_pp."""
+    n = work.touch.size
+    _fill_masses(kernel, work.start, stops, work)
+    for column in range(n):
+        for i in range(n):
+            work.right[0, i] = 1.0 if i == column else 0.0
+        solved = _solve(work)
+        for i in range(n):
+            work.inverse[i, column] = work.right[0, i] / h if solved else np.nan
+
+
+@called
+def _update(work: StopsWork) -> None:
+    """Update the inverse so that it maps the last change of distances to that of impulses."""
+    n, left, product = work.touch.size, work.right[0], 0.0
+    for i in range(n):
+        left[i] = work.right[1, i] = 0.0
+        for j in range(n):
+            if work.touch[i] == _ON and work.touch[j] == _ON:
+                left[i] += work.change[j] * work.inverse[j, i]
+                work.right[1, i] += work.inverse[i, j] * (work.gap[0, j] - work.gap[1, j])
+        product += work.change[i] * work.right[1, i]
+    if product == 0.0:
+        return
+    for i in range(n):
+        for j in range(n):
+            work.inverse[i, j] += (work.change[i] - work.right[1, i]) * left[j] / product
+
+
+@called
+def _hold(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> tuple[float, float]:
+    """Remove the velocities of held coordinates; return the work [J] and the resting stops."""
+    resting, pushed = 0.0, False
+    for k in range(work.touch.size):
+        work.target[k] = 0.0
+        if work.touch[k] == _ON:
+            resting += 2.0 ** k
+        pushed = pushed or work.impulse[k] != 0.0
+    if resting == 0.0:
+        return 0.0, 0.0
+    done = -energy_of(kernel, z)
+    if pushed:
+        done += energy_of(kernel, work.start)
+        # Exchange the momenta, for the energy before the impulses; they are not needed again.
+        for i in range(work.p.size):
+            work.start.p[i], work.p[i] = work.p[i], work.start.p[i]
+        done -= energy_of(kernel, work.start)
+    if not _match(kernel, z, stops, work):
+        return np.nan, resting
+    return done + energy_of(kernel, z), resting
+
+
+@called
+def _match(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> bool:
+    """
+    Put touched coordinates on their stops, with momenta that give them the target velocities.
+
+    Return whether such momenta were found, by Newton's method with H_pp: one iteration where H
+    is quadratic in p, but a learned H need not be.
+    """
+    for k in range(work.touch.size):
+        if work.touch[k] == _ON:
+            z.q[stops.columns[k]], z.q_carry[stops.columns[k]] = stops.positions[k], 0.0
+    kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+    scale, previous = 0.0, np.inf
+    for i in range(kernel.dimension - kernel.channels):
+        scale = max(scale, abs(z.dH_dp[i]))
+    for _ in range(_NEWTON_ITERATIONS):
+        error = 0.0
+        for k in range(work.touch.size):
+            work.right[0, k] = 0.0
+            if work.touch[k] == _ON:
+                work.right[0, k] = stops.signs[k] * (work.target[k] - z.dH_dp[stops.columns[k]])
+                error = max(error, abs(work.right[0, k]))
+        if error <= _EPS * scale or (error >= previous and error <= _NEAR * _EPS * scale):
+            return True
+        previous = error
+        _fill_masses(kernel, z, stops, work)
+        if not _solve(work):
+            return False
+        for k in range(work.touch.size):
+            if work.touch[k] == _ON:
+                c = stops.columns[k]
+                z.p[c], z.p_carry[c] = z.p[c] + stops.signs[k] * work.right[0, k], 0.0
+        kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+    return False

@@ -86,7 +86,7 @@ class Motors:
                   for name, place in zip(effect.names, own.places, strict=True)}
         for stops in self._stops:
             for name, wanted in zip(names, positions.T, strict=True):
-                mine = stops.places == places.get(name)
+                mine = stops.columns == places.get(name)
                 for limit, sign in zip(stops.positions[mine], stops.signs[mine], strict=True):
                     beyond = sign * (wanted - limit) < -_ROUNDING * (1.0 + abs(limit))
                     if beyond.any():

@@ -50,7 +50,7 @@ def stops(robot: RigidBodyTree, *arguments: object) -> set[tuple[str, float, flo
     own = EFFECTS['joint_limits'](*arguments).resolve(
         robot.coordinates, EffectState.empty(1, robot.dimension))
     return {(robot.coordinates[place].name, position, sign) for place, position, sign in zip(
-        own.places, own.positions, own.signs, strict=True)}
+        own.columns, own.positions, own.signs, strict=True)}
 
 
 def test_limits_of_the_urdf_are_stops_but_where_the_scene_gives_others(tmp_path):
@@ -78,7 +78,7 @@ def test_several_stops_are_compiled_like_one(tmp_path):
     several, one = (EFFECTS['joint_limits'](*arguments).resolve(
         robot.coordinates, EffectState.empty(1, robot.dimension))
         for arguments in (['urdf'], [None, {'wrist': -1.0}]))
-    assert several.places.size > one.places.size == 1
+    assert several.columns.size > one.columns.size == 1
     assert typeof(several) == typeof(one)
 
 

@@ -117,8 +117,8 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'attitudes', 'base', 'body_points', 'bouncing', 'commands', 'constraints', 'crossings',
-          'friction_network', 'held', 'input_map', 'joints', 'kernels', 'masses', 'noise',
+SHARED = {'attitudes', 'base', 'body_points', 'commands', 'constraints', 'crossings',
+          'friction_network', 'input_map', 'joints', 'kernels', 'masses', 'noise',
           'ornstein_uhlenbeck', 'points', 'rattle', 'servo_targets', 'splitting', 'stops',
           'wrapped'}
 

@@ -3,7 +3,7 @@
 """Impacts at steps that are much longer than the time between them, against exact paths."""
 
 from helpers import Uncompiled
-from hnn_vi_ros.effects import bouncing, EFFECTS
+from hnn_vi_ros.effects import EFFECTS, stops
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -179,7 +179,7 @@ def test_body_on_a_wall_leaves_it_when_it_is_pulled_away():
 
 def test_step_with_more_impacts_than_can_be_followed_fails(monkeypatch):
     """An elastic ball that bounces for ever must not be taken to rest, nor let through."""
-    monkeypatch.setattr(bouncing, 'MOST_IMPACTS', 20)
+    monkeypatch.setattr(stops, 'MOST_IMPACTS', 20)
     simulation = falling('stormer_verlet', 1.0, 1.0, 1e-4)
     with pytest.raises(StepFailure, match='no convergence'):
         simulation.advance(1)
