@@ -35,8 +35,6 @@ DELIBERATE = {
         'the method that takes the sub-steps of others is one of those that have such',
     ('integrators.lie.base', 'integrators.lie.lie_leapfrog'):
         'the same, on a group',
-    ('effects.base', 'effects.kernels'):
-        'a potential joins H in functions that are composed of its own',
     ('simulation.dense_step', 'simulation'):
         'a dense step is one of a simulation, and is returned by it',
 }

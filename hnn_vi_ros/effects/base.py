@@ -1,10 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of effects, in each of the ways in which one can act on a system."""
+"""Base classes of effects: one for each way to act on a system."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
+from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -12,18 +13,19 @@ from hnn_vi_ros.effects.commands import Reference
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.kernel import (
+    Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
 from hnn_vi_ros.phase_space import columns, Coordinate, scalar_columns
 import numpy as np
 
 
 class Place(IntEnum):
     """
-    Place of an effect, from the inside of a step to its outside.
+    Place where an effect acts, from the inside of a step to its outside.
 
-    It joins H; is a force at the method's own nodes; acts between the two halves of the step; or
-    before and after the step; keeps the state that then results on a manifold; or acts around
-    all of that. Effects in one place act in the scene's order, the first one innermost.
+    An effect joins H, or acts at the method's own nodes as a force, between the two halves of the
+    step, before and after the step, on the resulting state to keep it on a manifold, or around
+    all of that. Effects in the same place act in the scene's order, the first one innermost.
     """
 
     ENERGY = 0
@@ -36,27 +38,27 @@ class Place(IntEnum):
 
 class EffectState(NamedTuple):
     """
-    State that the effects of one simulation share, and keep from step to step.
+    State that the effects of a simulation share and that persists from step to step.
 
     Parameters
     ----------
     clock : np.ndarray, shape (2,)
-        Time at the start of the step [s], and what compensated summation rounded off it.
+        Time at the start of the step [s], and its rounding error from compensated summation.
     work : np.ndarray, shape (K, 2)
-        Work that each of the scene's K effects has done on the system [J], and its rounding.
+        Work of each of the scene's K effects on the system [J], and its rounding error.
     pending : np.ndarray, shape (K,)
-        Work in the step that is being tried [J].
+        Work in the step that is being attempted [J].
     command : np.ndarray, shape (d + 1,)
-        The force that was last commanded, for each coordinate, and until when it holds [s].
+        The last commanded force on each coordinate, and the time at which it expires [s].
     draws : np.ndarray, shape (3,)
-        Random numbers drawn, those drawn in the step being tried, and the stream's number.
+        Counts of random numbers drawn before the step and in it, and the number of the stream.
     gauge : np.ndarray, shape (d, d)
-        The vector potential of all magnetic fields is linear: c A(q) = gauge q. The momentum that
-        belongs to the velocity, M v, is p - gauge q.
+        The linear vector potential of all magnetic fields, c A(q) = gauge q. The kinetic momentum
+        M v is p - gauge q.
     resting : np.ndarray, shape (K,)
-        1 where the effect is a wall on which its coordinate rests.
+        For an effect with rigid stops, the sum of 2^k over the stops k on which coordinates rest.
     reference : Reference
-        What servos follow.
+        The reference that servos follow.
 
     """
 
@@ -71,7 +73,7 @@ class EffectState(NamedTuple):
 
     @classmethod
     def empty(cls, effects: int, dimension: int, knots: int = 0) -> 'EffectState':
-        """Return the state before the first step, with room for the knots of a path."""
+        """Return the state before the first step, with space for this many knots of a path."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
                    np.zeros((dimension, dimension)), np.zeros(effects),
@@ -79,7 +81,19 @@ class EffectState(NamedTuple):
 
     def reset(self, stream: int, time: float = 0.0,
               held: Mapping[str, np.ndarray] | None = None) -> None:
-        """Go back to before the first step; a snapshot's commands go on until their time-outs."""
+        """
+        Return to the state before the first step.
+
+        Parameters
+        ----------
+        stream : int
+            Number of the stream of random numbers.
+        time : float, optional
+            Simulated time [s].
+        held : mapping of str to np.ndarray, optional
+            A snapshot whose commands stay active until they expire.
+
+        """
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
                       self.resting, *self.reference):
             array[...] = 0
@@ -92,14 +106,14 @@ class EffectState(NamedTuple):
 
 class EffectError(ValueError):
     """
-    An effect that does not fit the system, the method or the other effects.
+    Mismatch between an effect and the system, the method or the other effects.
 
     Parameters
     ----------
     index : int
-        Its place in the scene's list.
+        Index of the effect in the scene's list.
     message : str
-        What is wrong.
+        The mismatch.
 
     """
 
@@ -110,26 +124,27 @@ class EffectError(ValueError):
 
 class Effect(ABC):
     """
-    Something that acts on a Hamiltonian system beside its own H.
+    An addition to a Hamiltonian system: a potential, a force, or a change of the step.
 
     Attributes
     ----------
     acts : Place
-        Where it acts, unless ``place`` says otherwise.
+        Where it acts, unless ``place`` returns another place for the method.
     conservative : bool
-        Whether it leaves the energy H unchanged, once its potential, if any, has joined H.
+        Whether it leaves the energy H, including its own potential, unchanged.
     single : bool
-        Whether a scene takes only one of its kind.
+        Whether a scene can list only one effect of its kind.
     lockstep : bool
         Whether it can act on several trajectories that step together.
     turns : bool
-        Whether it acts on systems that turn as well.
+        Whether it can act on systems with rotations.
     limits : bool
-        Whether its parameters hold limits of joints: their places, positions and signs.
+        Whether its parameters are stops at the limits of joints, which commands must respect.
     knots : int
-        How many knots of a path it may follow; see Reference.
+        Number of knots of a path that it needs space for; see Reference.
     excludes : mapping of Place to str
-        Places in which nothing else may act, and why: a clause that follows the other's name.
+        Places where no other effect may act, each with a clause of the error that gives the
+        reason.
 
     """
 
@@ -143,11 +158,11 @@ class Effect(ABC):
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 
     def place(self, integrator: Integrator) -> Place:
-        """Return where it acts in the steps of a method."""
+        """Return the place where it acts in steps of this method."""
         return self.acts
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether a method can take the effect without losing what it claims."""
+        """Return whether the method keeps its claims together with the effect."""
         return integrator.requirements.hamiltonian
 
     @abstractmethod
@@ -158,35 +173,35 @@ class Effect(ABC):
         Parameters
         ----------
         coordinates : sequence of Coordinate
-            Of the system, d of them.
+            The d coordinates of the system.
         state : EffectState
-            Of the simulation.
+            The state of the simulation's effects.
 
         Raises
         ------
         ValueError
-            A name or a length does not fit the coordinates; names the valid ones.
+            A name or a length does not fit the coordinates; the message lists the valid ones.
 
         """
 
     def check_state(  # noqa: B027
             self, hamiltonian: Hamiltonian, parameters: Any, q: np.ndarray) -> None:
         """
-        Refuse a state to begin from.
+        Raise ValueError if the effect cannot act on an initial state.
 
         Parameters
         ----------
         hamiltonian : Hamiltonian
-            H with what joins it.
+            H together with the effects that join it.
         parameters : tuple
-            What ``resolve`` returned.
+            The result of ``resolve``.
         q : np.ndarray, shape (d,) or (m d,)
-            Coordinates of one trajectory, or of several one after another.
+            Coordinates of one trajectory, or of m trajectories one after another.
 
         Raises
         ------
         ValueError
-            The effect cannot act there; says why.
+            The effect cannot act there; the message gives the reason.
 
         """
 
@@ -198,7 +213,7 @@ class Joined(Effect):
     Attributes
     ----------
     keeps_separable : bool
-        Whether an H(q, p) = T(p) + V(q) stays one.
+        Whether a separable H(q, p) = T(p) + V(q) stays separable.
 
     """
 
@@ -206,9 +221,21 @@ class Joined(Effect):
     conservative = True
     keeps_separable: ClassVar[bool] = False
 
+    @classmethod
     @abstractmethod
-    def join(self, kernel: Kernel, parameters: Any) -> Kernel:
-        """Return a kernel of H together with the effect, of what ``resolve`` returned."""
+    def compose(cls, energy: Energy, gradient: Gradient, hessian_vector: HessianVector
+                ) -> Functions:
+        """
+        Return functions of H together with the effect, from the functions of H; see Kernel.
+
+        They are plain Python in numba's subset, and the same functions for the same arguments.
+        Their parameters are a tuple (base, own, work): the parameters of H, the result of
+        ``resolve``, and an array of shape (2, d) as working memory.
+        """
+
+    def formulas(self, parameters: Any) -> 'type[Joined]':
+        """Return the class whose formulas apply to the result of ``resolve``: here its own."""
+        return type(self)
 
     def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:
         """Add its share to the linear vector potential, shape (d, d); see EffectState."""
@@ -225,9 +252,9 @@ class Potential(Joined):
     energy : callable
         ``energy(parameters, q)`` returns V [J].
     add_gradient : callable
-        ``add_gradient(parameters, q, dH_dq)`` adds V' to the last.
+        ``add_gradient(parameters, q, dH_dq)`` adds V' to the last argument.
     add_hessian_vector : callable
-        ``add_hessian_vector(parameters, q, v, product)`` adds V''(q) v to the last.
+        ``add_hessian_vector(parameters, q, v, product)`` adds V''(q) v to the last argument.
 
     """
 
@@ -236,26 +263,54 @@ class Potential(Joined):
     add_gradient: Callable[..., None]
     add_hessian_vector: Callable[..., None]
 
-    def join(self, kernel: Kernel, parameters: Parameters) -> Kernel:
-        """Return the kernel of H + V."""
-        from hnn_vi_ros.effects.kernels import join_potential
-        return join_potential(kernel, type(self), parameters)
+    @classmethod
+    def compose(cls, energy: Energy, gradient: Gradient, hessian_vector: HessianVector
+                ) -> Functions:
+        """Return the functions of H(q, p) + V(q); see Joined."""
+        return _add_potential(cls, energy, gradient, hessian_vector)
+
+
+@cache
+def _add_potential(potential: type[Potential], base_energy: Energy, base_gradient: Gradient,
+                   base_hessian_vector: HessianVector) -> Functions:
+    add_energy, add_gradient = potential.energy, potential.add_gradient
+    add_hessian_vector = potential.add_hessian_vector
+
+    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
+        base, own, _ = parameters
+        return base_energy(base, q, p) + add_energy(own, q)
+
+    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        base, own, work = parameters
+        base_gradient(base, q, p, dH_dq, dH_dp)
+        d = work.shape[1]
+        for a in range(0, q.size, d):
+            add_gradient(own, q[a:a + d], dH_dq[a:a + d])
+
+    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+        base, own, work = parameters
+        base_hessian_vector(base, q, p, v_q, v_p, product_q, product_p)
+        d = work.shape[1]
+        for a in range(0, q.size, d):
+            add_hessian_vector(own, q[a:a + d], v_q[a:a + d], product_q[a:a + d])
+    return energy, gradient, hessian_vector
 
 
 class Force(Effect):
     """
-    A force that does work, taken at the method's own nodes (discrete Lagrange-d'Alembert).
+    A force that acts at the method's own nodes (discrete Lagrange-d'Alembert principle).
 
-    Its power is f_q . H_q + f_p . H_p, whatever the force is.
+    The equations become q' = H_p + f_q, p' = -H_q + f_p; the power is f_q . H_q + f_p . H_p.
 
     Attributes
     ----------
     depends_on_momentum : bool
-        Whether it changes with p at given t and q.
+        Whether it depends on p, for given t and q.
     add_force : callable
-        ``add_force(parameters, t, q, p, velocity, f_q, f_p)`` adds to the last two what joins
-        q' = H_p and p' = -H_q; ``velocity`` is H_p. Arrays have shape (d,). Plain Python in
-        numba's subset.
+        ``add_force(parameters, t, q, p, velocity, f_q, f_p)`` adds f_q and f_p to the last two
+        arguments; ``velocity`` is H_p. Arrays have shape (d,). Plain Python in numba's subset.
 
     References
     ----------
@@ -270,11 +325,11 @@ class Force(Effect):
 
     @property
     def rounding(self) -> tuple[float, float]:
-        """Return the rounding errors of f_q and f_p, as Kernel.gradient_scale does."""
+        """Return the rounding errors of f_q and f_p, in the units of Kernel.gradient_scale."""
         return 0.0, 0.0
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method takes forces at its nodes, and such that depend on p."""
+        """Return whether the method takes this force at its nodes."""
         return integrator.requirements.take_force(self.depends_on_momentum)
 
 
@@ -284,9 +339,6 @@ class StepEffect(Effect):
 
     Attributes
     ----------
-    wrap : callable
-        ``wrap(step, keeps_gradient)`` returns the step with the effect, from the method's; see
-        Wrapped. The same function for the same arguments.
     repeats : bool
         Whether it takes the method's step more than once in a step of its own.
 
@@ -298,60 +350,73 @@ class StepEffect(Effect):
     @staticmethod
     @abstractmethod
     def wrap(step: Any, keeps_gradient: bool, /) -> Step:
-        """Return the step with the effect, from what ``inner_step`` returned."""
+        """
+        Return a step with the effect.
+
+        It is the same function for the same arguments, and plain Python in numba's subset; see
+        Wrapped.
+
+        Parameters
+        ----------
+        step : callable or tuple
+            The result of ``inner_step``.
+        keeps_gradient : bool
+            Whether the method's step reads the gradient at its start.
+
+        """
 
     @classmethod
     def inner_step(cls, integrator: Integrator) -> Any:
-        """Return what ``wrap`` takes of a method: its step, or the halves of it."""
+        """Return the part of a method that ``wrap`` takes: its step, or the two halves."""
         return integrator.halves if cls.acts is Place.MIDDLE else integrator.step
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method has what the effect takes of it."""
+        """Return whether the method keeps its claims and has the part that ``wrap`` takes."""
         return super().accepts(integrator) and self.inner_step(integrator) is not None
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the step's own workspace, after those of the method: here a point."""
+        """Return the workspace of the effect's step: here a point."""
         return PointWork(Point.empty(n))
 
 
 class Wrapping(Protocol):
-    """Layer that Wrapped puts around a step: a StepEffect, or what acts like one; see there."""
+    """Layer that Wrapped puts around a step, such as a StepEffect; see there."""
 
     @staticmethod
     def inner_step(integrator: Integrator, /) -> Any:
-        """Return what ``wrap`` takes of a method."""
+        """Return the part of a method that ``wrap`` takes."""
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...], /) -> tuple[Any, ...]:
-        """Return what the step works on after what the method's does."""
+        """Return the workspace of the layer's step."""
 
     @staticmethod
     def wrap(step: Any, keeps_gradient: bool, /) -> Step:
-        """Return the step with what acts around it."""
+        """Return the step with the layer around it."""
 
 
-class Together(Protocol):
-    """The constraints of a scene, which act as one around the step."""
+class ConstraintSet(Protocol):
+    """The constraints of a scene, which act together around the step."""
 
     @property
     def kind(self) -> type[Wrapping]:
-        """Return what Wrapped puts around a step."""
+        """Return the layer that Wrapped puts around a step."""
 
     @property
     def settings(self) -> Parameters:
-        """Return what the wrapped step finds in its options."""
+        """Return the options of the layer's step."""
 
     @property
     def dependent(self) -> str:
         """Return the name of the constraint that made a step fail as REDUNDANT."""
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
-        """Raise ValueError if a state, of shape (d,), is not one that the constraints allow."""
+        """Raise ValueError if a state, of shape (d,), violates the constraints."""
 
 
 class Constraint(Effect):
-    """Condition that keeps the state on a manifold; all of a kind are solved together."""
+    """Condition that keeps the state on a manifold; constraints of a kind are solved together."""
 
     acts = Place.MANIFOLD
     conservative = True
@@ -359,39 +424,39 @@ class Constraint(Effect):
 
     @staticmethod
     @abstractmethod
-    def together(listed: Sequence[tuple[int, str, Parameters]], kernel: Kernel, effects: int
-                 ) -> Together:
+    def combine(listed: Sequence[tuple[int, str, Parameters]], kernel: Kernel, effects: int
+                ) -> ConstraintSet:
         """
-        Return the constraints as one.
+        Return the constraints of a scene as one.
 
         Parameters
         ----------
         listed : sequence of (int, str, tuple)
-            Place in the scene, name, and what ``resolve`` returned, of each.
+            For each constraint its index in the scene, its name, and the result of ``resolve``.
         kernel : Kernel
-            Of H with the forces, d coordinates and their channels.
+            H with the forces, for d coordinates and their channels.
         effects : int
-            How many effects there are.
+            Number of effects in the scene.
 
         Raises
         ------
         EffectError
-            They do not fit the system or one another.
+            The constraints do not fit the system or each other.
 
         """
 
 
 def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:
     """Return the column of a coordinate in q, or raise ValueError with the valid names."""
-    places = scalar_columns(coordinates)
-    if name not in places:
-        raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(places)}')
-    return places[name]
+    indices = scalar_columns(coordinates)
+    if name not in indices:
+        raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(indices)}')
+    return indices[name]
 
 
 def per_coordinate(coordinates: Sequence[Coordinate], name: str, values: float | Sequence[float]
                    ) -> np.ndarray:
-    """Return one number for each column of p, from one for all or a list."""
+    """Return one number for each column of p, from a number for all columns or a list."""
     array, names = np.array(values, dtype=np.float64), columns(coordinates)[1]
     if array.ndim and array.size != len(names):
         raise ValueError(f'{name} has {array.size} values, expected 1 or one for each of the '

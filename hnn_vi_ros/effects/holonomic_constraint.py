@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from hnn_vi_ros.effects.base import Constraint, EffectState, Together
+from hnn_vi_ros.effects.base import Constraint, EffectState, ConstraintSet
 from hnn_vi_ros.effects.constraints import ConstraintEquation
 from hnn_vi_ros.effects.shapes import check_keys, equations_of, function_equation
 from hnn_vi_ros.files.named_code import NAMES_CODE
@@ -79,8 +79,8 @@ class HolonomicConstraint(Constraint):
         return equations_of(self.form, self._given, coordinates)
 
     @staticmethod
-    def together(listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]], kernel: Kernel,
-                 effects: int) -> Together:
+    def combine(listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]], kernel: Kernel,
+                 effects: int) -> ConstraintSet:
         """Return the manifold that all constraints leave."""
         from hnn_vi_ros.effects.manifold import Manifold
         return Manifold(listed, kernel, effects)

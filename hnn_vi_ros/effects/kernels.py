@@ -1,16 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Kernels of a Hamiltonian together with effects: potentials, a magnetic field, forces.
+Kernels of a Hamiltonian together with effects that join it, or with forces.
 
-They call the Hamiltonian by address: what is joined is compiled once, for all Hamiltonians.
+They call the Hamiltonian by address, so that effects are compiled once for all Hamiltonians.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.attitudes import lift_torques
-from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
+from hnn_vi_ros.effects.base import EffectState, Force, Joined
 from hnn_vi_ros.integrators.arithmetic import largest
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.compilation import composed, functions_of
@@ -19,35 +19,28 @@ from hnn_vi_ros.kernels.kernel import (
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
+# The cube root balances the truncation error of a central difference, spacing^2, with rounding,
+# eps / spacing.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
-def join_potential(kernel: Kernel, potential: type[Potential], parameters: Parameters) -> Kernel:
-    """Return the kernel of H(q, p) + V(q)."""
-    kernel = by_address(kernel)
-    functions = _with_potential(*functions_of(kernel), potential)
-    return composed(kernel, functions, (potential,),
-                    (kernel.parameters, parameters, kernel.dimension))
-
-
-def join_magnetic_field(kernel: Kernel, kind: type[Effect], parameters: tuple[int, int, float]
-                        ) -> Kernel:
-    """Return the kernel of H(q, p - c A(q)); see MagneticField."""
-    kernel = by_address(kernel)
-    functions = _with_magnetic_field(*functions_of(kernel))
-    return composed(kernel, functions, (kind,),
+def join(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel:
+    """Return the kernel of H together with an effect that joins it, resolved to parameters."""
+    kernel, kind = by_address(kernel), effect.formulas(parameters)
+    return composed(kernel, kind.compose(*functions_of(kernel)), (kind,),
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
 
 
 def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Parameters],
                state: EffectState) -> Kernel:
     """
-    Return a kernel whose gradient is (H_q - f_p, H_p + f_q), with time and work beside it.
+    Return a kernel whose gradient is (H_q - f_p, H_p + f_q), extended by time and work.
 
-    Each force brings a channel, a further coordinate and momentum: the coordinate is the time
-    since the start of the step, t' = 1, the momentum is the work of the force, w' = power. So
-    every method integrates both at its own nodes, at its own order. Of rotations, f_p holds
-    torques in the frame of the body, and H_q less f_p the columns of quaternions.
+    Each force adds a channel, a further coordinate and momentum: the coordinate is the time since
+    the start of the step, t' = 1, the momentum is the work of the force, w' = power. A quadrature
+    after the step would be simpler, but this way every method integrates both at its own nodes
+    and to its own order. For rotations, f_p holds torques in the frame of the body; they are
+    converted to covectors of quaternions before they are subtracted from H_q.
     """
     kernel = by_address(kernel)
     d, channels = kernel.dimension, len(forces)
@@ -65,79 +58,6 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
         (kernel.parameters, nested, state.clock, space, rotations, d, channels)
     )._replace(dimension=d + channels, channels=channels,
                gradient_scale=(rounding_q, rounding_p))
-
-
-@cache
-def _with_potential(base_energy: Energy, base_gradient: Gradient,
-                    base_hessian_vector: HessianVector, potential: type[Potential]) -> Functions:
-    add_energy, add_gradient = potential.energy, potential.add_gradient
-    add_hessian_vector = potential.add_hessian_vector
-
-    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, own, _ = parameters
-        return base_energy(base, q, p) + add_energy(own, q)
-
-    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-                 dH_dp: np.ndarray) -> None:
-        base, own, d = parameters
-        base_gradient(base, q, p, dH_dq, dH_dp)
-        for a in range(0, q.size, d):
-            add_gradient(own, q[a:a + d], dH_dq[a:a + d])
-
-    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        base, own, d = parameters
-        base_hessian_vector(base, q, p, v_q, v_p, product_q, product_p)
-        for a in range(0, q.size, d):
-            add_hessian_vector(own, q[a:a + d], v_q[a:a + d], product_q[a:a + d])
-    return energy, gradient, hessian_vector
-
-
-@cache
-def _with_magnetic_field(base_energy: Energy, base_gradient: Gradient,
-                         base_hessian_vector: HessianVector) -> Functions:
-    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, own, space = parameters
-        _kinetic(own, q, p, space[0])
-        return base_energy(base, q, space[0])
-
-    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-                 dH_dp: np.ndarray) -> None:
-        base, own, space = parameters
-        x, y, b = own
-        d = space.shape[1]
-        for a in range(0, q.size, d):
-            end = a + d
-            _kinetic(own, q[a:end], p[a:end], space[0])
-            base_gradient(base, q[a:end], space[0], dH_dq[a:end], dH_dp[a:end])
-            dH_dq[a + x] -= b * dH_dp[a + y]
-            dH_dq[a + y] += b * dH_dp[a + x]
-
-    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        base, own, space = parameters
-        x, y, b = own
-        d = space.shape[1]
-        for a in range(0, q.size, d):
-            end = a + d
-            _kinetic(own, q[a:end], p[a:end], space[0])
-            _kinetic(own, v_q[a:end], v_p[a:end], space[1])
-            base_hessian_vector(base, q[a:end], space[0], v_q[a:end], space[1],
-                                product_q[a:end], product_p[a:end])
-            product_q[a + x] -= b * product_p[a + y]
-            product_q[a + y] += b * product_p[a + x]
-    return energy, gradient, hessian_vector
-
-
-@inlined
-def _kinetic(own: tuple[int, int, float], q: np.ndarray, p: np.ndarray, target: np.ndarray
-             ) -> None:
-    """Fill p - c A(q), which is linear in (q, p)."""
-    x, y, b = own
-    for i in range(p.size):
-        target[i] = p[i]
-    target[x] += b * q[y]
-    target[y] -= b * q[x]
 
 
 @cache
@@ -166,7 +86,9 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
 
     def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        # Of the forces a central difference; only Newton's method asks, and for no more.
+        # Forces are differentiated by central differences, not by formulas of their own: only
+        # the Jacobian of Newton's method uses this product, and its errors cost iterations, not
+        # accuracy.
         base, forces, clock, space, rotations, d, channels = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
@@ -196,7 +118,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
 
 @cache
 def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
-    """Return what adds the forces from the k-th on, each with its power."""
+    """Return a function that adds the forces from the k-th on, each with its power."""
     if not kinds:
         return _add_none
     add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1)

@@ -1,20 +1,22 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A uniform magnetic field across the plane of two coordinates."""
+"""A homogeneous magnetic field across a plane."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Joined
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Parameters
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
 class FieldParameters(NamedTuple):
-    """Places of the two coordinates of the plane, and c B / 2 [N s/m]."""
+    """Columns of the two coordinates of the plane, and c B / 2 [N s/m]."""
 
     x: int
     y: int
@@ -40,7 +42,7 @@ class MagneticField(Joined):
     Raises
     ------
     ValueError
-        Not two coordinates, or a number that is not finite.
+        The plane is not two coordinates, or a number is not finite.
 
     References
     ----------
@@ -55,12 +57,12 @@ class MagneticField(Joined):
         self.plane, self.strength = plane, charge * field
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method takes an H that does not separate."""
+        """Return whether the method takes a nonseparable H."""
         needs = integrator.requirements
         return needs.hamiltonian and not needs.separable
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> FieldParameters:
-        """Return the places of x and y, and c B / 2 [kg/s]."""
+        """Return the columns of x and y, and c B / 2 [kg/s]."""
         x, y = (coordinate_index(coordinates, name) for name in self.plane)
         parameters = FieldParameters(x, y, 0.5 * self.strength)
         self.add_gauge(parameters, state.gauge)
@@ -68,11 +70,58 @@ class MagneticField(Joined):
 
     def add_gauge(self, parameters: FieldParameters, gauge: np.ndarray) -> None:
         """Add c A(q), which is linear in q."""
-        x, y, b = parameters.x, parameters.y, parameters.half_strength
+        x, y, b = parameters
         gauge[x, y] -= b
         gauge[y, x] += b
 
-    def join(self, kernel: Kernel, parameters: FieldParameters) -> Kernel:
-        """Return the kernel of H(q, p - c A(q))."""
-        from hnn_vi_ros.effects.kernels import join_magnetic_field
-        return join_magnetic_field(kernel, type(self), parameters)
+    @classmethod
+    def compose(cls, energy: Energy, gradient: Gradient, hessian_vector: HessianVector
+                ) -> Functions:
+        """Return the functions of H(q, p - c A(q)); see Joined."""
+        return _couple(energy, gradient, hessian_vector)
+
+
+@cache
+def _couple(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector
+            ) -> Functions:
+    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
+        base, own, work = parameters
+        _kinetic(own, q, p, work[0])
+        return base_energy(base, q, work[0])
+
+    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                 dH_dp: np.ndarray) -> None:
+        base, own, work = parameters
+        x, y, b = own
+        d = work.shape[1]
+        for a in range(0, q.size, d):
+            end = a + d
+            _kinetic(own, q[a:end], p[a:end], work[0])
+            base_gradient(base, q[a:end], work[0], dH_dq[a:end], dH_dp[a:end])
+            dH_dq[a + x] -= b * dH_dp[a + y]
+            dH_dq[a + y] += b * dH_dp[a + x]
+
+    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+        base, own, work = parameters
+        x, y, b = own
+        d = work.shape[1]
+        for a in range(0, q.size, d):
+            end = a + d
+            _kinetic(own, q[a:end], p[a:end], work[0])
+            _kinetic(own, v_q[a:end], v_p[a:end], work[1])
+            base_hessian_vector(base, q[a:end], work[0], v_q[a:end], work[1],
+                                product_q[a:end], product_p[a:end])
+            product_q[a + x] -= b * product_p[a + y]
+            product_q[a + y] += b * product_p[a + x]
+    return energy, gradient, hessian_vector
+
+
+@inlined
+def _kinetic(own: FieldParameters, q: np.ndarray, p: np.ndarray, target: np.ndarray) -> None:
+    """Fill the target with p - c A(q), which is linear in (q, p)."""
+    x, y, b = own
+    for i in range(p.size):
+        target[i] = p[i]
+    target[x] += b * q[y]
+    target[y] -= b * q[x]

@@ -68,7 +68,7 @@ class Manifold:
 
     @property
     def settings(self) -> Constraints:
-        """Return what steps work on; see Together."""
+        """Return what steps work on; see ConstraintSet."""
         return self.constraints
 
     @property

@@ -1,23 +1,57 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A spring between two points, or from a point to a fixed place."""
+"""A spring between two points, of coordinates or of bodies, or from a point to a fixed one."""
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import EffectState, Potential
-from hnn_vi_ros.effects.body_points import BodyElastic, BodySpring
+from hnn_vi_ros.effects.attitudes import add_turned_slope, dot, turned, turned_change, Vector
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Joined, Potential
 from hnn_vi_ros.effects.points import (
-    add_along, add_curvature, distance, Elastic, resolve_pair, separation)
+    add_along, check_pair, distance, resolve_pair, separation)
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
+
+
+class Elastic(NamedTuple):
+    """Two points, or a point and an anchor, see resolve_pair; stiffness k and rest length l."""
+
+    first: np.ndarray
+    second: np.ndarray
+    anchor: np.ndarray
+    stiffness: float
+    rest_length: float
+
+
+class BodyElastic(NamedTuple):
+    """
+    Two ends in space, at least one of which is on a body; stiffness k and rest length l.
+
+    Parameters
+    ----------
+    columns : np.ndarray of int, shape (2, 4)
+        For each end the columns in q of its position, and of the quaternion that rotates its arm;
+        -1 for none.
+    arms : np.ndarray, shape (2, 3)
+        The arm of each end, in the frame of its body; an end that is not on a body has the arm
+        zero, or its fixed position.
+    stiffness, rest_length : float
+        See Spring.
+
+    """
+
+    columns: np.ndarray
+    arms: np.ndarray
+    stiffness: float
+    rest_length: float
 
 
 class Spring(Potential):
     """
-    A linear spring, V = k (r - l)^2 / 2, with r the distance of its ends.
+    A linear spring, V = k (r - l)^2 / 2, where r is the distance of its ends.
 
     Between points of one coordinate, r is the signed difference. Energy account: V joins H.
 
@@ -28,18 +62,18 @@ class Spring(Potential):
     other : list of str, optional
         Names of the coordinates of the other end, or of its body, or
     anchor : list of float, optional
-        the fixed place of the other end [m].
+        the fixed position of the other end [m].
     stiffness : float
         k > 0 [N/m].
     rest_length : float
         l >= 0 [m].
     point_in_body, other_in_body : list of float, optional
-        Where on their bodies the ends are, in the frame of each [m]; in its origin if not given.
+        Positions of the ends on their bodies, in the frame of each [m]; default: its origin.
 
     Raises
     ------
     ValueError
-        A parameter out of its range.
+        A parameter is out of its range.
 
     References
     ----------
@@ -55,21 +89,37 @@ class Spring(Potential):
                  other_in_body: list[float] | None = None):
         check_positive(stiffness=stiffness)
         check_not_negative(rest_length=rest_length)
-        self.ends, self.elastic = (point, other, anchor), (float(stiffness), float(rest_length))
-        self._on_bodies = BodySpring(self.ends, (point_in_body, other_in_body), *self.elastic)
+        self.ends, self.in_body = (point, other, anchor), (point_in_body, other_in_body)
+        self.elastic = float(stiffness), float(rest_length)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> Elastic | BodyElastic:
-        """Return the ends, the stiffness [N/m] and the length at rest [m]."""
-        if self._on_bodies.applies(coordinates):
-            return self._on_bodies.resolve(coordinates, state)
+        """Return the ends, the stiffness [N/m] and the rest length [m]."""
+        point, other, _ = self.ends
+        if self.in_body != (None, None) or any(
+                _is_body(coordinates, names) for names in (point, other or ())):
+            return BodyElastic(*self._resolve_ends(coordinates), *self.elastic)
         return Elastic(*resolve_pair(coordinates, *self.ends), *self.elastic)
 
-    def join(self, kernel: Kernel, parameters: Parameters) -> Kernel:
-        """Return the kernel of H + V, by the formulas of its ends."""
-        if isinstance(parameters, BodyElastic):
-            return self._on_bodies.join(kernel, parameters)
-        return super().join(kernel, parameters)
+    def _resolve_ends(self, coordinates: Sequence[Coordinate]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns and the arms of BodyElastic, or raise ValueError."""
+        (point, other, anchor), (in_body, other_in_body) = self.ends, self.in_body
+        check_pair(other, anchor)
+        ends = [_resolve_end(coordinates, 'point', point, in_body)]
+        if other is not None:
+            ends.append(_resolve_end(coordinates, 'other', other, other_in_body))
+            if list(point) == list(other):
+                raise ValueError('point and other must be of different bodies')
+        else:
+            if other_in_body is not None:
+                raise ValueError('other_in_body is given without other; leave it out')
+            ends.append(([-1] * 4, _three('anchor', anchor)))
+        rows, arms = zip(*ends, strict=True)
+        return np.array(rows), np.array(arms)
+
+    def formulas(self, parameters: Any) -> type[Joined]:
+        """Return the formulas of the ends."""
+        return BodySpring if isinstance(parameters, BodyElastic) else Spring
 
     @staticmethod
     @inlined
@@ -87,7 +137,7 @@ class Spring(Potential):
         r = distance(first, second, anchor, q)
         for k in range(first.size):
             along = separation(first, second, anchor, q, k)
-            # At r = 0 the direction of a spring at rest length l > 0 is undefined: no force.
+            # At r = 0 the direction of a spring with l > 0 is undefined; the force is zero there.
             pull = stiffness * (along - (rest * along / r if r != 0.0 else 0.0))
             add_along(first, second, k, pull, dH_dq)
 
@@ -96,4 +146,134 @@ class Spring(Potential):
     def add_hessian_vector(parameters: Elastic, q: np.ndarray, v: np.ndarray, product: np.ndarray
                            ) -> None:
         """Add V'' v."""
-        add_curvature(parameters, q, v, product)
+        first, second, anchor, stiffness, rest = parameters
+        r = distance(first, second, anchor, q)
+        bend = rest / r if r != 0.0 and first.size > 1 else 0.0
+        inward = 0.0
+        for k in range(first.size):
+            change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
+            inward += separation(first, second, anchor, q, k) * change
+        for k in range(first.size):
+            change = v[first[k]] - (v[second[k]] if second[k] >= 0 else 0.0)
+            along = separation(first, second, anchor, q, k)
+            value = change - bend * change
+            if bend != 0.0:
+                value += bend * along * inward / (r * r)
+            add_along(first, second, k, stiffness * value, product)
+
+
+class BodySpring(Potential):
+    """The formulas of a spring between points of bodies; never instantiated."""
+
+    @staticmethod
+    @inlined
+    def energy(parameters: BodyElastic, q: np.ndarray) -> float:
+        """Return V [J]."""
+        s = _separation(parameters, q)
+        stretch = np.sqrt(dot(s, s)) - parameters.rest_length
+        return 0.5 * parameters.stiffness * stretch * stretch
+
+    @staticmethod
+    @inlined
+    def add_gradient(parameters: BodyElastic, q: np.ndarray, dH_dq: np.ndarray) -> None:
+        """Add V': the pull k (1 - l / r) s, times the derivatives of the ends' positions."""
+        s = _separation(parameters, q)
+        r = np.sqrt(dot(s, s))
+        # At r = 0 the direction of a spring with l > 0 is undefined; the force is zero there.
+        k = parameters.stiffness * (1.0 - (parameters.rest_length / r if r != 0.0 else 0.0))
+        _add_pull(parameters, q, (k * s[0], k * s[1], k * s[2]), True, dH_dq)
+
+    @staticmethod
+    @inlined
+    def add_hessian_vector(parameters: BodyElastic, q: np.ndarray, v: np.ndarray,
+                           product: np.ndarray) -> None:
+        """Add V'' v."""
+        s, ds = _separation(parameters, q), _separation_change(parameters, q, v)
+        r = np.sqrt(dot(s, s))
+        bend = parameters.rest_length / r if r != 0.0 else 0.0
+        k, inward = parameters.stiffness, bend * dot(s, ds) / (r * r) if r != 0.0 else 0.0
+        straight = k * (1.0 - bend)
+        _add_pull(parameters, q, (straight * ds[0] + k * inward * s[0],
+                                  straight * ds[1] + k * inward * s[1],
+                                  straight * ds[2] + k * inward * s[2]), True, product)
+        _add_pull(parameters, v, (straight * s[0], straight * s[1], straight * s[2]), False,
+                  product)
+
+
+def _is_body(coordinates: Sequence[Coordinate], names: Sequence[str]) -> bool:
+    return list(names) in [[c.name] for c in coordinates if c.kind != 'scalar']
+
+
+def _three(name: str, values: Sequence[float] | None) -> list[float]:
+    """Return three numbers, by default zeros, or raise ValueError."""
+    numbers = [0.0] * 3 if values is None else [float(value) for value in values]
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise ValueError(f'{name} = {values} must be three finite numbers')
+    return numbers
+
+
+def _resolve_end(coordinates: Sequence[Coordinate], end: str, names: Sequence[str],
+                 in_body: Sequence[float] | None) -> tuple[list[int], list[float]]:
+    """Return the columns of an end on a body or in space, and its arm, or raise ValueError."""
+    if not _is_body(coordinates, names):
+        bodies = listed(c.name for c in coordinates if c.kind != 'scalar') or 'none'
+        if in_body is not None or len(names) != 3:
+            raise ValueError(f'{end} = {list(names)} must be the name of a body ({bodies})'
+                             + ('' if in_body is not None else ', or of three coordinates'))
+        return [*(coordinate_index(coordinates, name) for name in names), -1], _three(end, None)
+    q, (name,) = columns(coordinates)[0], names
+    # A body that rotates about a fixed point has no coordinates for its position.
+    position = [q.index(column) if (column := f'{name}_{axis}') in q else -1 for axis in 'xyz']
+    return [*position, q.index(f'{name}_qx')], _three(f'{end}_in_body', in_body)
+
+
+@inlined
+def _end(parameters: BodyElastic, end: int, q: np.ndarray) -> Vector:
+    """Return the position of an end."""
+    at, arms = parameters.columns, parameters.arms
+    arm = (arms[end, 0], arms[end, 1], arms[end, 2])
+    if at[end, 3] >= 0:
+        arm = turned(q, at[end, 3], arm)
+    return (arm[0] + (q[at[end, 0]] if at[end, 0] >= 0 else 0.0),
+            arm[1] + (q[at[end, 1]] if at[end, 1] >= 0 else 0.0),
+            arm[2] + (q[at[end, 2]] if at[end, 2] >= 0 else 0.0))
+
+
+@inlined
+def _separation(parameters: BodyElastic, q: np.ndarray) -> Vector:
+    """Return the vector from the second end to the first."""
+    first, second = _end(parameters, 0, q), _end(parameters, 1, q)
+    return first[0] - second[0], first[1] - second[1], first[2] - second[2]
+
+
+@inlined
+def _end_change(parameters: BodyElastic, end: int, q: np.ndarray, v: np.ndarray) -> Vector:
+    """Return the derivative of the position of an end by q, along v."""
+    at, arms, arm = parameters.columns, parameters.arms, (0.0, 0.0, 0.0)
+    if at[end, 3] >= 0:
+        arm = turned_change(q, v, at[end, 3], (arms[end, 0], arms[end, 1], arms[end, 2]))
+    return (arm[0] + (v[at[end, 0]] if at[end, 0] >= 0 else 0.0),
+            arm[1] + (v[at[end, 1]] if at[end, 1] >= 0 else 0.0),
+            arm[2] + (v[at[end, 2]] if at[end, 2] >= 0 else 0.0))
+
+
+@inlined
+def _separation_change(parameters: BodyElastic, q: np.ndarray, v: np.ndarray) -> Vector:
+    """Return the derivative of the vector between the ends by q, along v."""
+    first, second = _end_change(parameters, 0, q, v), _end_change(parameters, 1, q, v)
+    return first[0] - second[0], first[1] - second[1], first[2] - second[2]
+
+
+@inlined
+def _add_pull(parameters: BodyElastic, q: np.ndarray, f: Vector, moves: bool,
+              target: np.ndarray) -> None:
+    """Add the derivative of f . s by the quaternions at q and, if ``moves``, by the positions."""
+    at, arms = parameters.columns, parameters.arms
+    for end in range(2):
+        pull = f if end == 0 else (-f[0], -f[1], -f[2])
+        for k in range(3):
+            if moves and at[end, k] >= 0:
+                target[at[end, k]] += pull[k]
+        if at[end, 3] >= 0:
+            add_turned_slope(q, at[end, 3], (arms[end, 0], arms[end, 1], arms[end, 2]), pull,
+                             target)

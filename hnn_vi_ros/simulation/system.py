@@ -9,8 +9,8 @@ import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import (
-    Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together, Wrapping)
-from hnn_vi_ros.effects.kernels import add_forces
+    Constraint, ConstraintSet, Effect, EffectError, EffectState, Force, Joined, Place, Wrapping)
+from hnn_vi_ros.effects.kernels import add_forces, join
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -89,7 +89,7 @@ class JoinedHamiltonian(Hamiltonian):
         """Return the functions that simulations compile."""
         kernel = self.base.kernel
         for effect, parameters in self._joined:
-            kernel = effect.join(kernel, parameters)
+            kernel = join(kernel, effect, parameters)
         return kernel
 
 
@@ -335,7 +335,7 @@ class System:
         self._constraints = self._constrained(self._in(Place.MANIFOLD))
         self.integrator = self._wrapped(integrator)
 
-    def _constrained(self, listed: list[int]) -> Together | None:
+    def _constrained(self, listed: list[int]) -> ConstraintSet | None:
         """Return the constraints of the scene as one, None for none."""
         if not listed:
             return None
@@ -344,7 +344,7 @@ class System:
             raise EffectError(max(kinds.values()), 'does not combine with constraints of another '
                                                    'kind; leave one of them out')
         (kind,) = kinds
-        return cast(type[Constraint], kind).together(
+        return cast(type[Constraint], kind).combine(
             [(i, self.labels[i], self._parameters[i]) for i in listed],
             self.kernel, len(self._effects))
 

@@ -8,8 +8,7 @@ from typing import Any
 from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError, EffectState
-from hnn_vi_ros.effects.body_points import BodySpring
-from hnn_vi_ros.effects.points import Elastic
+from hnn_vi_ros.effects.spring import BodySpring, Elastic
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum

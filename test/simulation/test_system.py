@@ -117,7 +117,7 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'attitudes', 'base', 'body_points', 'commands', 'constraints', 'crossings',
+SHARED = {'attitudes', 'base', 'commands', 'constraints', 'crossings',
           'friction_network', 'input_map', 'joints', 'kernels', 'masses', 'noise',
           'ornstein_uhlenbeck', 'points', 'rattle', 'servo_targets', 'splitting', 'stops',
           'wrapped'}
