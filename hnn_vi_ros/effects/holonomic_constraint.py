@@ -1,53 +1,66 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A holonomic constraint: rods, planes, circles, spheres, or an equation of the user's."""
+"""A holonomic constraint: a rod, plane, circle or sphere, or an equation of the user's."""
 
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Annotated, Any, Literal
 
-from hnn_vi_ros.effects.base import Constraint, EffectState, ConstraintSet
-from hnn_vi_ros.effects.constraints import ConstraintEquation
-from hnn_vi_ros.effects.shapes import check_keys, equations_of, function_equation
-from hnn_vi_ros.files.named_code import NAMES_CODE
+from hnn_vi_ros.effects.base import Constraint, ConstraintSet, EffectState
+from hnn_vi_ros.effects.points import resolve_pair
+from hnn_vi_ros.effects.rattle import ConstraintEquation
+from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
+from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+# The options that each form requires, and those that it accepts as well.
+_OPTIONS = {
+    'rod': (('point',), ('other', 'anchor', 'length')),
+    'plane': (('point', 'anchor', 'normal'), ()),
+    'circle': (('point', 'anchor', 'radius'), ('normal',)),
+    'sphere': (('point', 'anchor', 'radius'), ()),
+    'python': (('factory',), ()),
+}
 
 
 class HolonomicConstraint(Constraint):
     """
-    A holonomic constraint g(q) = 0, without friction, by RATTLE: a rod, unless form says else.
+    A holonomic constraint g(q) = 0 without friction, by RATTLE: a rod, or another ``form``.
 
-    Constraints that a scene lists are solved together. H(q, p) is that without them; the initial
-    q and p must keep to them, g(q) = 0 and g' H_p = 0. Energy account: their forces do no work.
+    The constraints of a scene are solved together. H(q, p) is the Hamiltonian without them; the
+    initial q and p must satisfy g(q) = 0 and g' H_p = 0. Energy account: their forces do no work.
 
     Parameters
     ----------
     form : str
-        ``rod``: g = r - l, with r the distance of two points, or of a point and a fixed place;
-        ``plane``: g = n . (x - a); ``sphere``: g = abs(x - a) - R; ``circle``: a sphere, cut by
-        a plane if there are three coordinates; ``python``: what a factory returns.
+        ``rod``: g = r - l, where r is the distance of two points, or of a point and a fixed
+        one; ``plane``: g = n . (x - a); ``sphere``: g = abs(x - a) - R; ``circle``: a sphere,
+        cut by a plane if there are three coordinates; ``python``: the function of a factory.
     point : list of str, optional
         Names of the coordinates of a point x [m].
     other : list of str, optional
         Names of the coordinates of the other end of a rod.
     anchor : list of float, optional
-        The fixed place of the other end of a rod, the centre of a circle or a sphere, or a place
-        in a plane [m].
+        The fixed position of the other end of a rod, the centre of a circle or a sphere, or a
+        point of a plane [m].
     length : float, optional
-        l > 0 of a rod [m]; 1 where it is not given.
+        l > 0 of a rod [m]; 1 by default.
     radius : float, optional
         R > 0 of a circle or a sphere [m].
     normal : list of float, optional
-        n of a plane or of a circle in space [1], of any length but zero.
+        n of a plane or of a circle in space [1], of any nonzero length.
     factory : str, optional
-        package.module:function; called without arguments, returns a function g(q, gradient) that
-        fills the gradient and returns g, arrays of shape (d,); plain Python in numba's subset.
+        package.module:function; called without arguments, it returns a function g(q, gradient)
+        that fills the gradient and returns g, for arrays of shape (d,); plain Python in numba's
+        subset.
 
     Raises
     ------
     ValueError
-        A value is out of its range, missing, or not one of the form; the factory fails.
+        A value is out of its range, missing, or not used by the form; the factory fails.
 
     References
     ----------
@@ -61,26 +74,103 @@ class HolonomicConstraint(Constraint):
                  radius: float | None = None, normal: list[float] | None = None,
                  factory: Annotated[str | None, NAMES_CODE] = None):
         self.form = form
-        self._given = check_keys(form, {
+        self._options = _check_options(form, {
             'point': point, 'other': other, 'anchor': anchor, 'length': length, 'radius': radius,
             'normal': normal, 'factory': factory})
-        self._function = function_equation(self._given['factory']) if form == 'python' else None
+        self._function = None if factory is None else _function_equation(factory)
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method is symmetric and of order 2, which RATTLE keeps."""
+        """Return whether the method is symmetric, symplectic and of order 2, like RATTLE."""
         keeps = integrator.requirements
         return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> tuple[ConstraintEquation, ...]:
-        """Return the equations, of which a circle in space has two."""
+        """Return the equations: two for a circle in space, else one."""
         if self._function is not None:
             return (self._function,)
-        return equations_of(self.form, self._given, coordinates)
+        return _equations(self.form, self._options, coordinates)
 
     @staticmethod
     def combine(listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]], kernel: Kernel,
-                 effects: int) -> ConstraintSet:
-        """Return the manifold that all constraints leave."""
+                effects: int) -> ConstraintSet:
+        """Return the manifold on which all constraints hold."""
+        # Imported here, since it loads the compiler, which reading a scene does not need.
         from hnn_vi_ros.effects.manifold import Manifold
         return Manifold(listed, kernel, effects)
+
+
+def _check_options(form: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that are given, or raise ValueError if one does not fit the form."""
+    required, optional = _OPTIONS[form]
+    there = {name: value for name, value in options.items() if value is not None}
+    for name in required:
+        if name not in there:
+            raise ValueError(f'{name} is required by the form {form}, which takes '
+                             f'{", ".join(required + optional)}')
+    for name in there:
+        if name not in required + optional:
+            raise ValueError(f'{name} has no meaning for the form {form}, which takes '
+                             f'{", ".join(required + optional)}')
+    if form == 'rod':
+        there.setdefault('length', 1.0)
+    for name in ('length', 'radius'):
+        if name in there:
+            check_positive(**{name: there[name]})
+    if 'normal' in there:
+        size = float(np.linalg.norm(there['normal']))
+        check_finite(normal=size)
+        if size == 0.0:
+            raise ValueError(f'normal = {there["normal"]} must not be zero')
+    return there
+
+
+def _equations(form: str, options: Mapping[str, Any], coordinates: Sequence[Coordinate]
+               ) -> tuple[ConstraintEquation, ...]:
+    """Return the equations of a form other than python, or raise ValueError."""
+    point, anchor, normal = options['point'], options.get('anchor'), options.get('normal')
+    ends = resolve_pair(coordinates, point, options.get('other'), anchor)
+    if anchor is not None:
+        check_finite(anchor=float(np.abs(anchor).max()))
+    n = len(point)
+    if normal is not None and len(normal) != n:
+        raise ValueError(f'normal has {len(normal)} entries, point has {n}: expected the same '
+                         'number')
+    length = options.get('length', options.get('radius', 0.0))
+    distance = ConstraintEquation(*ends, length, np.zeros(n))
+    if form == 'plane':
+        return (_plane(ends, options['normal']),)
+    if form == 'circle' and n not in (2, 3):
+        raise ValueError(f'point has {n} entries, but a circle is in 2 or 3 coordinates')
+    if form == 'circle' and (n == 3) != (normal is not None):
+        raise ValueError('normal is required for a circle in 3 coordinates; leave it out in 2')
+    if form == 'sphere' and n != 3:
+        raise ValueError(f'point has {n} entries, but a sphere is in 3 coordinates')
+    return (distance,) if normal is None else (distance, _plane(ends, normal))
+
+
+def _plane(ends: tuple[np.ndarray, np.ndarray, np.ndarray], normal: Sequence[float]
+           ) -> ConstraintEquation:
+    return ConstraintEquation(*ends, 0.0, np.array(normal) / np.linalg.norm(normal))
+
+
+def _function_equation(factory: str) -> ConstraintEquation:
+    """Return the equation of a user's function, or raise ValueError if there is none."""
+    try:
+        function = _call(import_named(factory))
+    except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
+        raise ValueError(f'factory = {factory!r}: {type(problem).__name__}: '
+                         f'{" ".join(str(problem).split())}') from problem
+    if not callable(function):
+        raise ValueError(f'factory = {factory!r} returned a {type(function).__name__}, expected '
+                         'a function g(q, gradient)')
+    none = np.zeros(0, dtype=np.int64)
+    # If the function is compiled already, its Python code is taken, to be compiled into the steps.
+    return ConstraintEquation(none, none, np.zeros(0), 0.0, np.zeros(0),
+                              getattr(function, 'py_func', function))
+
+
+@cache
+def _call(factory: Callable[[], object]) -> object:
+    """Return the function of a factory, the same each time: another would be compiled again."""
+    return factory()

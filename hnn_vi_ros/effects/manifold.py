@@ -1,22 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The manifold that holonomic constraints leave, and what a state on it must be."""
+"""The manifold of a scene's holonomic constraints, and checks of states on it."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.effects.constraints import ConstraintEquation, Constraints, evaluator
-from hnn_vi_ros.effects.rattle import rattle_kind
+from hnn_vi_ros.effects.rattle import (
+    ConstraintEquation, Constraints, evaluator, rattle_kind)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT
 import numba
 import numpy as np
 
-# Relative error of an initial state; a step takes away what it leaves.
+# Relative error that an initial state may have. The first step removes it; a larger one is taken
+# for a mistake instead of being projected silently.
 _TOLERANCE = 1e-9
-# Spacing of a central difference, its relative error with a margin of 1000, and the share above
-# which a constraint counts among those that another depends on.
+# Spacing of a central difference, and the relative error that is accepted of it, 1000 times its
+# rounding. Constraints with a larger share than _SHARE are named where another depends on them.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _SLOPE, _SHARE = 1e-6, 1e-6
 
@@ -28,23 +29,23 @@ class Manifold:
     Parameters
     ----------
     listed : sequence of (int, str, tuple of ConstraintEquation)
-        Place in the scene, name and equations of each.
+        For each constraint its index in the scene, its name and its equations.
     kernel : Kernel
-        Of H with the forces, d coordinates and their channels.
+        H with the forces, for d coordinates and their channels.
     effects : int
-        How many effects there are.
+        Number of effects in the scene.
 
     Attributes
     ----------
     constraints : Constraints
-        What steps work on.
+        The parameters and the space of steps.
     kind : type
-        What Wrapped puts around a step.
+        The layer that Wrapped puts around a step.
 
     Raises
     ------
     EffectError
-        More equations than coordinates, or a function that cannot be compiled.
+        There are more equations than coordinates, or a function cannot be compiled.
 
     """
 
@@ -53,14 +54,14 @@ class Manifold:
         ordered = [(part, index, name) for index, name, parts in listed for part in parts]
         ordered.sort(key=lambda entry: entry[0].function is not None)
         self._listed = [part for part, _, _ in ordered]
-        self._places = [index for _, index, _ in ordered]
+        self._indices = [index for _, index, _ in ordered]
         self._names = [name for _, _, name in ordered]
         self._kernel, self._d = kernel, kernel.dimension - kernel.channels
         if len(self._listed) > self._d:
-            raise EffectError(self._places[-1], f'{len(self._listed)} constraints leave {self._d} '
+            raise EffectError(self._indices[-1], f'{len(self._listed)} constraints leave {self._d} '
                                                 'coordinates no freedom; leave some out')
         functions = tuple(part.function for part in self._listed if part.function is not None)
-        for function, index in zip(functions, self._places[-len(functions):], strict=False):
+        for function, index in zip(functions, self._indices[-len(functions):], strict=False):
             if kernel.compiled:
                 _check_compiles(function, index)
         self.constraints = Constraints.of(self._listed, kernel.dimension, effects)
@@ -68,7 +69,7 @@ class Manifold:
 
     @property
     def settings(self) -> Constraints:
-        """Return what steps work on; see ConstraintSet."""
+        """Return the options of the steps; see ConstraintSet."""
         return self.constraints
 
     @property
@@ -78,14 +79,14 @@ class Manifold:
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
         """
-        Raise ValueError if a state, of shape (d,), is not one of motion on the manifold.
+        Raise ValueError if a state, of shape (d,), does not move on the manifold.
 
         Raises
         ------
         EffectError
-            A constraint that depends on others there, or whose gradient is wrong.
+            A constraint depends on others there, or its gradient is wrong.
         ValueError
-            q is off the constraints, or p leads off them.
+            q violates a constraint, or the velocity leads off it.
 
         """
         state, (velocity, force) = np.zeros((2, 2, self._kernel.dimension))
@@ -114,7 +115,7 @@ class Manifold:
                 sides.append(function(beside, np.zeros(self._d)))
             slope = (sides[0] - sides[1]) / (2.0 * spacing)
             if not abs(slope - gradient[i]) <= _SLOPE * max(scale, abs(slope)) or scale == 0.0:
-                raise EffectError(self._places[k], (
+                raise EffectError(self._indices[k], (
                     f'factory: the gradient is not that of g: at the initial q its component {i} '
                     f'is {gradient[i]:.9g}, but differences of g give {slope:.9g}'))
 
@@ -146,7 +147,7 @@ class Manifold:
         gram = gradient @ response.T
         for k in range(len(gram)):
             if not gram[k, k] > 0.0:
-                raise EffectError(self._places[k], (
+                raise EffectError(self._indices[k], (
                     'H_pp is not positive across the constraint, so that no impulse can keep it; '
                     'leave it out, or start elsewhere'))
             shares = np.linalg.solve(gram[:k, :k], gram[:k, k])
@@ -154,7 +155,7 @@ class Manifold:
                 sizes = np.abs(shares) * np.sqrt(np.diag(gram)[:k])
                 others = dict.fromkeys(name for name, size in zip(self._names, sizes, strict=False)
                                        if size > _SHARE * np.sqrt(gram[k, k]))
-                raise EffectError(self._places[k], (
+                raise EffectError(self._indices[k], (
                     f'{self._names[k]} is redundant at the initial q: what it keeps, '
                     f'{", ".join(others)} {"keeps" if len(others) == 1 else "keep"} already; '
                     'leave one of them out, or start elsewhere'))
@@ -162,7 +163,7 @@ class Manifold:
 
 @cache
 def _compiles(function: object) -> str:
-    """Return why numba cannot compile a user's function, nothing if it can."""
+    """Return the reason why numba cannot compile a user's function; empty if it can."""
     try:
         numba.njit(function).compile((numba.float64[::1], numba.float64[::1]))
     except numba.core.errors.NumbaError as problem:

@@ -1,12 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""RATTLE: impulses around a step that keep a system to its holonomic constraints."""
+"""
+RATTLE: impulses around a step that keep a system on its holonomic constraints g(q) = 0.
 
-from collections.abc import Callable
+Constraints are distances, planes and the user's functions, all solved together.
+"""
+
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.constraints import Constraints, evaluator
+from hnn_vi_ros.effects.points import add_along, distance, separation
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
 from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, REDUNDANT, Step
 from hnn_vi_ros.integrators.workspaces import forget
@@ -17,21 +21,184 @@ import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
 _ITERATIONS = 50
-# Rounding of a step's coordinates and of a distance, in units of eps and of their size.
+# Rounding error of a step's coordinates and of a distance, in units of eps times their size. The
+# iteration stops there if an error no longer decreases; below it nothing can be resolved.
 _ROUNDING = 64
-# How well the variational equation is solved, as far as its iteration goes; and how slowly
-# Newton's method may converge before the equation is made anew.
+# The variational equation is only the Jacobian of Newton's method, so that an error of _CLOSE
+# costs less than more of its iterations would; it is solved again if an error decreases by less
+# than the factor _SLOW.
 _VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
+
+
+class ConstraintEquation(NamedTuple):
+    """
+    One equation g(q) = 0 between n coordinates.
+
+    Parameters
+    ----------
+    first, second, anchor : np.ndarray, shape (n,)
+        Two points, or a point and a fixed position; see points.resolve_pair.
+    length : float
+        The required distance [m], 0 for a plane.
+    normal : np.ndarray, shape (n,)
+        The unit normal of a plane, zero for a distance.
+    function : callable or None
+        The user's ``function(q, gradient)``, which replaces the rest; see HolonomicConstraint.
+
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    anchor: np.ndarray
+    length: float
+    normal: np.ndarray
+    function: Callable[..., float] | None = None
+
+
+class Constraints(NamedTuple):
+    """
+    K constraints, and space to solve for their impulses; the user's functions come last.
+
+    Parameters
+    ----------
+    first, second, anchor, normal : np.ndarray, shape (L, n)
+        See ConstraintEquation; for the L distances and planes.
+    sizes, planes : np.ndarray, shape (L,)
+        The number of coordinates of each, and whether it is a plane.
+    lengths : np.ndarray, shape (L,)
+        The required distances [m].
+    old, new, response : np.ndarray, shape (K, D)
+        The gradient G of g at the start and at the end, and the change of q by impulses G^T.
+    variation : np.ndarray, shape (4, D)
+        A variation of q and p, and its image under the Hessian of H.
+    matrix : np.ndarray, shape (K, K)
+        The linear system.
+    right, defect, scale : np.ndarray, shape (K,)
+        The right-hand side of the system, g(q), and the diagonal of the matrix.
+    pending : np.ndarray
+        EffectState.pending before the step.
+    dependent : np.ndarray, shape (1,)
+        The constraint that was last found to depend on earlier ones.
+    middle : np.ndarray, shape (2, D)
+        q and p half-way.
+
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    anchor: np.ndarray
+    normal: np.ndarray
+    sizes: np.ndarray
+    planes: np.ndarray
+    lengths: np.ndarray
+    old: np.ndarray
+    new: np.ndarray
+    response: np.ndarray
+    variation: np.ndarray
+    matrix: np.ndarray
+    right: np.ndarray
+    defect: np.ndarray
+    scale: np.ndarray
+    pending: np.ndarray
+    dependent: np.ndarray
+    middle: np.ndarray
+
+    @classmethod
+    def of(cls, listed: Sequence[ConstraintEquation], dimension: int, effects: int
+           ) -> 'Constraints':
+        """Return constraints, functions last, with space for a kernel of this dimension."""
+        known = [part for part in listed if part.function is None]
+        n = max((part.first.size for part in known), default=0)
+        first, second = np.full((2, len(known), n), -1)
+        anchor, normal = np.zeros((2, len(known), n))
+        for k, part in enumerate(known):
+            for target, values in zip((first, second, anchor, normal), (
+                    part.first, part.second, part.anchor, part.normal), strict=True):
+                target[k, :values.size] = values
+        old, new, response = np.zeros((3, len(listed), dimension))
+        right, defect, scale = np.zeros((3, len(listed)))
+        sizes = np.array([part.first.size for part in known], int)
+        lengths = np.array([part.length for part in known], float)
+        return cls(first, second, anchor, normal, sizes, np.asarray(normal.any(axis=1)), lengths,
+                   old, new, response, np.zeros((4, dimension)),
+                   np.zeros((len(listed), len(listed))), right, defect, scale,
+                   np.zeros(effects), np.zeros(1, dtype=np.int64), np.zeros((2, dimension)))
+
+
+@cache
+def evaluator(functions: tuple[Callable[..., float], ...]) -> Callable[..., float]:
+    """
+    Return a function that evaluates distances, planes and these functions.
+
+    ``evaluate(constraints, q, gradient)`` fills ``constraints.defect`` with g and the last
+    argument, of shape (K, D), with its gradient, and returns the largest distance of q from
+    g = 0 [m], or NaN.
+    """
+    fill_others = _chain(functions)
+
+    @called
+    def evaluate(constraints: Constraints, q: np.ndarray, gradient: np.ndarray) -> float:
+        gradient[:] = 0.0
+        count = constraints.lengths.size
+        for k in range(count):
+            n = constraints.sizes[k]
+            first, second = constraints.first[k, :n], constraints.second[k, :n]
+            anchor = constraints.anchor[k, :n]
+            if constraints.planes[k]:
+                constraints.defect[k] = 0.0
+                for j in range(n):
+                    gradient[k, first[j]] = constraints.normal[k, j]
+                    constraints.defect[k] += constraints.normal[k, j] * separation(
+                        first, second, anchor, q, j)
+            else:
+                r = distance(first, second, anchor, q)
+                constraints.defect[k] = r - constraints.lengths[k]
+                for j in range(n):
+                    along = separation(first, second, anchor, q, j)
+                    add_along(first, second, j, along / r if r != 0.0 else 0.0, gradient[k])
+        fill_others(q, count, constraints.defect, gradient)
+        worst = 0.0
+        for k in range(constraints.defect.size):
+            slope = 0.0
+            for i in range(q.size):
+                slope = max(slope, abs(gradient[k, i]))
+            away = abs(constraints.defect[k]) / slope if slope > 0.0 else np.nan
+            # Not max(worst, away), which would drop a NaN.
+            worst = worst if worst >= away or worst != worst else away
+        return worst
+    return evaluate
+
+
+_jitable = cache(inlined)
+
+
+@cache
+def _chain(functions: tuple[Callable[..., float], ...]) -> Callable[..., None]:
+    """Return a function that evaluates the user's functions, one after another."""
+    if not functions:
+        return _evaluate_none
+    function, rest = _jitable(functions[0]), _chain(functions[1:])
+
+    @inlined
+    def fill(q: np.ndarray, k: int, defect: np.ndarray, gradient: np.ndarray) -> None:
+        defect[k] = function(q, gradient[k])
+        rest(q, k + 1, defect, gradient)
+    return fill
+
+
+@inlined
+def _evaluate_none(q: np.ndarray, k: int, defect: np.ndarray, gradient: np.ndarray) -> None:
+    """End the chain of functions."""
 
 
 class Multipliers(NamedTuple):
     """
-    Multipliers that the next step starts from.
+    Initial guess of the next step.
 
     Parameters
     ----------
     multipliers : np.ndarray, shape (m,)
-        Of the m constraints at the start of the last step.
+        The multipliers of the m constraints at the start of the last step.
 
     """
 
@@ -45,7 +212,7 @@ class RattleWork(NamedTuple):
     Parameters
     ----------
     kept : Multipliers
-        For the next step.
+        The part that the next step reads.
     start : Point
         The state after the first impulse.
 
@@ -56,7 +223,7 @@ class RattleWork(NamedTuple):
 
 
 class Rattle:
-    """RATTLE with distances and planes, for Wrapped; see ``rattle``."""
+    """Layer of Wrapped that solves distances and planes by RATTLE; see ``rattle``."""
 
     functions: tuple[Callable[..., float], ...] = ()
     repeats = True
@@ -79,7 +246,7 @@ class Rattle:
 
 @cache
 def rattle_kind(functions: tuple[Callable[..., float], ...]) -> type[Rattle]:
-    """Return Rattle with functions of the user's, which nothing on disk is to know."""
+    """Return the layer with the user's functions, whose compiled code is not kept on disk."""
     if not functions:
         return Rattle
     foreign = [function.__module__ for function in functions if not is_own(function.__module__)]
@@ -90,16 +257,16 @@ def rattle_kind(functions: tuple[Callable[..., float], ...]) -> type[Rattle]:
 @cache
 def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step:
     """
-    Return a step that keeps g(q) = 0 and G(q) q' = 0, G = g'.
+    Return a step that keeps g(q) = 0 and G(q) q' = 0, where G = g'.
 
         p+ = p_n - (h/2) G(q_n)^T lambda,  (q_(n+1), p-) = step(q_n, p+),  g(q_(n+1)) = 0
         p_(n+1) = p- - (h/2) G(q_(n+1))^T mu,  G(q_(n+1)) H_p(q_(n+1), p_(n+1)) = 0
 
-    Symplectic on the constraint manifold and symmetric, as the step is, and of order 2. lambda
-    is found by Newton's method. The derivative of q_(n+1) by an impulse is that of the
-    variational equation, with H_pp, H_qp and H_qq half-way, by the midpoint rule.
-    The solution that goes to zero with h is taken: there all leading minors of the Jacobian are
-    positive.
+    The step is symplectic on the constraint manifold and symmetric if the method's step is, and
+    of order 2. lambda is found by Newton's method. The derivative of q_(n+1) by an impulse solves
+    the variational equation by the midpoint rule, with H_pp, H_qp and H_qq half-way: h H_pp alone
+    would be cheaper, but converges slowly where H is stiff. Of several solutions the one that
+    vanishes with h is taken; all leading minors of its Jacobian are positive.
 
     References
     ----------
@@ -115,7 +282,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
         """Take one step; see Integrator."""
         inner, constraints, state, _ = options
         work, inside = memory[-1], memory[:-1]
-        # The last step's solution is the first guess.
+        # The solution of the last step is the initial guess.
         start, multipliers = work.start, work.kept.multipliers
         evaluate(constraints, z.q, constraints.old)
         copy_array(state.pending, constraints.pending)
@@ -125,7 +292,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
             copy_point(z, start)
             copy_array(constraints.pending, state.pending)
             _kick(constraints.old, multipliers, 0.5 * h, start)
-            # Trials of one step are no guide to the next start.
+            # Solutions for other impulses are bad initial guesses for the method's equations.
             forget(inside)
             outcome, residual, gradients = step(kernel, h, inner, start, z1, inside)
             spent += gradients
@@ -161,7 +328,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
 
 @called
 def _end(kernel: Kernel, h: float, constraints: Constraints, z: Point) -> int:
-    """Take the velocity off the constraints away; return what it took, -1 if in vain."""
+    """Remove the velocity off the constraints; return the number of gradients, -1 on failure."""
     count, previous, spent = constraints.defect.size, np.inf, 0
     for _ in range(_ITERATIONS):
         kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
@@ -189,7 +356,7 @@ def _end(kernel: Kernel, h: float, constraints: Constraints, z: Point) -> int:
 
 @called
 def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: Point) -> int:
-    """Fill how q at the end answers to an impulse along each G at the start; return the cost."""
+    """Fill the derivative of the final q by an impulse along each initial G; return its cost."""
     q, p = constraints.middle
     for i in range(q.size):
         q[i], p[i] = 0.5 * (z.q[i] + z1.q[i]), 0.5 * (z.p[i] + z1.p[i])
@@ -217,13 +384,13 @@ def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: P
 @called
 def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int:
     """
-    Solve factor G R x = right in place, R the response, with G at the start or at the end.
+    Solve factor G R x = right in place, where R is the response and G an initial or final G.
 
     Returns
     -------
     int
-        OK; REDUNDANT, and which is noted, where one row depends on those before it; else
-        NO_CONVERGENCE, where a step is too long, or no number comes out.
+        OK; REDUNDANT, and the row is noted, if one row depends on earlier ones; else
+        NO_CONVERGENCE, if a step is too long, or not finite.
 
     """
     matrix, count = constraints.matrix, constraints.defect.size

@@ -117,10 +117,9 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 
 # What several effects are made of.
-SHARED = {'attitudes', 'base', 'commands', 'constraints', 'crossings',
-          'friction_network', 'input_map', 'joints', 'kernels', 'masses', 'noise',
-          'ornstein_uhlenbeck', 'points', 'rattle', 'servo_targets', 'splitting', 'stops',
-          'wrapped'}
+SHARED = {'attitudes', 'base', 'commands', 'crossings', 'friction_network', 'input_map', 'joints',
+          'kernels', 'masses', 'noise', 'points', 'rattle', 'servo_targets', 'splitting',
+          'stops', 'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
@@ -199,7 +198,7 @@ def test_discrete_euler_lagrange_takes_no_effect_at_all(row: EffectRow, tmp_path
       ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
      'thermostat does not combine'),
     ([('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
-      ('learned_dissipation', {'model': 2})], 1, 'whose force would do work'),
+      ('learned_dissipation', {'model': 2})], 1, 'its forces would do work'),
 ])
 def test_effects_that_do_not_combine_are_refused(effects, index, message, tmp_path):
     with pytest.raises(EffectError, match=message) as raised:

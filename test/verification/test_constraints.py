@@ -574,7 +574,7 @@ def test_constraint_of_bad_arguments_is_refused(arguments, message):
 
 @pytest.mark.parametrize('arguments, message', [
     ({'form': 'circle', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3, 'radius': 1.0},
-     'normal is what a circle in 3 coordinates needs'),
+     'normal is required for a circle in 3 coordinates'),
     ({'form': 'sphere', 'point': ['x', 'z'], 'anchor': [0.0] * 2, 'radius': 1.0}, '3 coordinates'),
     ({'form': 'plane', 'point': ['x', 'z'], 'anchor': [0.0] * 2, 'normal': [1.0]},
      'normal has 1 entries, point has 2')])
