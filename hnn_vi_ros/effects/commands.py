@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to a simulation while it runs, and what servos keep of them."""
+"""Commands to a running simulation, and the reference that servos keep of them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -12,15 +12,15 @@ import numpy as np
 
 class JointCommand(NamedTuple):
     """
-    Command to some joints, from now on.
+    Command to some joints, effective immediately.
 
     Parameters
     ----------
     names : sequence of str
-        Of n coordinates.
+        Names of n coordinates.
     position, velocity, effort : np.ndarray, shape (n,)
-        In the units of the coordinates, per second [s], and of their generalised forces [N] or
-        [N m]; NaN where nothing is commanded.
+        In the units of the coordinates, their units per second, and the units of their
+        generalised forces, [N] or [N m]; NaN for no command.
 
     """
 
@@ -32,20 +32,20 @@ class JointCommand(NamedTuple):
 
 class JointPath(NamedTuple):
     """
-    Points through which joints are to go.
+    Points that joints are to pass through.
 
     Parameters
     ----------
     names : sequence of str
-        Of m coordinates.
+        Names of m coordinates.
     delay : float
-        From now to the start of the path [s]; negative where that was before.
+        Time from now to the start of the path [s]; negative if it has started already.
     times : np.ndarray, shape (n,)
-        Of the points, since the start of the path [s].
+        Times of the points since the start of the path [s].
     positions : np.ndarray, shape (n, m)
         In the units of the coordinates.
     velocities, accelerations : np.ndarray, shape (n, m), or None
-        Derivatives by the time there; None where the points have none.
+        Time derivatives of the positions; None if the points have none.
 
     """
 
@@ -59,16 +59,16 @@ class JointPath(NamedTuple):
 
 class Observation(NamedTuple):
     """
-    Observation of the machine that a simulation is the twin of.
+    Observation of the machine whose twin the simulation is.
 
     Parameters
     ----------
     names : sequence of str
-        Of n joints, those that are not asked for among them.
+        Names of n joints, possibly more than are needed.
     delay : float
-        From now to when they were seen [s]; negative for before.
+        Time from now to the observation [s]; negative for the past.
     position, velocity : np.ndarray, shape (n,)
-        In the units of the coordinates, and per second [s]; NaN where nothing was seen.
+        In the units of the coordinates, and their units per second; NaN if not observed.
 
     """
 
@@ -78,17 +78,18 @@ class Observation(NamedTuple):
     velocity: np.ndarray
 
 
-# Plain numbers are forces, or what the motors of a learned input map take.
+# Plain numbers are forces, or the inputs of a learned input map.
 Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation
-# What a command can hold, and what that is called.
+# Names of the contents of a command.
 NUMBERS, POSITION, VELOCITY, EFFORT, PATH = 'commands', 'position', 'velocity', 'effort', 'path'
 OBSERVATION = 'observation'
-# No number of a command is larger: splines and forces of such are finite, of any unit.
+# Upper bound on the numbers of a command, whatever their unit: splines and forces of such numbers
+# stay finite.
 LARGEST = 1e12
 
 
 def contents(command: Command) -> set[str]:
-    """Return what a command holds, or raise ValueError if that is nothing."""
+    """Return the names of the contents of a command, or raise ValueError if it is empty."""
     if isinstance(command, JointPath):
         return {PATH}
     if isinstance(command, Observation):
@@ -109,14 +110,14 @@ class Reference(NamedTuple):
     Parameters
     ----------
     modes : np.ndarray of int64, shape (d,)
-        What drives each coordinate; see servo_targets.
+        The mode of each coordinate; see the modes of servos.
     targets : np.ndarray, shape (2, d)
-        Position and velocity that were commanded.
+        Commanded positions and velocities.
     extent : np.ndarray of int64, shape (2,)
-        How many knots the path has, and the degree of its polynomials.
+        Number of knots of the path, and the degree of its polynomials.
     knots : np.ndarray, shape (n, 1 + 3 d)
-        Time [s], positions, velocities and accelerations of the path at its knots; where there is
-        an observer the last row is its own.
+        Time [s], positions, velocities and accelerations of the path at its knots. An observer
+        uses the last row.
 
     """
 
@@ -127,30 +128,30 @@ class Reference(NamedTuple):
 
     @classmethod
     def empty(cls, dimension: int, knots: int) -> 'Reference':
-        """Return one that holds no command, with room for some knots."""
+        """Return a reference without a command, with space for some knots."""
         return cls(np.zeros(dimension, dtype=np.int64), np.zeros((2, dimension)),
                    np.zeros(2, dtype=np.int64), np.zeros((knots, 1 + 3 * dimension)))
 
 
 class Aim(NamedTuple):
     """
-    Aim that a servo follows.
+    Present targets of a servo.
 
     Parameters
     ----------
     names : sequence of str
-        Of its n joints.
-    places : np.ndarray, shape (n,)
-        Theirs among the coordinates.
+        Names of its n joints.
+    columns : np.ndarray, shape (n,)
+        Their columns in q.
     targets : np.ndarray, shape (3, n)
-        Positions, velocities and accelerations that they are to have; NaN for none.
+        Their target positions, velocities and accelerations; NaN for none.
     on_path : bool
-        Whether they are those of a path.
+        Whether the targets belong to a path.
 
     """
 
     names: Sequence[str]
-    places: np.ndarray
+    columns: np.ndarray
     targets: np.ndarray
     on_path: bool
 
@@ -162,9 +163,9 @@ class Commanded(ABC):
     Attributes
     ----------
     takes : frozenset of str
-        What of a command is for it; see ``contents``.
+        The contents of a command that it takes; see ``contents``.
     names : sequence of str
-        What it drives, as far as that has names; of plain numbers, what each is for.
+        Names of the driven joints; for plain numbers, the name of each number if it has one.
 
     """
 
@@ -174,33 +175,35 @@ class Commanded(ABC):
     @abstractmethod
     def prepare(self, command: Command, parameters: Any, q: np.ndarray) -> Callable[[], None]:
         """
-        Return what puts its part of a command into effect.
+        Return a function that puts the effect's part of a command into effect.
+
+        Checks come first, so that a command to several effects acts on all of them or on none.
 
         Parameters
         ----------
         command : Command
-            Of whose contents it takes some.
+            A command with contents that the effect takes.
         parameters : tuple
-            What ``resolve`` returned.
+            The result of ``resolve``.
         q : np.ndarray, shape (d,)
-            The coordinates now.
+            The present coordinates.
 
         Raises
         ------
         ValueError
-            The command cannot be used; the last one stays.
+            The command cannot be used; the last one stays active.
 
         """
 
     def aim(self, parameters: Any) -> Aim | None:
-        """Return what the effect follows now; None where it follows nothing."""
+        """Return the present targets; None if the effect follows none."""
         return None
 
 
-def places_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:
-    """Return the places among known names of those that are wanted, or raise ValueError."""
+def indices_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:
+    """Return the indices among known names of the names that are wanted, or raise ValueError."""
     if len(set(names)) < len(names):
-        raise ValueError(f'name = [{told(names)}] names a joint twice: give each once')
+        raise ValueError(f'name = [{printable(names)}] names a joint twice: give each once')
     asked = [name for name, one in zip(names, wanted, strict=True) if one]
     for name in asked:
         if name not in known:
@@ -209,6 +212,6 @@ def places_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) ->
     return np.array([known.index(name) for name in asked], dtype=np.int64)
 
 
-def told(names: Sequence[str]) -> str:
-    """Return the beginning of a list of names that others gave, in characters that print."""
+def printable(names: Sequence[str]) -> str:
+    """Return the beginning of a list of names from outside, in printable characters."""
     return repr(', '.join(names)[:80])[1:-1]

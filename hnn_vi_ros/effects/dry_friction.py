@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dry friction, smooth where the motion turns."""
+"""Dry friction, smoothed where the velocity changes its sign."""
 
 from collections.abc import Sequence
 import math
@@ -14,24 +14,24 @@ import numpy as np
 
 
 class FrictionParameters(NamedTuple):
-    """Place c of the coordinate, F [N] and the speed v_0 [m/s]; for angles in N m and rad/s."""
+    """Column of the coordinate, F [N] and the speed u [m/s]; [N m] and [rad/s] for angles."""
 
-    place: int
+    column: int
     force: float
     speed: float
 
 
 class DryFriction(Force):
     """
-    Coulomb friction made smooth, f = -F tanh(v / u) with v = H_p of one coordinate.
+    Smoothed Coulomb friction, f = -F tanh(v / u), where v = H_p of one coordinate.
 
     Well above the speed u it has the constant size F; below, it is viscous with F / u, so that a
-    body at rest creeps under a load. Energy account: the power f v <= 0.
+    body under load creeps instead of sticking. Energy account: the power f v <= 0.
 
     Parameters
     ----------
     coordinate : str
-        The coordinate that rubs.
+        The coordinate with friction.
     force : float
         F > 0, in the unit of the coordinate's generalised force [N] or [N m].
     speed : float
@@ -40,7 +40,7 @@ class DryFriction(Force):
     Raises
     ------
     ValueError
-        A parameter that is not positive.
+        A parameter is not positive.
 
     References
     ----------
@@ -56,7 +56,7 @@ class DryFriction(Force):
         self.coordinate, self.force, self.speed = coordinate, float(force), float(speed)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> FrictionParameters:
-        """Return the coordinate's place, F and u."""
+        """Return the coordinate's column, F and u."""
         return FrictionParameters(coordinate_index(coordinates, self.coordinate), self.force,
                                   self.speed)
 
@@ -65,5 +65,5 @@ class DryFriction(Force):
     def add_force(parameters: FrictionParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add -F tanh(v / u)."""
-        c = parameters.place
+        c = parameters.column
         f_p[c] -= parameters.force * math.tanh(velocity[c] / parameters.speed)

@@ -1,13 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A force that is commanded from outside while the simulation runs."""
+"""A force that is commanded while the simulation runs."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
-    Command, Commanded, EFFORT, JointCommand, LARGEST, NUMBERS, places_of)
+    Command, Commanded, EFFORT, JointCommand, LARGEST, NUMBERS, indices_of)
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -20,30 +20,31 @@ if TYPE_CHECKING:
 
 class ExternalForce(Force, Commanded):
     """
-    The last command, a force on some coordinates, held until the next command or its time-out.
+    The last commanded force on some coordinates, until the next command or its time-out.
 
-    That is in simulated time, so that a controller that died does not push on (watchdog). By a
-    learned input map the command u of a model's motors drives all coordinates: g(q) u, A u, or B u
-    in the frame of a body. On a body of the name body, body_x to body_z are forces along axes of
-    space, body_fx to body_fz along its own, body_rx to body_rz torques. Energy account: f . H_p.
+    The time-out is simulated time; it keeps a controller that has died from pushing forever
+    (watchdog). With a learned input map, the command u of a model's motors drives all
+    coordinates: g(q) u, A u, or B u in the frame of a body. For a body named body, body_x to
+    body_z are forces along the axes of space, body_fx to body_fz along its own axes, and body_rx
+    to body_rz torques. Energy account: f . H_p.
 
     Parameters
     ----------
     coordinates : list of str, optional
-        The coordinates that a command has one number for, in this order.
+        The coordinates of the numbers of a command, in this order.
     timeout : float
-        How long a command holds, > 0 [s].
+        How long a command is active, > 0 [s].
     model : str, optional
         A model with an input map (family control_affine, or mechanical or lie_group with
-        ``input_map: learned``), in place of the coordinates; of an ensemble with their mean.
+        ``input_map: learned``), instead of the coordinates; an ensemble acts by its mean.
     member : int, optional
-        Of an ensemble, that member's map alone, from 1 on.
+        Number of the only member of an ensemble that acts, from 1.
 
     Raises
     ------
     ModelError, ValueError
-        The model has no input map, or no such member; a time-out that is not positive; a wrong
-        choice of coordinates, model and member.
+        The model has no input map or no such member, the time-out is not positive, or
+        coordinates, model and member do not fit together.
 
     References
     ----------
@@ -60,7 +61,7 @@ class ExternalForce(Force, Commanded):
         if (coordinates is None) == (model is None):
             raise ValueError('coordinates is required, or a model in its place')
         if member is not None and not model:
-            raise ValueError('member is of a model; give that in place of coordinates')
+            raise ValueError('member is of a model; give one instead of coordinates')
         if coordinates is not None and len(set(coordinates)) < max(1, len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
@@ -71,7 +72,7 @@ class ExternalForce(Force, Commanded):
             self._model = load_map(model, member)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
-        """Return the command, the clock, the numbers' places, and what adds their forces."""
+        """Return the command, the clock, the columns, and the function that adds forces."""
         from hnn_vi_ros.effects.input_map import by_map, by_name
         if self._model is not None:
             return by_map(state, self._model, coordinates)
@@ -79,22 +80,22 @@ class ExternalForce(Force, Commanded):
 
     def prepare(self, command: Command, parameters: 'InputParameters', q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return what sets forces [N], [N m], of all or of the joints that an effort names."""
-        places, names = parameters.places, self.names
+        """Return a function that sets forces [N], [N m], of all or of the named joints."""
+        columns, names = parameters.columns, self.names
         values = np.array(getattr(command, EFFORT, command), dtype=np.float64)
         if isinstance(command, JointCommand):
             given = ~np.isnan(values)
-            places, values = places[places_of(command.names, names, given)], values[given]
-        if values.shape != places.shape or not (np.abs(values) <= LARGEST).all():
-            raise ValueError(f'command {values.tolist()!s:.80}: expected {places.size} finite '
+            columns, values = columns[indices_of(command.names, names, given)], values[given]
+        if values.shape != columns.shape or not (np.abs(values) <= LARGEST).all():
+            raise ValueError(f'command {values.tolist()!s:.80}: expected {columns.size} finite '
                              f'numbers{", for " * bool(names)}{", ".join(names)}, <= {LARGEST:g}')
-        return lambda: parameters.hold(places, values, self.timeout)
+        return lambda: parameters.hold(columns, values, self.timeout)
 
     @staticmethod
     @inlined
     def add_force(parameters: 'InputParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add the command while it holds, by the time at the start of the step."""
+        """Add the command if it is active at the start of the step."""
         command = parameters.command
         if parameters.clock[0] < command[command.size - 1]:
             parameters.add(parameters.own, command, q, p, f_p)

@@ -13,9 +13,9 @@ import numpy as np
 
 
 class GravityParameters(NamedTuple):
-    """Place c of the coordinate, and m g [N]."""
+    """Column c of the coordinate, and m g [N]."""
 
-    place: int
+    column: int
     weight: float
 
 
@@ -23,7 +23,7 @@ class Gravity(Potential):
     """
     The weight of a mass in a uniform field, V = m g q_c.
 
-    Energy account: V joins H; the effect does no work beside it.
+    Energy account: V joins H; the effect does no further work.
 
     Parameters
     ----------
@@ -53,20 +53,20 @@ class Gravity(Potential):
         self.coordinate, self.weight = coordinate, mass * acceleration
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> GravityParameters:
-        """Return the coordinate's place and the weight [N]."""
+        """Return the coordinate's column and the weight [N]."""
         return GravityParameters(coordinate_index(coordinates, self.coordinate), self.weight)
 
     @staticmethod
     @inlined
     def energy(parameters: GravityParameters, q: np.ndarray) -> float:
         """Return V [J]."""
-        return parameters.weight * q[parameters.place]
+        return parameters.weight * q[parameters.column]
 
     @staticmethod
     @inlined
     def add_gradient(parameters: GravityParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add V'."""
-        dH_dq[parameters.place] += parameters.weight
+        dH_dq[parameters.column] += parameters.weight
 
     @staticmethod
     @inlined

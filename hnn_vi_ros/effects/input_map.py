@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces of a command: on what it names, or on all coordinates by a learned input map."""
+"""Forces of a command: on named coordinates, or on all by a learned input map."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -18,12 +18,12 @@ import numpy as np
 
 def load_map(model: str, member: int | None = None) -> Checkpoint:
     """
-    Return a model that has an input map, or a member of an ensemble of such.
+    Return a model that has an input map, or a member of an ensemble.
 
     Raises
     ------
     ModelError
-        The model does not exist, is damaged, or has none; there is no such member.
+        The model does not exist, is damaged, or has no input map or no such member.
 
     """
     checkpoint = load_checkpoint(model, ensembles=True).member(member)
@@ -35,34 +35,34 @@ def load_map(model: str, member: int | None = None) -> Checkpoint:
 
 
 def has_map(model: Checkpoint) -> bool:
-    """Return whether a model has learned what its motors do."""
+    """Return whether a model has a learned input map."""
     mechanical = model.card.mechanical
     return 'input_map' in model.networks or (
         mechanical is not None and mechanical.input_map is not None)
 
 
-class Places(NamedTuple):
-    """Places of the coordinates, one for each number."""
+class Columns(NamedTuple):
+    """Columns of the coordinates, one for each number of the command."""
 
-    places: np.ndarray
+    columns: np.ndarray
 
 
 class Axes(NamedTuple):
     """
-    Axes that each number of a command acts on, of coordinates some of which turn.
+    Axes on which the numbers of a command act, in systems with rotations.
 
     Parameters
     ----------
-    places : np.ndarray
-        The column in p; for a force along an axis of a body that of its momentum along x.
+    columns : np.ndarray
+        The column in p; for a force along an axis of a body, the column of its momentum along x.
     axes : np.ndarray
-        0, 1 or 2 for that axis; -1 for none.
+        The axis of the body: 0, 1 or 2, or -1 for none.
     quaternions : np.ndarray
         The column in q of the body's quaternion.
 
     """
 
-    places: np.ndarray
+    columns: np.ndarray
     axes: np.ndarray
     quaternions: np.ndarray
 
@@ -75,7 +75,7 @@ class InputMap(NamedTuple):
 
 
 class InputMatrix(NamedTuple):
-    """An input map that is the same everywhere, shape (d, m)."""
+    """A constant input map, shape (d, m)."""
 
     matrix: np.ndarray
 
@@ -88,48 +88,49 @@ class InputParameters(NamedTuple):
     ----------
     command, clock : np.ndarray
         See EffectState.
-    places : np.ndarray, shape (m,)
-        Those of the command's numbers in ``command``.
+    columns : np.ndarray, shape (m,)
+        Columns of the command's numbers in ``command``.
     add : callable
-        Adds the forces of the numbers; see add_by_place.
-    own : Places, Axes, InputMap, InputMatrix or BodyNetwork
-        What it takes first.
+        The function that adds the forces of the numbers; see add_by_column.
+    own : Columns, Axes, InputMap, InputMatrix or BodyNetwork
+        Its first argument.
 
     """
 
     command: np.ndarray
     clock: np.ndarray
-    places: np.ndarray
+    columns: np.ndarray
     add: Callable[..., None]
-    own: Places | Axes | InputMap | InputMatrix | BodyNetwork
+    own: Columns | Axes | InputMap | InputMatrix | BodyNetwork
 
-    def hold(self, places: np.ndarray, values: np.ndarray, timeout: float) -> None:
-        """Put some numbers of a command into effect; the others stay, unless they have ended."""
+    def hold(self, columns: np.ndarray, values: np.ndarray, timeout: float) -> None:
+        """Put numbers of a command into effect; other numbers stay active until they expire."""
         if not self.clock[0] < self.command[-1]:
             self.command[:] = 0.0
-        self.command[places], self.command[-1] = values, self.clock[0] + timeout
+        self.command[columns], self.command[-1] = values, self.clock[0] + timeout
 
 
 def by_name(state: EffectState, coordinates: Sequence[Coordinate], names: Sequence[str]
             ) -> InputParameters:
-    """Return what adds each number to the force on what it names, or raise ValueError."""
+    """Return parameters that add each number to the force on its name, or raise ValueError."""
     if not rotations(coordinates):
-        places = np.array([coordinate_index(coordinates, name) for name in names])
-        return InputParameters(state.command, state.clock, places, add_by_place, Places(places))
+        indices = np.array([coordinate_index(coordinates, name) for name in names])
+        return InputParameters(
+            state.command, state.clock, indices, add_by_column, Columns(indices))
     valid = _axes(coordinates)
     unknown = [name for name in names if name not in valid]
     if unknown:
         raise ValueError(f'no coordinate {unknown[0]!r}; valid coordinates: {listed(valid)}')
     if len(names) >= state.command.size:
         raise ValueError(f'coordinates has {len(names)} entries, expected at most '
-                         f'{state.command.size - 1}: what acts along the axes of a body needs not '
-                         'act along those of space as well')
+                         f'{state.command.size - 1}: forces along the axes of a body need no '
+                         'forces along the axes of space')
     own = Axes(*np.array([valid[name] for name in names]).T.copy())
     return InputParameters(state.command, state.clock, np.arange(len(names)), add_by_axis, own)
 
 
 def _axes(coordinates: Sequence[Coordinate]) -> dict[str, tuple[int, int, int]]:
-    """Return what a number of a command can act on, by name; see Axes."""
+    """Return the column, axis and quaternion of each valid name; see Axes."""
     (q, p), valid = columns(coordinates), {}
     for coordinate in coordinates:
         for name in columns([coordinate])[1]:
@@ -143,15 +144,16 @@ def _axes(coordinates: Sequence[Coordinate]) -> dict[str, tuple[int, int, int]]:
 
 def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordinate]
            ) -> InputParameters:
-    """Return what adds g(q) u, or A u, to all coordinates, or raise ValueError."""
+    """Return parameters that add g(q) u or A u to all coordinates, or raise ValueError."""
     d, mechanical = len(coordinates), model.card.mechanical
     if model.card.lie_group is not None:
         own_map = body_network(model, 'input_map', coordinates)
-        places = np.arange(own_map.entries.size // own_map.force.size)
-        if places.size >= state.command.size:
-            raise ValueError(f'the model maps {places.size} numbers; H takes at most '
+        count = own_map.entries.size // own_map.force.size
+        if count >= state.command.size:
+            raise ValueError(f'the model maps {count} numbers; H takes at most '
                              f'{state.command.size - 1}')
-        return InputParameters(state.command, state.clock, places, add_body_map, own_map)
+        return InputParameters(
+            state.command, state.clock, np.arange(count), add_body_map, own_map)
     if rotations(coordinates):
         raise ValueError('the model maps numbers to scalar coordinates, which those of H are not '
                          'all; give coordinates')
@@ -171,21 +173,21 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
 
 
 @kept(error_model='numpy')
-def add_by_place(own: Places, command: np.ndarray, q: np.ndarray, p: np.ndarray,
-                 f_p: np.ndarray) -> None:
+def add_by_column(own: Columns, command: np.ndarray, q: np.ndarray, p: np.ndarray,
+                  f_p: np.ndarray) -> None:
     """Add one number of the command to each of some coordinates."""
-    places = own.places
-    for k in range(places.size):
-        f_p[places[k]] += command[places[k]]
+    columns = own.columns
+    for k in range(columns.size):
+        f_p[columns[k]] += command[columns[k]]
 
 
 @kept(error_model='numpy')
 def add_by_axis(own: Axes, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                 f_p: np.ndarray) -> None:
     """Add each number to a column of p, or along an axis of a body."""
-    places, axes, quaternions = own
-    for k in range(places.size):
-        axis, at, value = axes[k], places[k], command[k]
+    columns, axes, quaternions = own
+    for k in range(columns.size):
+        axis, at, value = axes[k], columns[k], command[k]
         if axis < 0:
             f_p[at] += value
         else:
@@ -199,7 +201,7 @@ def add_by_axis(own: Axes, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 @kept(error_model='numpy')
 def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                f_p: np.ndarray) -> None:
-    """Add g(q) u, with the entries of g row by row, and u the first numbers of the command."""
+    """Add g(q) u; g is given row by row, and u is the beginning of the command."""
     entries = own.entries
     evaluate_outputs(own.outputs, q, p, entries)
     m = entries.size // f_p.size
@@ -211,13 +213,13 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 @kept(error_model='numpy')
 def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                   f_p: np.ndarray) -> None:
-    """Add A u, with u the first numbers of the command."""
+    """Add A u, where u is the beginning of the command."""
     matrix = own.matrix
     for i in range(f_p.size):
         for k in range(matrix.shape[1]):
             f_p[i] += matrix[i, k] * command[k]
 
 
-for _function in (add_by_place, add_by_axis, add_by_map, add_by_matrix):
-    # They are among the parameters of compiled functions; see identify.
+for _function in (add_by_column, add_by_axis, add_by_map, add_by_matrix):
+    # Functions in the parameters of compiled functions need a name; see identify.
     identify(_function)

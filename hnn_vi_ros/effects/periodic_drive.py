@@ -14,9 +14,9 @@ import numpy as np
 
 
 class DriveParameters(NamedTuple):
-    """Place of the coordinate, amplitude [N], angular frequency [rad/s], and phase [rad]."""
+    """Column of the coordinate, amplitude [N], angular frequency [rad/s] and phase [rad]."""
 
-    place: int
+    column: int
     amplitude: float
     omega: float
     phase: float
@@ -31,7 +31,7 @@ class PeriodicDrive(Force):
     Parameters
     ----------
     coordinate : str
-        The coordinate that is driven.
+        The driven coordinate.
     amplitude : float
         F, in the unit of the coordinate's generalised force [N] or [N m].
     frequency : float
@@ -42,7 +42,7 @@ class PeriodicDrive(Force):
     Raises
     ------
     ValueError
-        A parameter out of its range.
+        A parameter is out of its range.
 
     References
     ----------
@@ -59,7 +59,7 @@ class PeriodicDrive(Force):
         self.wave = float(amplitude), 2.0 * math.pi * frequency, float(phase)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DriveParameters:
-        """Return the coordinate's place, F, the angular frequency and phi."""
+        """Return the coordinate's column, F, the angular frequency and phi."""
         return DriveParameters(coordinate_index(coordinates, self.coordinate), *self.wave)
 
     @staticmethod
@@ -68,4 +68,4 @@ class PeriodicDrive(Force):
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add F cos(2 pi nu t + phi)."""
         own = parameters
-        f_p[own.place] += own.amplitude * math.cos(own.omega * t + own.phase)
+        f_p[own.column] += own.amplitude * math.cos(own.omega * t + own.phase)

@@ -14,30 +14,30 @@ import numpy as np
 
 
 class DragParameters(NamedTuple):
-    """Places of the coordinates, and k [kg/m]."""
+    """Columns of the coordinates in p, and b [kg/m]."""
 
-    places: np.ndarray
+    columns: np.ndarray
     coefficient: float
 
 
 class QuadraticDrag(Force):
     """
-    Newton's drag, f = -b |v| v, with v the velocity H_p of some coordinates together.
+    Newton's drag, f = -b |v| v, where v is the joint velocity H_p of some coordinates.
 
     Energy account: the power f . v = -b |v|^3.
 
     Parameters
     ----------
     coordinates : list of str
-        The coordinates whose velocity meets the fluid [m]; of a body its place, such as body_x,
-        or its turning, such as body_rx, with a drag in N m s^2.
+        The coordinates that move through the fluid [m]; for a body its position, such as
+        body_x, or its rotation, such as body_rx, with a drag in N m s^2.
     coefficient : float
         b > 0 [kg/m], half of density, area and drag coefficient.
 
     Raises
     ------
     ValueError
-        The coefficient is not positive, or no coordinate is named, or one twice.
+        The coefficient is not positive, no coordinate is named, or one is named twice.
 
     References
     ----------
@@ -54,7 +54,7 @@ class QuadraticDrag(Force):
         self.coordinates, self.coefficient = coordinates, float(coefficient)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DragParameters:
-        """Return the coordinates' places and b."""
+        """Return the coordinates' columns and b."""
         return DragParameters(np.array([momentum_index(coordinates, name)
                                         for name in self.coordinates]), self.coefficient)
 
@@ -63,9 +63,9 @@ class QuadraticDrag(Force):
     def add_force(parameters: DragParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add -b |v| v."""
-        places = parameters.places
+        columns = parameters.columns
         square = 0.0
-        for k in range(places.size):
-            square += velocity[places[k]] * velocity[places[k]]
-        for k in range(places.size):
-            f_p[places[k]] -= parameters.coefficient * np.sqrt(square) * velocity[places[k]]
+        for k in range(columns.size):
+            square += velocity[columns[k]] * velocity[columns[k]]
+        for k in range(columns.size):
+            f_p[columns[k]] -= parameters.coefficient * np.sqrt(square) * velocity[columns[k]]

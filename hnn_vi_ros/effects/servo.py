@@ -1,44 +1,82 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motors that bring joints to where they are commanded."""
+"""Motors that move joints to commanded positions, at commanded velocities, or along paths."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force, per_coordinate
-from hnn_vi_ros.effects.commands import Aim, Command, Commanded, PATH, POSITION, VELOCITY
-from hnn_vi_ros.effects.servo_targets import (
-    aim_of, MOST_KNOTS, prepare, segment_at, ServoParameters, target_at)
+from hnn_vi_ros.effects.commands import (
+    Aim, Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION,
+    printable, Reference, VELOCITY)
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
+# Modes of a coordinate: it has no command yet, or follows a position, a velocity or a path.
+_IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH = range(4)
+# Upper bound on the knots of a path. Each has a row of Reference.knots, whose size is fixed,
+# since compiled steps hold its address.
+MOST_KNOTS = 1024
+# A path that starts further ahead is stamped by another clock, not by simulated time [s].
+_LONGEST_DELAY = 3600.0
+
+
+class ServoParameters(NamedTuple):
+    """
+    Parameters of the compiled function of a servo of n joints.
+
+    Parameters
+    ----------
+    columns : np.ndarray of int64, shape (n,)
+        Columns of the joints in q.
+    reference, clock
+        See EffectState.
+    stiffness, damping, limit : np.ndarray, shape (n,)
+        k, c and F; infinite for none.
+    start : np.ndarray, shape (n,)
+        Positions at which the joints are held before the first command; NaN for none.
+
+    """
+
+    columns: np.ndarray
+    reference: Reference
+    clock: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    limit: np.ndarray
+    start: np.ndarray
+
 
 class Servo(Force, Commanded):
     """
-    A servo for each joint, f = k (q_r - q) + c (v_r - v) within -F to F, with v = H_p.
+    A servo for each joint, f = k (q_r - q) + c (v_r - v), limited to -F to F, where v = H_p.
 
-    q_r and v_r are commanded: a position with a velocity, or zero; a velocity alone, by c; or a
-    path, whose splines are taken at the method's own nodes. The last command holds until the next.
-    Angles count turns: q_r - q is not wrapped. Energy account: the power f v.
+    A command sets q_r and v_r: a position with a velocity, by default zero; a velocity alone,
+    which only c follows; or a path, whose splines are evaluated at the method's own nodes. It is
+    active until the next command. Angles count turns: q_r - q is not wrapped. Energy account: the
+    power f v.
 
     Parameters
     ----------
     coordinates : list of str
-        The joints, in the order of all lists here.
+        The joints, in the order of the other lists.
     stiffness : float or list of float
-        k >= 0 of all joints or of each [N/m], [N m/rad].
+        k >= 0, for all joints or for each [N/m], [N m/rad].
     damping : float or list of float
-        c >= 0 of all joints or of each [N s/m], [N m s/rad].
+        c >= 0, for all joints or for each [N s/m], [N m s/rad].
     effort_limit : float or list of float, optional
-        F > 0 of all joints or of each [N], [N m]; default: none.
+        F > 0, for all joints or for each [N], [N m]; default: none.
     position : list of float, optional
-        Where each joint is held until its first command [m], [rad]; default: nowhere.
+        Position at which each joint is held until its first command [m], [rad]; default: none.
 
     Raises
     ------
     ValueError
-        A parameter out of its range, no coordinate, or one named twice.
+        A parameter is out of its range, no coordinate is named, or one is named twice.
 
     References
     ----------
@@ -69,32 +107,207 @@ class Servo(Force, Commanded):
             'position': math.nan if position is None else position}
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ServoParameters:
-        """Return the joints' places, k, c, F, where they are held first, and what is followed."""
-        places = np.array([coordinate_index(coordinates, name) for name in self.names])
-        joints = [coordinates[i] for i in places]
+        """Return the columns of the joints, the reference, the clock, k, c, F and the start."""
+        columns = np.array([coordinate_index(coordinates, name) for name in self.names])
+        joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
-        return ServoParameters(places, state.reference, state.clock, *own)
+        return ServoParameters(columns, state.reference, state.clock, *own)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return what sets positions, velocities or a path; see Commanded."""
-        return prepare(command, parameters, self.names, q)
+        """Return a function that sets positions, velocities or a path; see Commanded."""
+        if isinstance(command, JointPath):
+            return _prepare_path(command, parameters, self.names, q)
+        assert isinstance(command, JointCommand)
+        return _prepare_targets(command, parameters, self.names)
 
     def aim(self, parameters: ServoParameters) -> Aim:
-        """Return where the joints are to be now."""
-        return aim_of(parameters, self.names)
+        """Return the present targets of the joints."""
+        return _aim(parameters, self.names)
 
     @staticmethod
     @inlined
     def add_force(parameters: ServoParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add k (q_r - q) + c (v_r - v), within its limits."""
-        own, segment = parameters, segment_at(parameters.reference, t)
-        for k in range(own.places.size):
-            i, force = own.places[k], 0.0
-            position, rate, _ = target_at(own, k, segment, t)
+        own, segment = parameters, _segment_at(parameters.reference, t)
+        for k in range(own.columns.size):
+            i, force = own.columns[k], 0.0
+            position, rate, _ = _target_at(own, k, segment, t)
             if not math.isnan(position):
                 force += own.stiffness[k] * (position - q[i])
             if not math.isnan(rate):
                 force += own.damping[k] * (rate - velocity[i])
             f_p[i] += min(max(force, -own.limit[k]), own.limit[k])
+
+
+@inlined
+def _segment_at(reference: Reference, t: float) -> int:
+    """Return the last knot of the path that is not after a time; 0 before all of them."""
+    # The count may come from a damaged file and must not lead beyond the knots.
+    low, high = 0, min(reference.extent[0], reference.knots.shape[0]) - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if reference.knots[middle, 0] <= t:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@inlined
+def _target_at(own: ServoParameters, k: int, segment: int, t: float
+               ) -> tuple[float, float, float]:
+    """Return the target position, velocity and acceleration of joint k; NaN for none."""
+    reference, i = own.reference, own.columns[k]
+    mode = reference.modes[i]
+    if mode == _ON_PATH:
+        return _along(reference, segment, i, t)
+    if mode == _AT_POSITION:
+        return reference.targets[0, i], reference.targets[1, i], 0.0
+    if mode == _AT_VELOCITY:
+        return np.nan, reference.targets[1, i], 0.0
+    return own.start[k], np.nan if math.isnan(own.start[k]) else 0.0, 0.0
+
+
+@inlined
+def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float, float, float]:
+    """Return a coordinate of the path and its derivatives, in the segment after a knot."""
+    knots, d = reference.knots, reference.modes.size
+    q0, v0, a0 = knots[segment, 1 + i], knots[segment, 1 + d + i], knots[segment, 1 + 2 * d + i]
+    if segment + 1 >= min(reference.extent[0], knots.shape[0]) or t < knots[segment, 0]:
+        # The path rests at its end, and does not move before its start.
+        return q0, 0.0, 0.0
+    q1, v1 = knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i]
+    length, x = knots[segment + 1, 0] - knots[segment, 0], t - knots[segment, 0]
+    if reference.extent[1] == 3:
+        # The cubic Hermite polynomial matches positions and velocities at both ends.
+        slope = (q1 - q0) / length
+        c2 = (3.0 * slope - 2.0 * v0 - v1) / length
+        c3 = (v0 + v1 - 2.0 * slope) / (length * length)
+        c4 = c5 = 0.0
+    else:
+        # The quintic Hermite polynomial extends the Taylor polynomial at the start by its defects
+        # at the end in position, velocity and acceleration, each in the unit of the position.
+        c2 = 0.5 * a0
+        lacks_q = q1 - q0 - length * (v0 + length * c2)
+        lacks_v = length * (v1 - v0 - length * a0)
+        lacks_a = length * length * (knots[segment + 1, 1 + 2 * d + i] - a0)
+        cube = length * length * length
+        c3 = (10.0 * lacks_q - 4.0 * lacks_v + 0.5 * lacks_a) / cube
+        c4 = (-15.0 * lacks_q + 7.0 * lacks_v - lacks_a) / (cube * length)
+        c5 = (6.0 * lacks_q - 3.0 * lacks_v + 0.5 * lacks_a) / (cube * length * length)
+    return (q0 + x * (v0 + x * (c2 + x * (c3 + x * (c4 + x * c5)))),
+            v0 + x * (2.0 * c2 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5))),
+            2.0 * c2 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5)))
+
+
+def _aim(own: ServoParameters, names: Sequence[str]) -> Aim:
+    """Return the present targets of joints with these names."""
+    t = own.clock[0]
+    segment = _segment_at(own.reference, t)
+    targets = np.array([_target_at(own, k, segment, t) for k in range(own.columns.size)])
+    modes = own.reference.modes[own.columns]
+    return Aim(names, own.columns, targets.T, bool((modes == _ON_PATH).any()))
+
+
+def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequence[str]
+                     ) -> Callable[[], None]:
+    moved = ~(np.isnan(command.position) & np.isnan(command.velocity))
+    joints = indices_of(command.names, names, moved)
+    position, velocity = command.position[moved], command.velocity[moved]
+    for kind, values in (('position', position), ('velocity', velocity)):
+        for k in np.flatnonzero(np.abs(values) > LARGEST):
+            raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, at most {LARGEST:g} '
+                             'is taken')
+
+    def put() -> None:
+        reference, places = own.reference, own.columns[joints]
+        free = np.isnan(position)
+        reference.modes[places] = np.where(free, _AT_VELOCITY, _AT_POSITION)
+        reference.targets[0, places] = np.where(free, 0.0, position)
+        reference.targets[1, places] = np.where(np.isnan(velocity), 0.0, velocity)
+    return put
+
+
+def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q: np.ndarray
+                  ) -> Callable[[], None]:
+    """
+    Return a function that makes joints follow a path from now on, or raise ValueError.
+
+    The path starts at the present targets, so that the reference does not jump, and continues
+    with the points in the future. Points without velocities take the velocities of the cubic
+    spline that rests at its end. A path without points holds the joints at the start.
+    """
+    _check_path(path, names)
+    start = _aim(own, names).targets
+    start[0] = np.where(np.isnan(start[0]), q[own.columns], start[0])
+    start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
+    if not len(path.times):
+        return partial(_hold, own, start[0])
+    now, times = own.clock[0], own.clock[0] + path.delay + path.times
+    ahead = times > now
+    if times[-1] == now:
+        raise ValueError('the last point is to be reached at once: give it a time_from_start, or '
+                         'command it as the position of joints')
+    if not ahead.any():
+        raise ValueError(f'the last point was to be reached {now - times[-1]:.6g} s ago: stamp '
+                         'the path with zero, which is now, or with simulated time')
+    t = np.concatenate([[now], times[ahead]])
+    if (np.diff(t) <= 0.0).any():
+        raise ValueError(f'times of points are less than {np.spacing(t[-1]):.3g} s apart, which '
+                         'is one time to the clock now: leave points out, or reset the time')
+    order = [list(path.names).index(name) for name in names]
+    points = np.vstack([start[0], path.positions[ahead][:, order]])
+    slopes = bends = np.zeros_like(points)
+    if path.velocities is not None:
+        slopes = np.vstack([start[1], path.velocities[ahead][:, order]])
+    else:
+        # Imported here, since it is slow to import and only such paths need it.
+        from scipy.interpolate import CubicSpline
+        rest = np.zeros(len(names))
+        slopes = CubicSpline(t - now, points, bc_type=((1, start[1]), (1, rest)))(t - now, 1)
+    if path.accelerations is not None:
+        bends = np.vstack([start[2], path.accelerations[ahead][:, order]])
+    rows = np.hstack([t[:, None], points, slopes, bends])
+
+    def put() -> None:
+        reference, d = own.reference, own.reference.modes.size
+        columns = [0, *(1 + part * d + i for part in range(3) for i in own.columns)]
+        reference.knots[:len(t), columns] = rows
+        reference.extent[:] = len(t), 3 if path.accelerations is None else 5
+        reference.modes[own.columns] = _ON_PATH
+    return put
+
+
+def _hold(own: ServoParameters, position: np.ndarray) -> None:
+    """Hold joints at a position from now on."""
+    own.reference.modes[own.columns] = _AT_POSITION
+    own.reference.targets[:, own.columns] = position, np.zeros_like(position)
+
+
+def _check_path(path: JointPath, names: Sequence[str]) -> None:
+    n = len(path.times)
+    if sorted(path.names) != sorted(names) and (n or path.names):
+        raise ValueError(f'joint_names = [{printable(path.names)}] must be '
+                         f'{listed(names)}, each once')
+    if not n:
+        return
+    if n >= MOST_KNOTS:
+        raise ValueError(f'{n} points, expected at most {MOST_KNOTS - 1}: a spline joins them')
+    if path.velocities is None and path.accelerations is not None:
+        raise ValueError('the points have accelerations but no velocities: give both, or neither')
+    for name in ('positions', 'velocities', 'accelerations'):
+        values = getattr(path, name)
+        if values is not None and not (
+                values.shape == (n, len(names)) and (np.abs(values) <= LARGEST).all()):
+            raise ValueError(f'{name} must be {len(names)} numbers of at most {LARGEST:g} in '
+                             'each point')
+    if not np.isfinite(path.times).all() or (np.diff(path.times) <= 0.0).any() \
+            or path.times[0] < 0.0:
+        raise ValueError('time_from_start must rise from point to point, from 0 on')
+    if path.velocities is not None and path.velocities[-1].any():
+        raise ValueError('velocities of the last point must be 0: the joints stay there')
+    if not path.delay <= _LONGEST_DELAY:
+        raise ValueError(f'the path begins in {path.delay:.6g} s, at most {_LONGEST_DELAY:g} s '
+                         'ahead: stamp it with zero, which is now, or with simulated time')

@@ -14,9 +14,9 @@ import numpy as np
 
 
 class SoftWallParameters(NamedTuple):
-    """Place of the coordinate; a, the sign of the free side, k and w of the wall."""
+    """Column of the coordinate; a, the sign of the depth, k and w of the wall."""
 
-    place: int
+    column: int
     position: float
     sign: float
     stiffness: float
@@ -25,28 +25,29 @@ class SoftWallParameters(NamedTuple):
 
 class SoftWall(Potential):
     """
-    A one-sided spring that sets in smoothly, V = k w^2 s(x / w)^2 / 2 with s(y) = log(1 + e^y).
+    A one-sided smooth spring, V = k w^2 s(x / w)^2 / 2 with s(y) = log(1 + e^y).
 
-    x is the depth behind the wall: far behind it, V is that of a spring, k x^2 / 2; far in front
-    it vanishes as exp(2 x / w). It has derivatives of every order. Energy account: V joins H.
+    x is the depth behind the wall. Far behind it, V approaches k x^2 / 2; far in front of it, V
+    vanishes like exp(2 x / w). It has derivatives of every order, so that methods keep theirs;
+    a spring that sets in at x = 0 has a jump in V''. Energy account: V joins H.
 
     Parameters
     ----------
     coordinate : str
         The coordinate that the wall bounds.
     position : float
-        Where the wall stands, in the coordinate's unit.
+        Position of the wall, in the coordinate's unit.
     side : str
         ``'above'`` or ``'below'``: where the motion is free.
     stiffness : float
         k > 0 [N/m], [N m/rad].
     width : float
-        w > 0, over which the wall sets in, in the coordinate's unit.
+        w > 0, the width of the transition, in the coordinate's unit.
 
     Raises
     ------
     ValueError
-        A parameter out of its range.
+        A parameter is out of its range.
 
     References
     ----------
@@ -65,7 +66,7 @@ class SoftWall(Potential):
         self.stiffness, self.width = float(stiffness), float(width)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> SoftWallParameters:
-        """Return the coordinate's place, position, sign of the depth, stiffness and width."""
+        """Return the coordinate's column, the position, the sign, the stiffness and the width."""
         return SoftWallParameters(coordinate_index(coordinates, self.coordinate), self.position,
                                   self.sign, self.stiffness, self.width)
 
@@ -81,20 +82,20 @@ class SoftWall(Potential):
     def add_gradient(own: SoftWallParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add V' = k w s s'."""
         s, slope = _depth(own, q)
-        dH_dq[own.place] += own.sign * own.stiffness * own.width * s * slope
+        dH_dq[own.column] += own.sign * own.stiffness * own.width * s * slope
 
     @staticmethod
     @inlined
     def add_hessian_vector(own: SoftWallParameters, q: np.ndarray, v: np.ndarray,
                            product: np.ndarray) -> None:
         """Add V'' v, with V'' = k (s'^2 + s s' (1 - s'))."""
-        (s, slope), c = _depth(own, q), own.place
+        (s, slope), c = _depth(own, q), own.column
         product[c] += own.stiffness * (slope * slope + s * slope * (1.0 - slope)) * v[c]
 
 
 @inlined
 def _depth(own: SoftWallParameters, q: np.ndarray) -> tuple[float, float]:
-    """Return s = log(1 + e^y) and s', y the depth of q in the wall over w, without overflow."""
-    y = own.sign * (q[own.place] - own.position) / own.width
+    """Return s = log(1 + e^y) and s' for the depth y of q in units of w, without overflow."""
+    y = own.sign * (q[own.column] - own.position) / own.width
     e = math.exp(-abs(y))
     return max(y, 0.0) + math.log1p(e), (1.0 if y >= 0.0 else e) / (1.0 + e)

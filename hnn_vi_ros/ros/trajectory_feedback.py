@@ -33,8 +33,8 @@ class TrajectoryFeedback:
 
     def encode(self, sample: Sample, aim: Aim) -> bytes:
         """Return the message of a sample, and of what a servo follows there."""
-        position, velocity = sample.q[aim.places], sample.dH_dp[aim.places]
-        effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.places]
+        position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
+        effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]
         for numbers, values in zip(self._template.numbers, (
                 *aim.targets, position, velocity, effort, aim.targets[0] - position,
                 aim.targets[1] - velocity), strict=True):

@@ -39,7 +39,7 @@ class Motors:
         self._effects: list[tuple[Any, Any]] = [
             (effect, own) for effect, own in effects if isinstance(effect, Commanded)]
         self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
-        driven = [(effect.names, own.places.size) for effect, own in self._effects
+        driven = [(effect.names, own.columns.size) for effect, own in self._effects
                   if NUMBERS in effect.takes]
         self._stops: list[Any] = [own for effect, own in effects if effect.limits]
         # There is at most one.
@@ -82,11 +82,11 @@ class Motors:
 
     def _check_limits(self, names: Sequence[str], positions: np.ndarray) -> None:
         """Raise ValueError for positions (n, m) of m joints where a stop keeps them from."""
-        places = {name: place for effect, own in self._effects if POSITION in effect.takes
-                  for name, place in zip(effect.names, own.places, strict=True)}
+        columns = {name: column for effect, own in self._effects if POSITION in effect.takes
+                   for name, column in zip(effect.names, own.columns, strict=True)}
         for stops in self._stops:
             for name, wanted in zip(names, positions.T, strict=True):
-                mine = stops.columns == places.get(name)
+                mine = stops.columns == columns.get(name)
                 for limit, sign in zip(stops.positions[mine], stops.signs[mine], strict=True):
                     beyond = sign * (wanted - limit) < -_ROUNDING * (1.0 + abs(limit))
                     if beyond.any():

@@ -6,8 +6,7 @@ from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects.commands import JointCommand, JointPath
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.joint_limits import JointLimits
-from hnn_vi_ros.effects.servo import Servo
-from hnn_vi_ros.effects.servo_targets import MOST_KNOTS
+from hnn_vi_ros.effects.servo import MOST_KNOTS, Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation

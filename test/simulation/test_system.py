@@ -118,8 +118,7 @@ def test_scene_without_effects_calls_none_of_their_functions(integrator):
 
 # What several effects are made of.
 SHARED = {'attitudes', 'base', 'commands', 'crossings', 'friction_network', 'input_map', 'joints',
-          'kernels', 'masses', 'noise', 'points', 'rattle', 'servo_targets', 'splitting',
-          'stops', 'wrapped'}
+          'kernels', 'masses', 'noise', 'points', 'rattle', 'splitting', 'stops', 'wrapped'}
 
 
 @pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
