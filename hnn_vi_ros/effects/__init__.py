@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects: what a scene may add to its Hamiltonian, by the name that its YAML gives them."""
+"""Effects that a scene can add to its Hamiltonian, by the kind that its YAML names."""
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.damping import Damping

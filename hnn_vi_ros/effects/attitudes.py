@@ -1,9 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Vectors of a body whose attitude is a unit quaternion (x, y, z, w) = (u, w) within q.
+Vectors of a body whose attitude is a unit quaternion (x, y, z, w) = (u, w) in q.
 
-R m = (w^2 - |u|^2) m + 2 (u . m) u + 2 w u cross m, which is linear in each of two quaternions.
+R m = (w^2 - |u|^2) m + 2 (u . m) u + 2 w u cross m is quadratic in the quaternion. It is not
+normalised here: H is smooth around norm 1, and its derivatives must match.
 """
 
 from hnn_vi_ros.kernels.marks import called, inlined
@@ -26,14 +27,14 @@ def dot(a: Vector, b: Vector) -> float:
 
 @inlined
 def turned(q: np.ndarray, at: int, m: Vector) -> Vector:
-    """Return R m, a vector of the body in space, for the quaternion at a place."""
+    """Return R m, a vector of the body in space, for the quaternion at column ``at``."""
     half = turned_change(q, q, at, m)
     return 0.5 * half[0], 0.5 * half[1], 0.5 * half[2]
 
 
 @inlined
 def turned_change(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
-    """Return how R m changes with q along v."""
+    """Return the derivative of R m by q, along v."""
     u, w = (q[at], q[at + 1], q[at + 2]), q[at + 3]
     du, dw = (v[at], v[at + 1], v[at + 2]), v[at + 3]
     own, along, change = w * dw - dot(u, du), dot(u, m), dot(du, m)
@@ -45,7 +46,7 @@ def turned_change(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
 
 @inlined
 def add_turned_slope(q: np.ndarray, at: int, m: Vector, f: Vector, target: np.ndarray) -> None:
-    """Add the derivative of f . R m by the quaternion, which is linear in it."""
+    """Add the derivative of f . R m by the quaternion."""
     u, w = (q[at], q[at + 1], q[at + 2]), q[at + 3]
     both, along_f, along_m, lever = dot(m, f), dot(u, f), dot(u, m), cross(m, f)
     for i in range(3):
@@ -56,22 +57,22 @@ def add_turned_slope(q: np.ndarray, at: int, m: Vector, f: Vector, target: np.nd
 @called
 def lift_torques(rotations: np.ndarray, q: np.ndarray, forces: np.ndarray) -> None:
     """
-    Turn forces that are laid out as p into covectors that are laid out as q, in place.
+    Convert forces with the layout of p to covectors with the layout of q, in place.
 
-    A torque t in the frame of the body becomes 2 q (t, 0), of which half of the transposed map of
-    H_q is t again.
+    A torque t in the frame of the body becomes 2 q (t, 0). The map from H_q to the rates of
+    momenta turns that into t again.
 
     Parameters
     ----------
     rotations : np.ndarray of int
-        The columns of q in which quaternions begin.
+        The columns of q at which quaternions begin.
     q : np.ndarray, shape (d,)
         The coordinates.
     forces : np.ndarray, at least d long
-        The forces.
+        The forces, which are replaced.
 
     """
-    # From the end on: each goes to where it stands or further back.
+    # Backwards, since covectors have more columns: each moves to its own column or a later one.
     i, before = q.size - 1, rotations.size
     while i >= 0:
         if before > 0 and i == rotations[before - 1] + 3:

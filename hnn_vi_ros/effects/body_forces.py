@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces that a model of a body that turns has learned, of its inputs and of dissipation."""
+"""Learned forces on a body that rotates: of its inputs, and of dissipation."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,30 +15,30 @@ import numpy as np
 
 class BodyNetwork(NamedTuple):
     """
-    A network that makes a force, and space.
+    A network of the pose whose outputs are the entries of a matrix, and working memory.
 
     Parameters
     ----------
     outputs : PackedOutputs
-        Of the pose.
+        The network.
     entries : np.ndarray
-        Space for its outputs.
-    seen : np.ndarray
-        Space for (x, R, pi), or with velocities in place of momenta.
+        Its outputs.
+    features : np.ndarray
+        (x, R, pi), or (x, R, v) with velocities instead of momenta.
     product, force : np.ndarray, shape (k,)
-        Space for a product, and for the force in the frame of the body.
+        A product, and the force in the frame of the body.
 
     """
 
     outputs: PackedOutputs
     entries: np.ndarray
-    seen: np.ndarray
+    features: np.ndarray
     product: np.ndarray
     force: np.ndarray
 
 
 def body_network(model: Checkpoint, name: str, coordinates: Sequence[Coordinate]) -> BodyNetwork:
-    """Return a network of a model for the functions here; ValueError for another kind of H."""
+    """Return a network of a model, or raise ValueError if H is of another kind."""
     card = group_of(model)
     if [coordinate.kind for coordinate in coordinates] != [card.kind]:
         raise ValueError(f'the model is of one {card.kind}; H has '
@@ -52,7 +52,7 @@ def body_network(model: Checkpoint, name: str, coordinates: Sequence[Coordinate]
 @kept(error_model='numpy')
 def add_body_map(own: BodyNetwork, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                  f_p: np.ndarray) -> None:
-    """Add B(g) u in the frame of the body, with u the first numbers of the command."""
+    """Add B(g) u in the frame of the body, where u is the beginning of the command."""
     _evaluate(own, q, p)
     m = own.entries.size // own.force.size
     for i in range(own.force.size):
@@ -64,16 +64,16 @@ def add_body_map(own: BodyNetwork, command: np.ndarray, q: np.ndarray, p: np.nda
 
 @kept(error_model='numpy')
 def add_body_drag(own: BodyNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray) -> None:
-    """Add -A A^T v in the frame of the body, with blocks of the lower triangular A row by row."""
+    """Add -A A^T v in the frame of the body; A is given row by row, in lower triangular blocks."""
     entries, product, force = own.entries, own.product, own.force
     _evaluate(own, q, velocity)
-    first = own.seen.size - force.size
+    first = own.features.size - force.size
     product[:] = 0.0
     force[:] = 0.0
     k = 0
     for i in range(force.size):
         for j in range(i - i % 3, i + 1):
-            product[j] += entries[k] * own.seen[first + i]
+            product[j] += entries[k] * own.features[first + i]
             k += 1
     k = 0
     for i in range(force.size):
@@ -85,22 +85,22 @@ def add_body_drag(own: BodyNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np
 
 @kept(error_model='numpy')
 def _evaluate(own: BodyNetwork, q: np.ndarray, p: np.ndarray) -> None:
-    see(q, p, own.seen)
-    half = own.seen.size // 2
-    evaluate_outputs(own.outputs, own.seen[:half], own.seen[half:], own.entries)
+    see(q, p, own.features)
+    half = own.features.size // 2
+    evaluate_outputs(own.outputs, own.features[:half], own.features[half:], own.entries)
 
 
 @kept(error_model='numpy')
 def _add(own: BodyNetwork, f_p: np.ndarray) -> None:
-    """Add the force, that on the place turned to space."""
+    """Add the force, after rotating the part that acts on the position to space."""
     for i in range(own.force.size):
         if i < own.force.size - 3:
             for j in range(3):
-                f_p[i] += own.seen[3 + 3 * i + j] * own.force[j]
+                f_p[i] += own.features[3 + 3 * i + j] * own.force[j]
         else:
             f_p[i] += own.force[i]
 
 
 for _function in (add_body_map, add_body_drag):
-    # They are among the parameters of compiled functions; see identify.
+    # Functions in the parameters of compiled functions need a name; see identify.
     identify(_function)

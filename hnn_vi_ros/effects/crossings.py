@@ -9,55 +9,60 @@ from hnn_vi_ros.kernels.marks import called
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# What is to be done next: nothing more, a trial of another length, or the crossing is there.
+# The next action: stop, since there is no crossing; try another length; land on the crossing; or
+# give up.
 FREE, TRY, LAND, LOST = 0, 1, 2, 3
-# Parts of an interval in each of which the polynomial is looked at.
+# A polynomial is examined in this many parts of an interval: enough to separate the roots of
+# paths that turn a few times in a step.
 _PARTS = 8
 _HALVINGS = 60
-# Intervals, at most, that wait to be looked at, and trials for one crossing.
+# Upper bounds on the intervals that wait to be searched and on the trials for one crossing, which
+# fix the size of arrays. Well-behaved paths need a few of each.
 _MOST_INTERVALS = 64
 _MOST_TRIALS = 300
-# Of the step: a distance that touches zero from above for a shorter time does not cross it.
+# A distance that stays below zero for a shorter time than this share of the step does not cross
+# it. To search on would divide intervals without end at a path that only touches.
 _SHORTEST = 1e-10
 
 
 class Search(NamedTuple):
     """
-    Bounds on a distance g(t) within a step, at the ends of intervals that are not clear.
+    Values of a distance g(t) within a step, at the ends of intervals that are not clear yet.
 
     Parameters
     ----------
     nodes : np.ndarray, shape (66, 5)
-        t, g, g' and g'' there, and how far g may be from the polynomial to the left. First the
-        start of the first interval, then the intervals' right ends, the last of all first.
-    count : np.ndarray, shape (2,)
-        Intervals, and trials so far.
+        t, g, g' and g'' at an end, and the error bound of the polynomial to its left. Row 0 is
+        the start of the first interval; then come the right ends of the intervals, the last
+        interval first.
+    counts : np.ndarray, shape (2,)
+        Number of intervals, and of trials so far.
     widths : np.ndarray, shape (3,)
-        Of the interval of the crossing in the last trials, the newest first [s].
+        Width of the interval of the crossing in the last trials, the newest first [s].
 
     """
 
     nodes: np.ndarray
-    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
+    counts: np.ndarray
     widths: np.ndarray
 
     @classmethod
     def empty(cls) -> 'Search':
-        """Return a search that has not begun."""
+        """Return a search before its beginning."""
         return cls(np.zeros((_MOST_INTERVALS + 2, 5)), np.zeros(2, dtype=np.int64), np.zeros(3))
 
     @classmethod
     def several(cls, number: int) -> 'Search':
-        """Return so many that have not begun, one a row."""
+        """Return this number of searches, one in each row."""
         return cls(*(np.stack([part] * number) for part in cls.empty()))
 
 
 @called
 def begin(search: Search, distance: float, slope: float, bend: float) -> None:
-    """Begin at t = 0."""
+    """Begin a search at t = 0."""
     nodes = search.nodes
     nodes[0, 0], nodes[0, 1], nodes[0, 2], nodes[0, 3] = 0.0, distance, slope, bend
-    search.count[0], search.count[1] = 0, 0
+    search.counts[0], search.counts[1] = 0, 0
     for k in range(3):
         search.widths[k] = np.inf
 
@@ -66,25 +71,25 @@ def begin(search: Search, distance: float, slope: float, bend: float) -> None:
 def add(search: Search, t: float, distance: float, slope: float, bend: float, rounding: float,
         high: bool) -> None:
     """
-    Take in the result of a trial: the first at the end of the step, others where TRY said.
+    Add the result of a trial: first at the end of the step, then at the times of TRY.
 
     Parameters
     ----------
     search : Search
-        Which is changed.
+        The search, which is changed.
     t, distance, slope, bend : float
-        The time [s], g, g' and g'' there.
+        The time [s], and g, g' and g'' at that time.
     rounding : float
-        Of g.
+        Rounding error of g.
     high : bool
-        Whether g'' is known, so that polynomials are quintic.
+        Whether g'' is known, so that polynomials are quintic instead of cubic.
 
     """
-    nodes, count = search.nodes, search.count
-    top = count[0]
+    nodes, counts = search.nodes, search.counts
+    top = counts[0]
     if top == 0:
-        # No more is known of the polynomial's error than how much the path bends. Beyond the
-        # half of that it would have to turn round within the step more than once.
+        # The only information on the error of the polynomial is how much the path bends. An
+        # error above half of that would require the path to turn more than once in the step.
         length, mean = t, 0.5 * (nodes[0, 2] + slope)
         margin = 0.5 * (abs(length * (slope - nodes[0, 2])) / 8.0
                         + 0.5 * abs(distance - nodes[0, 1] - length * mean))
@@ -93,44 +98,47 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
     else:
         length = nodes[top, 0] - nodes[0, 0]
         expected = _value(_coefficients(search, high), (t - nodes[0, 0]) / length)
-        # In a part of the interval the error is several times less.
+        # The observed error of the polynomial bounds its successor, whose error is several times
+        # smaller, since its interval is shorter.
         margin = abs(distance - expected) + rounding
         if distance < 0.0:
-            # What comes after is of no interest.
+            # Only the first crossing matters; later intervals are dropped.
             top = 0
         else:
             nodes[top, 4] = margin
     top += 1
     nodes[top, 0], nodes[top, 1], nodes[top, 2], nodes[top, 3] = t, distance, slope, bend
     nodes[top, 4] = margin
-    count[0], count[1] = top, count[1] + 1
+    counts[0], counts[1] = top, counts[1] + 1
 
 
 @called
 def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, float]:
     """
-    Return what is to be done next, and at what time.
+    Return the next action and its time.
 
-    FREE: g does not become negative. LAND: it does, first at this time, as near as rounding and
-    time itself resolve. TRY: what g is at this time must be known. LOST: no end is in sight.
+    FREE: g does not become negative. LAND: it first does at this time, to the resolution of
+    rounding and of time itself. TRY: the value of g at this time is needed. LOST: the search does
+    not end.
     """
-    nodes, count, widths = search.nodes, search.count, search.widths
-    while count[0] > 0:
+    nodes, counts, widths = search.nodes, search.counts, search.widths
+    while counts[0] > 0:
         if nodes[0, 1] <= rounding and nodes[0, 2] < 0.0:
             return LAND, nodes[0, 0]
-        top = count[0]
+        top = counts[0]
         start, end = nodes[0, 0], nodes[top, 0]
-        if count[1] > _MOST_TRIALS or top >= _MOST_INTERVALS:
+        if counts[1] > _MOST_TRIALS or top >= _MOST_INTERVALS:
             return LOST, end
         theta = _look(search, high)
         if nodes[top, 1] < 0.0:
             if (-nodes[top, 1] <= rounding and nodes[top, 2] < 0.0) or end - start <= _EPS * h:
                 return LAND, end
             if theta == 0.0 and nodes[0, 1] <= rounding:
-                # It is at rest there, and pulled.
+                # g is at rest at the start and pulled down.
                 return LAND, start
             if end - start > 0.5 * widths[2]:
-                # Three trials have not halved the interval.
+                # Three trials have not halved the interval. Interpolation alone may approach the
+                # crossing from one side only, so bisect.
                 theta = 0.5
             widths[2], widths[1], widths[0] = widths[1], widths[0], end - start
             middle = start + theta * (end - start)
@@ -140,17 +148,17 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
         if theta < 0.0 or end - start <= _SHORTEST * h:
             for k in range(5):
                 nodes[0, k] = nodes[top, k]
-            count[0] -= 1
+            counts[0] -= 1
         else:
-            # At a minimum that lies at an end of the interval nothing new would be learned.
+            # A trial next to an end of the interval would add no information.
             return TRY, start + (theta if 0.05 < theta < 0.95 else 0.5) * (end - start)
     return FREE, 0.0
 
 
 @called
 def _coefficients(search: Search, high: bool) -> tuple[float, ...]:
-    """Return those of the polynomial of the first interval, in shares of it."""
-    nodes, top = search.nodes, search.count[0]
+    """Return the coefficients of the polynomial of the first interval, scaled to [0, 1]."""
+    nodes, top = search.nodes, search.counts[0]
     h = nodes[top, 0] - nodes[0, 0]
     if high:
         return quintic(h, nodes[0, 1], nodes[0, 2], nodes[0, 3],
@@ -171,13 +179,14 @@ def _slope(c: tuple[float, ...], x: float) -> float:
 @called
 def _look(search: Search, high: bool) -> float:
     """
-    Return where in the first interval g crosses zero first, or is nearest to it.
+    Return the share of the first interval where g first crosses zero, or is nearest to it.
 
-    -1 if g stays above zero there by more than the polynomial's error, which vanishes with its
-    square at both ends; only where g is not negative at the end.
+    If g is not negative at the end, the result is -1 if g stays above zero by more than the error
+    of the polynomial. The bound of that error vanishes quadratically at both ends, like the error
+    of Hermite interpolation.
     """
     c = _coefficients(search, high)
-    top = search.count[0]
+    top = search.counts[0]
     margin, crosses = search.nodes[top, 4], search.nodes[top, 1] < 0.0
     lowest, place = np.inf, -1.0
     left = 0.0
@@ -195,13 +204,13 @@ def _look(search: Search, high: bool) -> float:
             if x < 1.0 and excess < 0.0 and value < lowest:
                 lowest, place = value, x
         left = right
-    # A polynomial that ends below zero crosses it, whatever rounding says.
+    # A polynomial that ends below zero crosses it, even if rounding hides where.
     return 0.5 if crosses and place < 0.0 else place
 
 
 @called
 def _last(c: tuple[float, ...], falling: bool, low: float, high: float) -> float:
-    """Return, by bisection, until where the polynomial falls, or else is not negative."""
+    """Return by bisection how far the polynomial falls, or, if not ``falling``, stays positive."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         if (_slope(c, middle) < 0.0) if falling else (_value(c, middle) >= 0.0):

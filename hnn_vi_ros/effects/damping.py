@@ -21,23 +21,24 @@ import numpy as np
 
 class Damping(Force, StepEffect):
     """
-    Linear damping, f = -gamma P, one rate for each coordinate; of a body for each part of p.
+    Linear damping, f = -gamma P, with one rate for each coordinate, or each component of p.
 
-    P belongs to the velocity: p, or p - c A(q) in magnetic fields. Methods of order 1 and 2 take
-    its exact flow P -> exp(-gamma h / 2) P before and after a step (Strang splitting); others
-    take f at their nodes. Energy account: the change of H in the flow, or the power f . H_p.
+    P is the kinetic momentum: p, or p - c A(q) in magnetic fields. Methods of order 1 and 2 take
+    its exact flow P -> exp(-gamma h / 2) P before and after a step (Strang splitting), which is
+    stable for any rate; others, whose order splitting would reduce, take f at their nodes. Energy
+    account: the change of H in the flow, or the power f . H_p.
 
     Parameters
     ----------
     rate : float or list of float, optional
         gamma >= 0 [1/s], for all coordinates or for each; see ``check_rates``.
     model : str, optional
-        A model that has learned its friction (family dgnet), in place of the rate.
+        A model with learned friction (family dgnet), instead of the rate.
 
     Raises
     ------
     ModelError, ValueError
-        No model that has learned friction; no rate that can be used.
+        The model has no learned friction, or the rate cannot be used.
 
     References
     ----------
@@ -59,7 +60,7 @@ class Damping(Force, StepEffect):
         self.rate = rate
 
     def place(self, integrator: Integrator) -> Place:
-        """Return whether the method takes the flow, or the force."""
+        """Return the place of the flow, or of the force."""
         splits = integrator.order <= 2 and integrator.requirements.from_state
         return Place.AROUND if splits else Place.NODES
 
@@ -69,11 +70,11 @@ class Damping(Force, StepEffect):
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Friction:
-        """Return the rates, one for each column of p [1/s], and the gauge of magnetic fields."""
+        """Return the rates of the columns of p [1/s], and the gauge of magnetic fields."""
         return Friction(per_coordinate(coordinates, 'rate', self.rate), state.gauge)
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
-        """Raise ValueError if the rates would feed energy in near q, shape (m d,)."""
+        """Raise ValueError if the rates would add energy near q, shape (m d,)."""
         check_rates(hamiltonian, q, per_coordinate(hamiltonian.coordinates, 'rate', self.rate))
 
     @staticmethod

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction -D(q) v of a network, D = B(q) B(q)^T, which takes energy whatever the network is."""
+"""Friction -D(q) v of a network B, with D = B(q) B(q)^T, which dissipates for any B."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -16,10 +16,10 @@ from scipy.linalg import block_diag
 
 
 class FrictionNetwork(NamedTuple):
-    """The network of B, what it sees, and space for the entries of B and for B^T v."""
+    """The network of B, its features, and space for the entries of B and for B^T v."""
 
     outputs: PackedOutputs
-    seen: Features
+    features: Features
     entries: np.ndarray
     product: np.ndarray
 
@@ -37,9 +37,9 @@ class LearnedFrictionParameters(NamedTuple):
     stribeck : np.ndarray, shape (l, 3, d)
         c, 1/w and 1/s of each term.
     add : callable
-        Adds the friction of the network; see add_by_network.
+        The function that adds the friction of the network; see add_by_network.
     own : FrictionNetwork, BodyNetwork or tuple of int
-        What it takes first; where there is no network, a number that it has no use for.
+        Its first argument; an unused number without a network.
 
     """
 
@@ -51,7 +51,7 @@ class LearnedFrictionParameters(NamedTuple):
 
 
 def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> LearnedFrictionParameters:
-    """Return the friction of a model; ValueError if that is not of such coordinates."""
+    """Return the friction of a model, or raise ValueError if its coordinates do not fit."""
     d, card = len(columns(coordinates)[0]), model.card
     if card.mechanical is None:
         nothing = np.zeros(d), np.zeros((0, 2, d)), np.zeros((0, 3, d))
@@ -73,7 +73,7 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
 
 
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:
-    """Return the last two of LearnedFrictionParameters."""
+    """Return ``add`` and ``own`` of LearnedFrictionParameters."""
     card = model.card.mechanical
     assert card is not None, 'checked by the effect: the family has one'
     if card.friction_features is None:
@@ -87,7 +87,7 @@ def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork 
 
 
 def _together(networks: Sequence[Layers]) -> Layers:
-    """Return networks of the same inputs as one, whose outputs are theirs over the root of N."""
+    """Return N networks of the same inputs as one, with their outputs divided by sqrt(N)."""
     first, *others = zip(*(layers.weights for layers in networks), strict=True)
     share = 1.0 / np.sqrt(len(networks))
     *weights, last = np.vstack(first), *(block_diag(*layer) for layer in others)
@@ -98,10 +98,10 @@ def _together(networks: Sequence[Layers]) -> Layers:
 @kept(error_model='numpy')
 def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray
                    ) -> None:
-    """Add -B (B^T v), with the entries of each lower triangular B row by row; of several all."""
+    """Add -B (B^T v) for each lower triangular B, whose entries are given row by row."""
     entries, product = own.entries, own.product
-    see(own.seen, q)
-    x = own.seen.inputs
+    see(own.features, q)
+    x = own.features.inputs
     half = x.size // 2
     evaluate_outputs(own.outputs, x[:half], x[half:], entries)
     for begin in range(0, entries.size, q.size * (q.size + 1) // 2):
@@ -124,5 +124,5 @@ def add_none(own: tuple[int], q: np.ndarray, velocity: np.ndarray, f_p: np.ndarr
 
 
 for _function in (add_by_network, add_none):
-    # They are among the parameters of compiled functions; see identify.
+    # Functions in the parameters of compiled functions need a name; see identify.
     identify(_function)

@@ -24,28 +24,27 @@ class JointFrictionParameters(NamedTuple):
 
 class JointFriction(Force):
     """
-    Viscous and dry friction in joints, f = -b v - F tanh(v / u) with v = H_p of each.
+    Viscous and dry friction in joints, f = -b v - F tanh(v / u), where v = H_p of each.
 
-    b is what a URDF calls damping, F what it calls friction. Well above the speed u dry friction
-    has the constant size F; below, it is viscous with F / u, so that a joint at rest creeps under
-    a load. Energy account: the power f . v <= 0.
+    A URDF calls b damping and F friction. Well above the speed u dry friction has the constant
+    size F; below, it is viscous with F / u, so that a joint under load creeps instead of
+    sticking. Energy account: the power f . v <= 0.
 
     Parameters
     ----------
     from_ : str, optional
-        urdf: damping and friction of all joints as the URDF of H has them.
+        urdf: damping and friction of all joints in the URDF of H.
     damping : dict of str to float, optional
-        b >= 0 by the names of coordinates, beside those of the URDF or in their place
-        [N m s/rad], [N s/m].
+        b >= 0 by coordinate, in addition to the URDF's or replacing them [N m s/rad], [N s/m].
     friction : dict of str to float, optional
         F >= 0, likewise [N m], [N].
     speed : float
-        u > 0 [rad/s], [m/s]; steps h should resolve m u / F, of joints with the inertia m.
+        u > 0 [rad/s], [m/s]; steps h should resolve m u / F for a joint with the inertia m.
 
     Raises
     ------
     ValueError
-        No friction, or a number that cannot be one.
+        There is no friction, or a number is negative or not finite.
 
     References
     ----------

@@ -27,7 +27,7 @@ class JointLimits(RigidContact):
         urdf: the limits of all joints in the URDF of H; continuous joints have none, and one that
         is missing next to the other is 0.
     lower, upper : dict of str to float, optional
-        Limits by coordinate, in addition to those of the URDF or replacing them [rad], [m].
+        Limits by coordinate, in addition to the URDF's or replacing them [rad], [m].
     restitution : float
         e, from 0 to 1 [1].
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of joints, for effects: those of the URDF, and those that a scene gives."""
+"""Numbers of joints, from the URDF and from the scene."""
 
 from collections.abc import Callable, Mapping, Sequence
 import math
@@ -12,7 +12,7 @@ import numpy as np
 
 
 def check_given(source: str | None, **given: Mapping[str, float] | None) -> None:
-    """Raise ValueError unless something is given, and every number is finite."""
+    """Raise ValueError unless there is a source or a number, and all numbers are finite."""
     if source is None and not any(given.values()):
         raise ValueError(f'from is required, or {" or ".join(given)} in its place')
     for name, values in given.items():
@@ -25,23 +25,23 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
                   of: Callable[[Joint], float | None], given: Mapping[str, float] | None
                   ) -> np.ndarray:
     """
-    Return one number for each coordinate, shape (d,); NaN where there is none.
+    Return one number for each coordinate, shape (d,); NaN for none.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        Of the system.
+        The coordinates of the system.
     source : str or None
         ``'urdf'`` for numbers of its joints.
     of : callable
-        Returns that of a joint, or None.
+        Returns the number of a joint, or None.
     given : mapping of str to float or None
-        Those that take their place, by the names of coordinates.
+        Numbers that replace them, by coordinate.
 
     Raises
     ------
     ValueError
-        A coordinate is no joint of a URDF, or an unknown one is named.
+        A coordinate is no joint of a URDF, or a name is unknown.
 
     """
     values = np.full(len(coordinates), np.nan)

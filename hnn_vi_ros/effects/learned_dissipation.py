@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dissipation that a network has learned."""
+"""Learned dissipation."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -32,8 +32,8 @@ class LearnedDissipation(Force):
 
         q' = H_p + D_q,  p' = -H_q + D_p
 
-    D is a model like that of H, with the same coordinates, or the second network of a dissipative
-    HNN, whose first is H. In a magnetic field both are functions of P = p - c A(q), as they were
+    D is a model with the coordinates of H, or the second network of a dissipative HNN, whose
+    first network is H. In a magnetic field both are functions of P = p - c A(q), since they were
     learned without it. Energy account: the power H_q . D_q + H_p . D_p.
 
     Parameters
@@ -55,7 +55,7 @@ class LearnedDissipation(Force):
     """
 
     depends_on_momentum = True
-    excludes = {Place.MANIFOLD: 'whose force would do work where the velocity is not H_p'}
+    excludes = {Place.MANIFOLD: 'because its forces would do work where the velocity is not H_p'}
 
     def __init__(self, model: str):
         checkpoint = load_checkpoint(model)
@@ -64,7 +64,7 @@ class LearnedDissipation(Force):
         if family not in networks:
             raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
                              f'one of the family {" or ".join(networks)}')
-        # Imported here: it is compiled, which who only reads a scene has no use for.
+        # Imported here, since it loads the compiler, which reading a scene does not need.
         from hnn_vi_ros.models.neural import NeuralHamiltonian
         self.network = NeuralHamiltonian(checkpoint, networks[family])
 
@@ -74,7 +74,7 @@ class LearnedDissipation(Force):
         return self.network.kernel.gradient_scale
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Dissipation:
-        """Return the network's kernel, the gauge of magnetic fields, and space."""
+        """Return the network's kernel, the gauge of magnetic fields, and working memory."""
         if len(coordinates) != (d := self.network.dimension):
             raise ValueError(f'the model has {d} coordinates, H has {len(coordinates)}')
         from hnn_vi_ros.kernels.compilation import identify
@@ -95,6 +95,6 @@ class LearnedDissipation(Force):
         for i in range(q.size):
             f_q[i] += dD_dq[i]
             f_p[i] += dD_dp[i]
-            # The Lorentz force on what D adds to the velocity, in p = P + c A(q).
+            # D_q adds to the velocity, and p = P + c A(q) changes with q.
             for j in range(q.size):
                 f_p[i] += gauge[j, i] * dD_dq[j]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction that was learned with a mechanism."""
+"""Friction that was learned together with a mechanism."""
 
 from collections.abc import Sequence
 import math
@@ -19,26 +19,28 @@ if TYPE_CHECKING:
 
 class LearnedFriction(Force):
     """
-    The friction of a model of the family mechanical or lie_group, with v = H_p.
+    The friction of a model of the family mechanical or lie_group, where v = H_p.
 
         f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2) - D(q) v
 
-    All b, c >= 0 and w > 0, and D = B B^T, so that it can only take energy: viscous, Coulomb made
-    smooth where the motion turns, Stribeck, and a network B(q), if the model has it. Of a body
-    that turns there is D alone, in its own frame. Energy account: the power f . H_p <= 0.
+    The terms are viscous, Coulomb (smoothed where v changes its sign), Stribeck, and a network
+    B(q), if the model has it. All b, c >= 0 and w > 0, and D = B B^T, so that friction can only
+    dissipate. A body that rotates has D alone, in its own frame. Energy account: the power
+    f . H_p <= 0.
 
     Parameters
     ----------
     model : str
         A shipped model, one trained into models/ of the working directory, or the path of a
-        .safetensors file; that of H as a rule. Of an ensemble the mean of the members' friction.
+        .safetensors file; usually the model of H. An ensemble acts by the mean friction of its
+        members.
     member : int, optional
-        Of an ensemble, that member alone, from 1 on.
+        Number of the only member of an ensemble that acts, from 1.
 
     Raises
     ------
     ModelError
-        The model does not exist, is damaged, or is of another family; there is no such member.
+        The model does not exist, is damaged, belongs to another family or has no such member.
 
     References
     ----------
@@ -61,8 +63,8 @@ class LearnedFriction(Force):
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> 'LearnedFrictionParameters':
-        """Return the coefficients, and what adds the friction of the network."""
-        # Imported here: it is compiled, which who only reads a scene has no use for.
+        """Return the coefficients, and the function that adds the friction of the network."""
+        # Imported here, since it loads the compiler, which reading a scene does not need.
         from hnn_vi_ros.effects.friction_network import friction_of
         return friction_of(self._model, coordinates)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Meaning of momenta: the mass matrix and the vector potential, for effects that act on them."""
+"""The mass matrix and the vector potential, which relate momenta to velocities."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,16 +12,18 @@ from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
 
-# States near the initial one at which different rates of friction are tried.
+# Number of states near the initial one at which different rates of friction are tested. A random
+# sample is no proof, but the mass matrices of mechanisms vary slowly.
 _STATES = 64
-# A mass matrix that is learned couples by its error what the true one does not.
+# Relative coupling that is accepted: a learned mass matrix couples, by its error, coordinates that
+# the true one does not.
 _COUPLING = 1e-3
-# How far a mass that is given may be from that of H, relatively.
+# Relative difference from the mass of H that a given mass may have.
 _TOLERANCE = 1e-6
 
 
 def momentum_index(coordinates: Sequence[Coordinate], name: str) -> int:
-    """Return the column in p of what turns or moves, or raise ValueError with the valid names."""
+    """Return the column of a name in p, or raise ValueError with the valid names."""
     names = columns(coordinates)[1]
     if name not in names:
         raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(names)}')
@@ -29,7 +31,7 @@ def momentum_index(coordinates: Sequence[Coordinate], name: str) -> int:
 
 
 def inverse_mass(hamiltonian: Hamiltonian, q: np.ndarray) -> np.ndarray:
-    """Return H_pp at a state q, shape (d,), at p = 0; as many rows as there are momenta."""
+    """Return H_pp(q, 0) for q of shape (d,), with one row for each momentum."""
     still, zero = np.zeros(q.size), np.zeros(q.size - len(hamiltonian.rotations))
     return np.column_stack([hamiltonian.hessian_vector(q, zero, still, unit)[1]
                             for unit in np.eye(zero.size)])
@@ -60,11 +62,11 @@ def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> No
 
 
 def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
-    """Warn if what has no momentum moves at q, shape (d,), by more than a model's error."""
+    """Warn if H_p(q, 0) of an exact H is not 0, for q of shape (d,)."""
     base = getattr(hamiltonian, 'base', hamiltonian)
     zero = np.zeros(q.size - len(base.rotations))
     drift = np.abs(base.gradient(q, zero)[1]).max()
-    # What one has learned from data has some drift, as it has other errors.
+    # Learned models, which have a box, are exempt: some drift is one of their errors.
     if base.box is None and drift > _COUPLING * np.abs(inverse_mass(base, q)).max():
         warnings.warn(
             'damping: H_p is not 0 at p = 0, as in a frame that turns: p is not the momentum of '
@@ -73,14 +75,14 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
 
 
 class Friction(NamedTuple):
-    """The rates of friction on P = p - c A(q), of each column [1/s], and EffectState.gauge."""
+    """The rates of friction on P = p - c A(q), one a column [1/s], and EffectState.gauge."""
 
     rate: np.ndarray
     gauge: np.ndarray
 
 
 def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | None) -> None:
-    """Raise ValueError if H has no masses at q, shape (d,), or others than those given."""
+    """Raise ValueError if H has no masses at q, shape (d,), or others than the given ones."""
     inverse = inverse_mass(hamiltonian, q)
     if not (np.isfinite(inverse).all() and np.linalg.eigvalsh(inverse)[0] > 0.0):
         raise ValueError(
@@ -95,7 +97,7 @@ def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | No
 
 @inlined
 def vector_potential(gauge: np.ndarray, q: np.ndarray, i: int) -> float:
-    """Return component i of c A(q), of the gauge that EffectState holds."""
+    """Return component i of c A(q); see EffectState.gauge."""
     total = 0.0
     for j in range(q.size):
         total += gauge[i, j] * q[j]

@@ -1,6 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random numbers that depend on a seed and their count only, so that any step can be redone."""
+"""
+Random numbers that depend only on a seed and a count, so that any step can be repeated.
+
+A generator with a hidden state would have to be saved and restored with every attempt at a step.
+"""
 
 import math
 
@@ -8,6 +12,7 @@ from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import part
 import numpy as np
 
+# The odd number nearest to 2^64 / golden ratio, the increment of SplitMix64.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -21,7 +26,7 @@ def _mix(x: np.uint64) -> np.uint64:
 
 @part()
 def _uniform(key: np.uint64, count: np.uint64) -> float:
-    """Return the count-th number of the sequence of a key, in (0, 1]."""
+    """Return number ``count`` of the sequence of a key, in (0, 1]."""
     bits = _mix(key + (count + np.uint64(1)) * _GOLDEN) >> np.uint64(11)
     return (float(bits) + 1.0) * 2.0 ** -53
 
@@ -47,12 +52,12 @@ def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
     Parameters
     ----------
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     draws : np.ndarray, shape (3,)
-        Numbers drawn in steps that are done and in the present one, and the stream; the second
-        is advanced. See EffectState.
+        Counts of numbers drawn in completed steps and in the present one, which is advanced, and
+        the number of the stream. See EffectState.
     normals : np.ndarray, shape (n,)
-        Filled.
+        The array.
 
     References
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Strang splitting: the flow of an effect for half a step, before and after a method's step."""
+"""Strang splitting: half a step of an effect's flow before and after a method's step."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,15 +14,14 @@ from hnn_vi_ros.kernels.marks import inlined
 
 def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     """
-    Return flow(h/2) o step(h) o flow(h/2): symmetric as the step is, and of order 2 at most.
+    Return flow(h/2) o step(h) o flow(h/2), symmetric if the step is, and of order at most 2.
 
     Parameters
     ----------
     flow : callable
-        ``flow(parameters, h, q, p, p_carry)`` changes the momenta of one state, shape (d,),
-        or its coordinates as well.
+        ``flow(parameters, h, q, p, p_carry)`` changes one state; arrays have shape (d,).
     step : callable
-        Of the method.
+        The step of the method.
     keeps_gradient : bool
         Whether the step reads the gradient at its start.
 

@@ -63,13 +63,13 @@ class Stops(NamedTuple):
         1 where the motion is free above the stop, -1 where it is free below.
     restitution : float
         e [1].
-    nodes, count, widths : np.ndarray, shape (W, 66, 5), (W, 2), (W, 3)
+    nodes, counts, widths : np.ndarray, shape (W, 66, 5), (W, 2), (W, 3)
         One ``Search`` for each stop.
     kept : np.ndarray, shape (4, K)
         Space for the pending work and the resting stops of the K effects, before the present part
         of the step and before the step.
     cuts : np.ndarray, shape (1,)
-        Impacts so far, including those of trials.
+        Impacts so far, including impacts in trials.
 
     """
 
@@ -78,7 +78,7 @@ class Stops(NamedTuple):
     signs: np.ndarray
     restitution: float
     nodes: np.ndarray
-    count: np.ndarray  # type: ignore[assignment]  # not tuple.count
+    counts: np.ndarray
     widths: np.ndarray
     kept: np.ndarray
     cuts: np.ndarray
@@ -387,7 +387,7 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
             # The impact put the coordinate on the stop, up to rounding that must not count as
             # another crossing.
             distance, slope = 0.0, max(0.0, slope)
-        begin(Search(stops.nodes[k], stops.count[k], stops.widths[k]), distance, slope, bend)
+        begin(Search(stops.nodes[k], stops.counts[k], stops.widths[k]), distance, slope, bend)
 
 
 @called
@@ -405,8 +405,8 @@ def _look(stops: Stops, resting: float, z: Point, rates: Rates, have: float, unt
             at += 1
             continue
         c, sign = stops.columns[at], stops.signs[at]
-        search = Search(stops.nodes[at], stops.count[at], stops.widths[at])
-        if search.count[0] == 0 and have != until:
+        search = Search(stops.nodes[at], stops.counts[at], stops.widths[at])
+        if search.counts[0] == 0 and have != until:
             # A search begins with the state at the end of the remaining time.
             return TRY, until, until, met, at, rounding
         position, reached = stops.positions[at], z.q[c]

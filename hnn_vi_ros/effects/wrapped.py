@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An integrator with an effect around its step, and the account that effects keep."""
+"""An integrator with an effect around its step, and the account of effects."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -19,16 +19,16 @@ import numpy as np
 @final
 class Wrapped(Integrator):
     """
-    A method whose step an effect has changed.
+    A method with a layer, such as an effect, around its step.
 
     Parameters
     ----------
     inner : Integrator
         The method.
     kind : type of Wrapping
-        What changes its step.
+        The layer.
     settings : tuple
-        What the changed step finds in its options after those of the method.
+        The options of the layer's step, which follow the options of the method.
 
     Attributes
     ----------
@@ -40,7 +40,8 @@ class Wrapped(Integrator):
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
     def __init__(self, inner: Integrator, kind: type[Wrapping], settings: Parameters):
-        # An effect may take several solutions in a step, not all of them for good: any will do.
+        # An effect may solve the step several times and discard results, so that a solution that
+        # is not connected to h = 0 does not make the step fail.
         self.inner, self._kind, self._settings = copy(inner), kind, settings
         self.inner.no_solution = ''
         self.order, self.compiled = inner.order, inner.compiled
@@ -48,35 +49,35 @@ class Wrapped(Integrator):
 
     @property
     def kernel_name(self) -> str:
-        """Return the names of the effect and of the method."""
+        """Return the names of the layer and of the method."""
         return f'{self._kind.__name__}({self.inner.kernel_name})'
 
     @property
     def own(self) -> bool:
-        """Return whether the effect and the method are this package's."""
+        """Return whether the layer and the method belong to this package."""
         return is_own(self._kind.__module__) and self.inner.own
 
     @property
     def inner_steps(self) -> tuple[Step, ...]:
-        """Return the steps that the effect takes of the method: its step, or the halves of it."""
+        """Return the part of the method that the layer takes: its step, or the two halves."""
         return tuple(part for part in self._taken if callable(part))
 
     def around(self, steps: Sequence[Step]) -> Step:
-        """Return the step with others in place of those that the effect takes of the method."""
+        """Return the layer around other steps."""
         rest = iter(steps)
         taken = tuple(next(rest) if callable(part) else part for part in self._taken)
         return self._kind.wrap(taken if len(taken) > 1 else taken[0], self.inner.keeps_gradient)
 
     @property
     def layer_name(self) -> str:
-        """Return a name that tells what ``around`` returns for the same steps from all else."""
+        """Return a unique name for the result of ``around``, apart from the steps."""
         flags = [part for part in self._taken if not callable(part)]
         return (f'{self._kind.__module__}.{self._kind.__qualname__}'
                 f'({self.inner.keeps_gradient}, {flags})')
 
     @property
     def layer_own(self) -> bool:
-        """Return whether the effect by itself is this package's."""
+        """Return whether the layer belongs to this package."""
         return is_own(self._kind.__module__)
 
     @property
@@ -90,11 +91,11 @@ class Wrapped(Integrator):
 
     @property
     def usual_gradients(self) -> int:
-        """Return what the method takes; 0 where the effect takes its step again and again."""
+        """Return the gradients of the method; 0 if the layer repeats its step."""
         return 0 if getattr(self._kind, 'repeats', False) else self.inner.usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Parameters:
-        """Return the options of the method, and the settings of the effect."""
+        """Return the options of the method, then the settings of the layer."""
         return (self.inner.options(attempt, dimension), *self._settings)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
@@ -102,17 +103,17 @@ class Wrapped(Integrator):
         return self.inner.unknowns(n)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[Any, ...]:
-        """Return the workspaces of the method, then that of the effect; see Integrator."""
+        """Return the workspaces of the method and of the layer; see Integrator."""
         return (*self.inner.memory(n, dtype), self._kind.workspace(n, self._settings))
 
     def substep(self) -> Integrator | None:
-        """Return the method that takes a failed step in parts, with the effect."""
+        """Return the method that takes a failed step in parts, with the layer."""
         inner = self.inner.substep()
         return None if inner is None else Wrapped(inner, self._kind, self._settings)
 
 
 class Account:
-    """Commit, after each step that succeeded, what the effects did in it; see EffectState."""
+    """Layer that commits the account of effects after each successful step; see EffectState."""
 
     @staticmethod
     def inner_step(integrator: Integrator) -> Step:
@@ -121,7 +122,7 @@ class Account:
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return none: it works on what effects keep."""
+        """Return no workspace: the account is part of EffectState."""
         return ()
 
     @staticmethod
@@ -151,7 +152,7 @@ class Account:
             state.clock[0], state.clock[1] = plus(state.clock[0], state.clock[1], h)
             state.draws[0] += state.draws[1]
             if start < until <= state.clock[0]:
-                # The gradient that the next step begins with still holds the command that ends.
+                # The gradient that the next step begins with contains a command that has expired.
                 kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
                 gradients += 1
             return OK, residual, gradients
