@@ -3,6 +3,7 @@
 """Sweeps: the same bytes however they are cut, stopped and gone on with; what columns hold."""
 
 from collections import Counter
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
@@ -384,6 +385,41 @@ def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
     assert (deadly / 'done').exists()
     assert contents(tmp_path / 'out') == contents(deadly / 'whole')
     assert len(contents(tmp_path / 'out')) == 6
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_first_interrupt_ends_a_sweep_whose_reduction_hangs(tmp_path, jobs):
+    # With several processes in C, where nothing else of Python runs.
+    hang = 'time.sleep(1e6)' if jobs == 1 else 'ctypes.PyDLL(None).pause()'
+    (tmp_path / 'hangs_in_sweeps.py').write_text(
+        'import ctypes, os, pathlib, time\n'
+        'def reduce(path):\n'
+        '    pathlib.Path(__file__).with_name(f"pid{os.getpid()}").touch()\n'
+        f'    {hang}\n')
+    (tmp_path / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.2\nshard_size: 32\n'
+        'vary: [{kind: grid, keys: [initial_state.q.0], low: [0], high: [1.5], counts: [64]}]\n'
+        'reduction: {function: "hangs_in_sweeps:reduce", columns: [mean]}\n')
+    code = 'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()'
+    with subprocess.Popen(
+            [sys.executable, '-c', code, str(tmp_path / 'a.yaml'), '--out', str(tmp_path / 'out'),
+             '--jobs', str(jobs)], stderr=subprocess.PIPE, text=True,
+            start_new_session=True) as run:
+        try:
+            while len(workers := list(tmp_path.glob('pid*'))) < jobs:
+                assert run.poll() is None
+                time.sleep(0.02)
+            # As a terminal does: to all of its processes.
+            os.killpg(run.pid, signal.SIGINT)
+            # Without an end of its own it would last for as long as the reduction, which is ever.
+            _, error = run.communicate(timeout=60.0)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(run.pid, signal.SIGKILL)
+    assert run.returncode == 130 and 'Traceback' not in error
+    assert 'stopped; what is whole is in' in error
+    for worker in workers:
+        assert not Path('/proc', worker.name.removeprefix('pid'), 'exe').exists()
 
 
 @pytest.fixture
