@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import ClassVar, TYPE_CHECKING
+from typing import Any, ClassVar, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
@@ -15,6 +15,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
     nearest = get_close_matches(word, known, n=1, cutoff=0.7)
     return f'; did you mean {nearest[0]}?' if nearest else ''
+
+
+def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]
+                ) -> BaseException:
+    error = cls.__new__(cls, *args)
+    vars(error).update(state)
+    return error
 
 
 class HnnViRosError(Exception):
@@ -29,6 +36,10 @@ class HnnViRosError(Exception):
     """
 
     remedy: ClassVar[str] = ''
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let pickle call no constructor, whose arguments are not always the message alone."""
+        return _made_again, (type(self), self.args, vars(self))
 
 
 class SceneError(HnnViRosError):

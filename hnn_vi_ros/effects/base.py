@@ -103,8 +103,12 @@ class EffectError(ValueError):
     """
 
     def __init__(self, index: int, message: str):
-        super().__init__(message)
-        self.index = index
+        # Both, since pickle hands them to this constructor again.
+        super().__init__(index, message)
+        self.index, self._message = index, message
+
+    def __str__(self) -> str:
+        return self._message
 
 
 class Effect(ABC):

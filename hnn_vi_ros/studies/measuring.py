@@ -91,8 +91,11 @@ class RunFailure(Exception):
     """A run ended before its horizon: why, at what time [s], after how many gradients."""
 
     def __init__(self, reason: str, t: float, gradients: int):
-        super().__init__(reason)
+        super().__init__(reason, t, gradients)
         self.reason, self.t, self.gradients = reason, t, gradients
+
+    def __str__(self) -> str:
+        return self.reason
 
 
 class MethodRun(ABC):
