@@ -17,6 +17,11 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f'; did you mean {nearest[0]}?' if nearest else ''
 
 
+def reduce_error(error: BaseException) -> tuple[Any, ...]:
+    """Let pickle call no constructor, whose arguments are not always the message alone."""
+    return _made_again, (type(error), error.args, vars(error))
+
+
 def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]
                 ) -> BaseException:
     error = cls.__new__(cls, *args)
@@ -36,10 +41,7 @@ class HnnViRosError(Exception):
     """
 
     remedy: ClassVar[str] = ''
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Let pickle call no constructor, whose arguments are not always the message alone."""
-        return _made_again, (type(self), self.args, vars(self))
+    __reduce__ = reduce_error
 
 
 class SceneError(HnnViRosError):

@@ -10,7 +10,7 @@ import math
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.errors import reduce_error, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.references import INSTANTS, Reference, SAMPLES
@@ -91,11 +91,10 @@ class RunFailure(Exception):
     """A run ended before its horizon: why, at what time [s], after how many gradients."""
 
     def __init__(self, reason: str, t: float, gradients: int):
-        super().__init__(reason, t, gradients)
+        super().__init__(reason)
         self.reason, self.t, self.gradients = reason, t, gradients
 
-    def __str__(self) -> str:
-        return self.reason
+    __reduce__ = reduce_error
 
 
 class MethodRun(ABC):
