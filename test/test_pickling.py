@@ -94,8 +94,8 @@ def errors() -> Iterator[type]:
         try:
             found = import_module(module.name)
         except ImportError as problem:
-            assert (problem.name or '').partition('.')[0] in OF_OTHERS or 'takes the Python' in str(
-                problem)
+            assert (problem.name or '').partition('.')[0] in OF_OTHERS or (
+                'takes the Python' in str(problem))
             continue
         yield from (cls for cls in vars(found).values() if inspect.isclass(cls) and issubclass(
             cls, BaseException) and cls.__module__ == module.name)

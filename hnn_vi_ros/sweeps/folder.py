@@ -9,6 +9,7 @@ import socket
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.limits import parse_json, read_limited
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.parquet import check_shard
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
@@ -63,15 +64,13 @@ class SweepFolder:
         """
         file = self.path / _RECORD
         try:
-            if file.stat().st_size > _LARGEST:
-                raise ValueError(f'larger than {_LARGEST} bytes')
-            found = json.loads(file.read_text(encoding='utf-8'))
+            found = parse_json(read_limited(file, _LARGEST))
             if not isinstance(found, dict) or not isinstance(found.get('scene'), dict):
                 raise ValueError('no record of a sweep')
             return found
         except (FileNotFoundError, NotADirectoryError):
             return None
-        except (OSError, ValueError, RecursionError) as problem:
+        except (OSError, ValueError) as problem:
             raise RecordingError(f'{file}: {one_line(problem)}; put it back as it was, or give '
                                  'another --out') from problem
 

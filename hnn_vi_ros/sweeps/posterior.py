@@ -4,17 +4,16 @@
 
 from collections.abc import Mapping
 from hashlib import sha256
-import json
 from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError, did_you_mean
-from hnn_vi_ros.files.regular_file import regular
+from hnn_vi_ros.files.limits import parse_json, read_limited
 from hnn_vi_ros.files.yaml_text import one_line
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-_LARGEST_FILE = 2**26
+_LARGEST_FILE = 2**25
 # Relative to the standard deviations: how far from symmetric and how negative rounding may make
 # a covariance.
 _ROUNDING = 1e-8
@@ -85,17 +84,15 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     """
     where = f'{place}: {path}'
     try:
-        raw = regular(path).read_bytes()
-        if len(raw) > _LARGEST_FILE:
-            raise DataError(f'{where} is larger than {_LARGEST_FILE} bytes; {_REMEDY}')
-        found = _File.model_validate(json.loads(raw))
+        raw = read_limited(path, _LARGEST_FILE)
+        found = _File.model_validate(parse_json(raw))
     except OSError as problem:
-        raise DataError(f'{where}: {one_line(problem)}') from problem
+        raise DataError(f'{where}: {problem.strerror or problem}; {_REMEDY}') from problem
     except ValidationError as problem:
         first = problem.errors()[0]
         key = '.'.join(map(str, first['loc']))
         raise DataError(f'{where}: {key}: {first["msg"]}; {_REMEDY}') from problem
-    except (ValueError, RecursionError) as problem:
+    except ValueError as problem:
         raise DataError(f'{where}: {one_line(problem)}; {_REMEDY}') from problem
     names, n = found.covariance.names, len(found.covariance.names)
     if any(len(row) != n for row in found.covariance.matrix) or len(
