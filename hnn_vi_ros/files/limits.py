@@ -106,6 +106,14 @@ def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
+def plain_number(text: str) -> float:
+    """Return a number that is written in decimals; NaN for all else, such as 1_5 for 15."""
+    try:
+        return math.nan if '_' in text else float(text)
+    except ValueError:
+        return math.nan
+
+
 def parse_json(text: bytes) -> Any:
     """
     Return what JSON holds.

@@ -9,7 +9,7 @@ import re
 from typing import Literal, Protocol
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.limits import sha256_of, text_lines
+from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.dataset import (
@@ -170,10 +170,7 @@ def _row(place: str, line: str, data: Columns, lacking: bool, first: bool) -> li
 
 
 def _number(place: str, index: int, field: str, name: str) -> float:
-    try:
-        value = float(field)
-    except ValueError:
-        value = np.nan
+    value = plain_number(field)
     if not abs(value) <= MAX_VALUE:
         remedy = 'write decimals with a point' if _COMMA.fullmatch(field) else \
             'name the columns in data.columns, and in data.comment how lines to skip begin'

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.limits import sha256_of, text_lines
+from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
+from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.definition import (
     AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, PosteriorChoice, RepeatsChoice,
     SobolChoice, ValuesChoice)
@@ -200,12 +201,10 @@ class FileAxis(Axis):
             raise DataError(f'{place}: {len(words)} values, expected {len(self.keys)}')
         row = []
         for key, word in zip(self.keys, words, strict=True):
-            try:
-                row.append(float(word))
-            except ValueError:
-                row.append(math.nan)
+            row.append(plain_number(word))
             if not math.isfinite(row[-1]):
-                raise DataError(f'{place}: {key}: {word.strip()[:40]!r} is no finite number')
+                raise DataError(f'{place}: {one_line(key)}: {word.strip()[:40]!r} is no finite '
+                                'number')
         return row
 
     def values(self, places: np.ndarray) -> list[Column]:

@@ -44,12 +44,12 @@ class Posterior(NamedTuple):
 
 
 class _Parameter(BaseModel):
-    model_config = ConfigDict(extra='ignore', strict=False, allow_inf_nan=False)
+    model_config = ConfigDict(extra='ignore', strict=True, allow_inf_nan=False)
     value: float
 
 
 class _Covariance(BaseModel):
-    model_config = ConfigDict(extra='forbid', allow_inf_nan=False)
+    model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False)
     names: list[str] = Field(min_length=1, max_length=1000)
     matrix: list[list[float]]
 
@@ -102,8 +102,9 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     wanted = {name: name for name in names} if keys is None else dict(keys)
     for name in wanted:
         if name not in names or name not in found.parameters:
-            raise DataError(f'{where}: no {name!r} among its parameters and its covariance'
-                            f'{did_you_mean(name, names)}; there are: {", ".join(names)}')
+            raise DataError(one_line(
+                f'{where}: no {name!r} among its parameters and its covariance'
+                f'{did_you_mean(name, names)}; there are: {", ".join(names)}'))
     chosen = [names.index(name) for name in wanted]
     covariance = np.array(found.covariance.matrix)[np.ix_(chosen, chosen)]
     return Posterior([*wanted.values()],

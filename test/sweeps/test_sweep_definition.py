@@ -76,6 +76,7 @@ def test_sweep_that_cannot_be_is_one_line(tmp_path, old, new, message):
     ('', 'no row of numbers'), ('hamiltonian.length\n', 'no row of numbers'),
     ('hamiltonian.length\n1,2\n', 'a.csv:2: 2 values, expected 1'),
     ('hamiltonian.length\n1\nnan\n', "a.csv:3: hamiltonian.length: 'nan' is no finite number"),
+    ('hamiltonian.length\n1_5\n', "a.csv:2: hamiltonian.length: '1_5' is no finite number"),
     ('hamiltonian.length\nx\n', "a.csv:2: hamiltonian.length: 'x' is no finite number"),
     ('hamiltonian.width\n1\n', "unknown key 'width'"),
     # A number names no code.
