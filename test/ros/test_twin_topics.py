@@ -102,7 +102,8 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
 
 ARM = """\
 hamiltonian: {{kind: double_pendulum}}
-effects: [{{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20.0}}]
+effects:
+- {{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20.0, velocity_limit: 20}}
 integrator: {{kind: implicit_midpoint}}
 step_size: 0.005
 initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
@@ -145,7 +146,7 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
                     other.states[-1].position, right.position)).max() < 0.2
             other.spin_until(is_back)
         other.spin_until(lambda: any(
-            (value.key == 'last ignored' and 'velocity_limit = 100' in value.value)
+            (value.key == 'last ignored' and 'velocity_limit = 20' in value.value)
             or 'from the simulated time' in value.value
             for message in told for status in message.status for value in status.values))
         process.send_signal(signal.SIGINT)
