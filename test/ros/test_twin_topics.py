@@ -103,7 +103,7 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
 ARM = """\
 hamiltonian: {{kind: double_pendulum}}
 effects:
-- {{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20.0, velocity_limit: 20}}
+- {{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20, velocity_limit: 20}}
 integrator: {{kind: implicit_midpoint}}
 step_size: 0.005
 initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
