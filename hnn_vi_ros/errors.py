@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import ClassVar, TYPE_CHECKING
+from typing import Any, ClassVar, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
@@ -29,6 +29,18 @@ def listed(names: Iterable[object]) -> str:
     return ', '.join(map(str, every[:_MOST_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
 
 
+def reduce_error(error: BaseException) -> tuple[Any, ...]:
+    """Let pickle call no constructor, whose arguments are not always the message alone."""
+    return _made_again, (type(error), error.args, vars(error))
+
+
+def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]
+                ) -> BaseException:
+    error = cls.__new__(cls, *args)
+    vars(error).update(state)
+    return error
+
+
 class HnnViRosError(Exception):
     """
     Base of every error that this package raises on purpose.
@@ -43,6 +55,7 @@ class HnnViRosError(Exception):
     """
 
     remedy: ClassVar[str] = ''
+    __reduce__ = reduce_error
 
     def __init__(self, message: str = ''):
         if len(message) > _LONGEST:

@@ -25,12 +25,12 @@ from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.remapped_topics import own_topics
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS, ReplaySettings
+from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy
@@ -38,7 +38,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_srvs.srv import SetBool, Trigger
 
 
-class ReplayNode(Node):
+class ReplayNode(RobustNode):
     """
     Publish a bag.
 

@@ -3,8 +3,10 @@
 """All that the next steps of a simulation depend on, as a file that a bag keeps."""
 
 from collections.abc import Mapping
+from io import BytesIO
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.limits import safetensors_header
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import safetensors
@@ -52,6 +54,8 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
     """
     own = simulation.snapshot()
     try:
+        # What claims a million arrays has none of them made.
+        safetensors_header(BytesIO(data))
         found = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as problem:
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged') from problem

@@ -86,6 +86,9 @@ def test_sweep_over_some_numbers_by_their_keys(tmp_path):
     ({'covariance': {'names': NAMES[:2], 'matrix': [[1.0, 2.0], [2.0, 1.0]]}},
      'is not positive semidefinite'),
     ({'covariance': {'names': NAMES[:1], 'matrix': [[float('nan')]]}}, 'covariance.matrix'),
+    ({'parameters': {'hamiltonian.mass': {'value': True}}}, 'should be a valid number'),
+    ({'covariance': {'names': NAMES[:1], 'matrix': [['1e-4']]}}, 'should be a valid number'),
+    ({'covariance': {'names': ['\x1b[31m'], 'matrix': [[1e-4]]}}, r'there are: \?\[31m'),
     ({'parameters': {}}, "no 'hamiltonian.mass' among its parameters")])
 def test_file_that_cannot_be_used_is_one_line(tmp_path, changed, message):
     with pytest.raises(DataError, match=message) as problem:
