@@ -105,7 +105,7 @@ def test_name_that_is_not_there_and_file_that_is_not_are_told(tmp_path):
     # Of which no more is read than shows that it is too large.
     with (tmp_path / 'huge.json').open('wb') as stream:
         stream.truncate(2**40)
-    with pytest.raises(DataError, match='huge.json is larger than 67108864 bytes'):
+    with pytest.raises(DataError, match='huge.json: larger than 32 MiB'):
         read_posterior(tmp_path / 'huge.json', 'sweep: vary.0')
     (tmp_path / 'bad.json').write_text('{')
     with pytest.raises(DataError, match='give what identify writes with --posterior'):
