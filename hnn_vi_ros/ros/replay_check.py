@@ -17,8 +17,9 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 
-# A relative change of the initial state that is far above round-off and far below the motion.
-_SHAKE = 2.0**-26
+# Relative changes of the initial state: one that is far above round-off and far below the motion,
+# and none. Added to -0.0, 0.0 would change it.
+_SHAKE, _NONE = 2.0**-26, -0.0
 # Rounding of one step, in units of the last place of the largest coordinate or momentum: an
 # implicit equation is solved to some of them, and a network sums up hundreds of terms.
 _PLACES = 64.0
@@ -125,7 +126,7 @@ def _missing(run: RecordedRun, begin: int) -> str:
     return text
 
 
-def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
+def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
     """Return a simulation of the bag's beginning, its first state changed by a small part."""
     simulation = build(run.scene)
     for name, value in simulation.hamiltonian.provenance.items():
@@ -134,7 +135,7 @@ def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
                 f'{run.reader.path}: was recorded with another model: its {name} is '
                 f'{run.described[name]}, that of the one found is {value}')
     q, p = simulation.q.copy(), simulation.p.copy()
-    change = shake * max(np.abs(q).max(), np.abs(p).max())
+    change = shake * _size(simulation)
     simulation.restart(q + change, p + change, step=run.first_step)
     if (state := run.held_state) is not None:
         restore_state(simulation, state, str(run.reader.path), change)
@@ -228,7 +229,7 @@ def _margin(run: RecordedRun) -> Margin:
     except ValueError:
         # A constraint does not let the state be moved; a growth is then not known.
         shaken = _simulation(run)
-    change = _SHAKE * max(np.abs(own.q).max(), np.abs(own.p).max())
+    change = _SHAKE * _size(own)
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
     growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
     for stamp, values in _simulated(run, own, shaken):
@@ -253,6 +254,11 @@ def _margin(run: RecordedRun) -> Margin:
             if difference and difference * worst.explained >= worst.difference * explained:
                 worst = found
     return worst
+
+
+def _size(simulation: Simulation) -> float:
+    """Return the largest coordinate or momentum, 1 where all are zero."""
+    return max(_largest(simulation.q), _largest(simulation.p)) or 1.0
 
 
 def _largest(values: np.ndarray) -> float:
