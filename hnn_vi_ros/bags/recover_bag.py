@@ -49,6 +49,8 @@ def _summary(recovery: Recovery) -> str:
     if recovery.described and not recovery.changed:
         done = 'whole already, metadata.yaml written'
     parts = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
+    if recovery.contradicted:
+        parts.append(f'{recovery.contradicted} indexes contradicted their messages')
     if recovery.incomplete:
         parts.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
     if recovery.lost:
@@ -63,8 +65,15 @@ def _losses(recovery: Recovery) -> list[str]:
     losses = []
     if recovery.damaged:
         losses.append(f'{recovery.damaged} damaged parts, {recovery.unread} bytes not understood')
+    if recovery.another is not None:
+        losses.append(f'a second file behind the first, from byte {recovery.another} on: cut it '
+                      f'out by `tail -c +{recovery.another + 1}`')
     if recovery.fewer:
         losses.append(f'{recovery.fewer} messages that had been counted')
+    if recovery.more:
+        losses.append(f'the count: {recovery.more} messages more than were counted')
+    if recovery.files:
+        losses.append(f'{recovery.files} attachments or metadata that had been counted')
     if recovery.gaps:
         first = recovery.gaps[0]
         losses.append(f'{sum(gap.count for gap in recovery.gaps)} stamps in {len(recovery.gaps)} '
