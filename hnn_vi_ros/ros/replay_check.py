@@ -3,6 +3,7 @@
 """Simulate a recorded run again, and compare it with its log bit by bit."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -112,15 +113,19 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
 
 
 def _missing(run: RecordedRun, begin: int) -> str:
-    """Return what is to be reported of samples that are not there to be compared; else empty."""
+    """Return what is to be reported of samples that are missing, or there twice; else empty."""
     text, stamps = '', [stamp for stamp, _, _ in run.samples()]
-    if run.own:
+    if repeated := [stamp for before, stamp in pairwise(stamps) if stamp == before]:
+        text = (f'; BUT {len(repeated)} samples are duplicates, the first at t = '
+                f'{repeated[0] * 1e-9:.9g} s')
+    if run.own and stamps:
         # Others may begin in the middle of a run; the simulator itself records all from here on.
         stamps.append(run.stamp_of(begin))
     if gaps := missing_stamps(stamps, run.spacing):
         first = gaps[0]
-        text = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
-                f'the first from t = {first.after * 1e-9:.9g} s to {first.before * 1e-9:.9g} s')
+        text += (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} '
+                 f'gaps, the first from t = {first.after * 1e-9:.9g} s to '
+                 f'{first.before * 1e-9:.9g} s')
     if run.reader.damage:
         text += f'; BUT {run.reader.damage}'
     return text
@@ -177,6 +182,9 @@ def _values(simulation: Simulation) -> dict[str, np.ndarray]:
 
 
 def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
+    if step < simulation.steps:
+        raise RecordingError(f'{run.reader.path}: holds what came at step {step}, before the '
+                             f'state that it begins at, of step {simulation.steps}')
     try:
         while (left := step - simulation.steps) > 0:
             simulation.advance(min(left, _BATCH))
@@ -196,8 +204,8 @@ def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Comm
 
 
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
-    """Return how many samples agree, and the first difference after them."""
-    count = 0
+    """Return how many samples agree, one of each stamp, and the first difference after them."""
+    count, newest = 0, None
     names, momenta = columns(simulation.hamiltonian.coordinates)
     for stamp, values in _simulated(run, simulation):
         own = _values(simulation)
@@ -210,7 +218,8 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
                 name = kind if kind in ('H', 'work') else (
                     f'{kind} of {(names if kind == "q" else momenta)[i]}')
                 return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
-        count += 1
+        # A duplicate counts once.
+        count, newest = count + (stamp != newest), stamp
     return count, None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-# In bags that do not begin at the initial state of the scene alone: with (q, p) alone, what a solver
+# In bags that do not begin at the initial state of their scene: with (q, p) alone, what a solver
 # remembers, the random numbers drawn and a command that is held would be lost.
 STATE_FILE = 'state.safetensors'
 
