@@ -4,11 +4,36 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+import re
 from typing import ClassVar, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
     import numpy as np
+
+
+# What a terminal obeys, C0, DEL and C1, by which it is led to write files or to hide what was
+# printed; and what shows as nothing, ends lines, or turns the direction of what is read.
+_CONTROL = re.compile('[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f'
+                      '\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]')
+
+
+def printable(text: str, keep: str = '') -> str:
+    """
+    Return a text as one line that any terminal shows: its control characters are escaped.
+
+    Names and texts of bags, scenes, models and other nodes may hold any.
+
+    Parameters
+    ----------
+    text : str
+        As it came.
+    keep : str, optional
+        Control characters that are left as they are.
+
+    """
+    return _CONTROL.sub(lambda found: found[0] if found[0] in keep else
+                        found[0].encode('unicode_escape').decode(), text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -19,7 +44,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 class HnnViRosError(Exception):
     """
-    Base of every error that this package raises on purpose.
+    Base of every error that this package raises on purpose; as a text it is one printable line.
 
     Attributes
     ----------
@@ -29,6 +54,9 @@ class HnnViRosError(Exception):
     """
 
     remedy: ClassVar[str] = ''
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class SceneError(HnnViRosError):

@@ -9,7 +9,7 @@ from hnn_vi_ros.bags import arguments
 from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.mcap_recovery import describe, recover, Recovery
 from hnn_vi_ros.command_line import called
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import printable, RecordingError
 
 
 def main(argv: list[str]) -> int:
@@ -25,7 +25,7 @@ def _recover(bag: Path, replace: bool) -> int:
         files = bag_files(bag)
         for path in [bag] if len(files) == 1 else files:
             recovery = recover(path, replace)
-            print(_summary(recovery), flush=True)
+            print(printable(_summary(recovery)), flush=True)
             status, changed = max(status, int(recovery.lost)), changed or recovery.changed
         if len(files) > 1 and (changed or not (bag / 'metadata.yaml').exists()):
             messages = describe(bag, files)
