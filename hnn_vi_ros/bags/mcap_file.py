@@ -3,7 +3,7 @@
 """The messages of an MCAP file, finished, cut off or damaged."""
 
 from array import array
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
 import struct
@@ -68,31 +68,25 @@ class McapFile(Source):
 
     def __init__(self, path: Path, name: Path, thorough: bool = False):
         super().__init__(path, name)
-        end = None
         with open_file(path, name) as stream:
+            end = self._begin(stream, None, thorough)
             # Where a chunk defines a channel otherwise than one before it, another file begins.
-            while (end := self._look(stream, end, thorough)) is not None:
-                pass
+            while end is not None:
+                end = self._begin(stream, end, thorough)
         self.pieces = sorted(self.pieces + self.survey.runs, key=lambda piece: piece.start)
-        self.held += self.survey.messages
-        statistics, indexed = self.survey.statistics, sum(self._indexed.values())
-        if statistics is not None:
-            self.counted = statistics.message_count
-        elif indexed > self.held:
-            self.counted = indexed
-        self._indexed.clear()
+        self._define()
+        self._count()
 
-    def _look(self, stream: BinaryIO, end: int | None, thorough: bool) -> int | None:
-        """Find what is in the file up to a place; return where another begins, None if none."""
+    def _begin(self, stream: BinaryIO, end: int | None, thorough: bool) -> int | None:
+        """Note what is in the file up to a place; return where another one begins before that."""
         self.survey: Survey = survey(stream, end)
         if not self.survey.is_mcap:
             stream.seek(0)
             refuse_pointer(stream.read(32), self.name, RecordingError)
             reason = 'it does not begin like one' if stream.seek(0, 2) else 'it is empty'
             raise RecordingError(f'{self.name}: no MCAP file: {reason}; give a bag or its file')
-        self.pieces, self.unread, self.incomplete, self.held = [], {}, 0, 0
-        another = [self.survey.another] if self.survey.another else []
-        for gap in self.survey.gaps + another:
+        self.pieces, self.unread, self.incomplete, self.held = [], {}, 0, self.survey.messages
+        for gap in [*self.survey.gaps, *filter(None, [self.survey.another])]:
             if gap.incomplete:
                 self.incomplete += gap.end - gap.start
             else:
@@ -101,34 +95,48 @@ class McapFile(Source):
         # How many records each chunk that was opened might hold then.
         self._most: dict[int, int] = {}
         self._numbers = set(self.survey.numbers)
-        self._defined, loose = Definitions(), loose_definitions(self.survey)
-        self._indexed = dict[int, int]()
+        # What chunks define, to which their checksums speak, and what stands outside of them.
+        self._defined, self._loose = Definitions(), loose_definitions(self.survey)
+        self._entries: dict[int, int] = {}
         self._read_indexes(stream, self.survey.stray)
-        chunks = set[tuple[ChunkHead, int]]()
-        for indexed in self.survey.chunks:
-            chunk = indexed.chunk
+        return self._note_chunks(stream, thorough)
+
+    def _note_chunks(self, stream: BinaryIO, thorough: bool) -> int | None:
+        """Note the chunks up to one that contradicts those before it; return its place."""
+        seen = set[tuple[ChunkHead | None, int]]()
+        for chunk, indexes in self.survey.chunks:
             head = chunk_head(read_content(stream, chunk._replace(
                 length=min(chunk.length, _HEAD))))
-            if head is not None and head.crc and (head, chunk.length) in chunks:
+            if head is not None and head.crc and (head, chunk.length) in seen:
                 # A copy of one before it.
                 self.unread[chunk.start] = chunk.length
                 continue
-            chunks.add((head, chunk.length))
-            entries = self._read_indexes(stream, indexed.indexes)
-            if thorough or not chunk.whole or not self._trust(
-                    chunk, head, entries, loose.channels.keys()):
+            seen.add((head, chunk.length))
+            entries = self._read_indexes(stream, indexes)
+            if thorough or not chunk.whole or not self._trust(chunk, head, entries):
                 self._open_chunk(stream, chunk)
             if self._defined.contradicted:
                 return chunk.start - PREFIX.size
-        # What has no checksum comes last.
-        self._defined.add(loose)
+        return None
+
+    def _define(self) -> None:
+        """Define the channels; what has no checksum comes last."""
+        self._defined.add(self._loose)
         if not self._numbers <= self._defined.channels.keys() and self.metadata(DEFINITIONS):
             for record in reversed(self.survey.metadata):
                 if record.name == 'rosbag2':
                     self._defined.add(Definitions(described_channels(
                         record.metadata, self.metadata(DEFINITIONS))))
         self.schemas, self.channels = self._defined.schemas, self._defined.channels
-        return None
+
+    def _count(self) -> None:
+        """Take the count of the summary; else that of the indexes, where they list more."""
+        listed = sum(self._entries.values())
+        self._entries.clear()
+        if self.survey.statistics is not None:
+            self.counted = self.survey.statistics.message_count
+        elif listed > self.held:
+            self.counted = listed
 
     def read(self, piece: Piece) -> Iterator[Message]:
         """See Source."""
@@ -193,19 +201,19 @@ class McapFile(Source):
         for frame in frames:
             content = read_content(stream, frame)
             entries = np.frombuffer(content, '<u8', offset=_ENTRIES).reshape(-1, 2)
-            self._indexed[hash(content)] = len(entries)
+            self._entries[hash(content)] = len(entries)
             found.append((_CHANNEL.unpack_from(content)[0], entries))
         return found
 
     def _trust(self, chunk: Frame, head: ChunkHead | None,
-               indexes: Sequence[tuple[int, np.ndarray]], loose: Collection[int]) -> bool:
+               indexes: Sequence[tuple[int, np.ndarray]]) -> bool:
         """Note a chunk without opening it, if it and its indexes agree and it defines nothing."""
         numbers = {number for number, _ in indexes}
         times, places = np.concatenate(
             [np.empty((0, 2), '<u8'), *(entries for _, entries in indexes)]).T
         # What a chunk defines comes before the first message of it.
         if head is None or not len(times) or places.min() != 0 or len(numbers) < len(indexes) \
-                or not numbers <= {*self._defined.channels, *loose} \
+                or not numbers <= {*self._defined.channels, *self._loose.channels} \
                 or (head.first, head.last) != (int(times.min()), int(times.max())):
             return False
         self._add_piece(

@@ -163,8 +163,8 @@ def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
     recovery.messages = sum(map(len, stamps.values()))
     recovery.first = min(map(min, stamps.values()), default=NEVER)
     recovery.last = max(map(max, stamps.values()), default=0)
-    recovery.contradicted = contradicted(stream, file.survey)
     finished = is_finished(stream, file, recovery.messages)
+    recovery.contradicted = 0 if finished else contradicted(stream, file.survey)
     recovery.altered = finished and not data_crc_holds(stream, file.survey)
     recovery.changed = not finished or recovery.altered
     recovery.incomplete = file.incomplete
