@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+import re
 from typing import Any, ClassVar, TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -14,6 +15,28 @@ if TYPE_CHECKING:
 # Names in a list; characters of a message, of a longer one from its begin and from its end.
 _MOST_LISTED = 20
 _LONGEST, _TAIL = 2000, 400
+# What a terminal obeys, C0, DEL and C1, by which it is led to write files or to hide what was
+# printed; and what shows as nothing, ends lines, or turns the direction of what is read.
+_CONTROL = re.compile('[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f'
+                      '\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]')
+
+
+def printable(text: str, keep: str = '') -> str:
+    """
+    Return a text as one line that any terminal shows: its control characters are escaped.
+
+    Names and texts of bags, scenes, models and other nodes may hold any.
+
+    Parameters
+    ----------
+    text : str
+        As it came.
+    keep : str, optional
+        Control characters that are left as they are.
+
+    """
+    return _CONTROL.sub(lambda found: found[0] if found[0] in keep else
+                        found[0].encode('unicode_escape').decode(), text)
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.7) -> str:
@@ -43,7 +66,7 @@ def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str
 
 class HnnViRosError(Exception):
     """
-    Base of every error that this package raises on purpose.
+    Base of every error that this package raises on purpose; as a text it is one printable line.
 
     A message of more than 2000 characters loses its middle: what it quotes may be of any length.
 
@@ -61,6 +84,9 @@ class HnnViRosError(Exception):
         if len(message) > _LONGEST:
             message = f'{message[:_LONGEST - _TAIL]} ... {message[-_TAIL:]}'
         super().__init__(message)
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class SceneError(HnnViRosError):

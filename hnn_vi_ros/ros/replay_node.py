@@ -10,7 +10,7 @@ import sys
 
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
@@ -250,7 +250,7 @@ def main(argv: list[str]) -> int:
         # Imported here: who only plays does not wait for the compiler.
         from hnn_vi_ros.ros.replay_check import check_replay
         verdict = check_replay(options.bag, options.trust_code)
-        print(verdict.text, flush=True)
+        print(printable(verdict.text), flush=True)
         return 0 if verdict.good else 1
     init_ros(argv)
     received = note_signals()

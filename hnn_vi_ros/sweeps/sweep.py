@@ -14,6 +14,7 @@ import warnings
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.files.standard_streams import rewrite_line
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
@@ -218,8 +219,10 @@ class _Progress:
         text = (f'{self._total - self._left + made} of {self._total} trajectories, '
                 f'{pace:.3g} a second, {(self._left - made) / pace:.0f} s left')
         self._shown = self._terminal
-        print(f'\r\x1b[K{text}' if self._terminal else text, end='' if self._terminal else '\n',
-              file=sys.stderr, flush=True)
+        if self._terminal:
+            rewrite_line(sys.stderr, text)
+        else:
+            print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Leave the line: what is printed next begins one of its own."""
