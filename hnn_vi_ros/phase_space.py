@@ -133,6 +133,8 @@ class Event:
 
 def coordinate_rates(turning: Sequence[int], q: np.ndarray, dH_dp: np.ndarray) -> np.ndarray:
     """Return q' of a state: H_p, and of a rotation q (omega, 0) / 2; see ``momentum_rates``."""
+    if not turning:
+        return dH_dp
     rates, start = [], 0
     for passed, column in enumerate(turning):
         (*vector, scalar), omega = q[column:column + 4], dH_dp[column - passed:][:3]

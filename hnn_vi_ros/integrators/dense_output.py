@@ -10,7 +10,8 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike
 
 _Value = float | np.ndarray
-_WHOLE = np.array([0.0, 1.0])
+# The ends of a step that is one part, in shares of it.
+WHOLE = np.array([0.0, 1.0])
 
 
 @inlined
@@ -77,7 +78,7 @@ class DenseOutput:
     """
 
     def __init__(self, order: int, coefficients: np.ndarray, momenta: int,
-                 ends: np.ndarray = _WHOLE, in_legendre: bool = False):
+                 ends: np.ndarray = WHOLE, in_legendre: bool = False):
         self.order, self._coefficients, self._momenta = order, coefficients, momenta
         self._ends, self._in_legendre = ends, in_legendre
 
@@ -96,11 +97,13 @@ class DenseOutput:
             q and p.
 
         """
-        theta = np.asarray(theta, dtype=np.float64)
-        part = np.clip(np.searchsorted(self._ends, theta, 'right') - 1, 0, self._ends.size - 2)
-        start, end = self._ends[part], self._ends[part + 1]
-        share, coefficients = ((theta - start) / (end - start))[..., None], \
-            self._coefficients[:, part]
+        share = np.asarray(theta, dtype=np.float64)
+        part: int | np.ndarray = 0
+        if self._ends is not WHOLE:
+            part = np.clip(np.searchsorted(self._ends, share, 'right') - 1, 0,
+                           self._ends.size - 2)
+            share = (share - self._ends[part]) / (self._ends[part + 1] - self._ends[part])
+        share, coefficients = share[..., None], self._coefficients[:, part]
         z: np.ndarray = (legendre.legval(2.0 * share - 1.0, coefficients, tensor=False)
                          if self._in_legendre else
                          polynomial.polyval(share, coefficients, tensor=False))
@@ -108,7 +111,7 @@ class DenseOutput:
 
 
 def hermite_output(h: float, momenta: int, z: np.ndarray, v: np.ndarray,
-                   a: np.ndarray | None = None, ends: np.ndarray = _WHOLE) -> DenseOutput:
+                   a: np.ndarray | None = None, ends: np.ndarray = WHOLE) -> DenseOutput:
     """
     Return Hermite polynomials of a step: quintic if second derivatives are given, else cubic.
 

@@ -7,7 +7,8 @@ from functools import cached_property
 from typing import NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import StoppedByEvent
-from hnn_vi_ros.integrators.dense_output import collocation_output, DenseOutput, hermite_output
+from hnn_vi_ros.integrators.dense_output import (
+    collocation_output, DenseOutput, hermite_output, WHOLE)
 from hnn_vi_ros.integrators.gauss import Gauss
 from hnn_vi_ros.phase_space import coordinate_rates, momentum_rates
 import numpy as np
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
 # From this many stages on the collocation polynomial is no worse than quintic Hermite's.
 _STAGES = 5
-# Where in a part of a step its polynomial is looked at, in shares of it, the last one left out.
-_PLACES = np.linspace(0.0, 1.0, 8, endpoint=False)
+# Where in a part of a step its polynomial is looked at, in shares of it.
+_PLACES = np.linspace(0.0, 1.0, 9)
 # Of a step, and roundings of a count of steps: what is nearer to a step's end is at its end, as
 # 0.3 / 0.1 is.
 _SHARE, _ROUNDINGS = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
@@ -89,12 +90,13 @@ class DenseStep:
     @cached_property
     def _knots(self) -> tuple[np.ndarray, list[_Look]]:
         """Return the shares of the step at which its parts begin and end, and the states there."""
+        if self._takes_state:
+            return WHOLE, [self._start, self._end]
         simulation, found = self._simulation, {0.0: self._start}
-        if not self._takes_state:
-            for time, q, p in simulation.own_states(self._before):
-                # Those at the clock stand at the ends.
-                if (share := time / simulation.step_size) < 1.0:
-                    found[share] = _Look(q, p, *simulation.hamiltonian.gradient(q, p))
+        for time, q, p in simulation.own_states(self._before):
+            # Those at the clock stand at the ends.
+            if (share := time / simulation.step_size) < 1.0:
+                found[share] = _Look(q, p, *simulation.hamiltonian.gradient(q, p))
         return np.array([*found, 1.0]), [*found.values(), self._end]
 
     @property
@@ -106,7 +108,9 @@ class DenseStep:
     def places(self) -> np.ndarray:
         """Return shares of the step, shape (k,), between which the path bends little."""
         ends, _ = self._knots
-        inside = ends[:-1, None] + np.diff(ends)[:, None] * _PLACES
+        if ends is WHOLE:
+            return _PLACES
+        inside = ends[:-1, None] + np.diff(ends)[:, None] * _PLACES[:-1]
         return np.append(inside.ravel(), 1.0)
 
     @cached_property
@@ -131,9 +135,8 @@ class DenseStep:
     def _bend(self, z: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return (q'', p'') = J H''(z) z'."""
         hamiltonian = self._simulation.hamiltonian
-        parts = [part.reshape(-1, hamiltonian.dimension)
-                 for pair in (z, v) for part in np.split(pair, 2)]
-        product_q, product_p = hamiltonian.hessian_vector(*parts)
+        (q, p), (v_q, v_p) = (pair.reshape(2, -1, hamiltonian.dimension) for pair in (z, v))
+        product_q, product_p = hamiltonian.hessian_vector(q, p, v_q, v_p)
         return np.concatenate([product_p.ravel(), -product_q.ravel()])
 
     def state(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
