@@ -7,7 +7,7 @@ from functools import cache
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import ENDLESS, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -130,7 +130,7 @@ def controlled(base_step: Callable) -> Callable:
             time, carry = plus(time, carry, own_step / density)
             copy_point(z1, at)
         if time < h:
-            return NO_CONVERGENCE, worst, gradients
+            return ENDLESS, worst, gradients
         kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
         forget(at_clock)
         outcome, residual, more = base_step(kernel, h - time, inner, at, z1, at_clock)

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.requirements import Requirements
@@ -249,7 +249,7 @@ def _transform(base_step: Callable) -> Callable:
             copy_point(after, at)
             at.q[n], at.p[n], at.q_carry[n], at.p_carry[n] = 0.0, 0.0, 0.0, 0.0
         if time < h:
-            return NO_CONVERGENCE, worst, gradients
+            return ENDLESS, worst, gradients
         seen = Point(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
                      after.dH_dq[:n], after.dH_dp[:n])
         kernel.gradient(kernel.parameters, seen.q, seen.p, seen.dH_dq, seen.dH_dp)

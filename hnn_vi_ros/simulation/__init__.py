@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
-    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
+    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS, step_failure)
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
@@ -136,7 +136,8 @@ class Simulation:
         self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
         self._evaluate_gradient()
         if not is_finite(self._z):
-            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
+            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0,
+                              'start elsewhere: H has no finite gradient there')
         self._update_gradient()
         self._energy0 = self.energy
 
@@ -348,8 +349,8 @@ class Simulation:
         try:
             yield own
         except StepFailure as failure:
-            raise StepFailure(failure.reason, begin * h, h, failure.relative_residual,
-                              failure.evaluations) from None
+            failure.h = h
+            raise failure.dated(begin * h) from None
         finally:
             if own is not None:
                 own.own_step[0] = 0.0
@@ -440,7 +441,7 @@ class Simulation:
         taken = self._rescue.take_step(
             self._active, self.step_size, z, z1, self._memories[self._active])
         if outcome == IN_DOUBT:
-            outcome = taken.outcome
+            outcome, residual = taken.outcome, taken.residual
             self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
                 doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
         self.gradients += taken.gradients
@@ -448,11 +449,11 @@ class Simulation:
         self.residual = self.residual if np.isnan(taken.residual) else taken.residual
         spent += taken.gradients
         if not taken.ok:
-            reason = self._system.reason(
-                taken.outcome if taken.outcome == NO_SOLUTION else outcome)
+            outcome = taken.outcome if taken.outcome == NO_SOLUTION else outcome
+            reason = self._system.reason(outcome)
             if taken.given_up:
                 reason += f', given up after {taken.given_up} gradients in sub-steps'
-            return StepFailure(reason, self.time, self.step_size, residual, spent)
+            return step_failure(outcome, self.time, self.step_size, residual, spent, reason)
         self.steps += 1
         self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
         return None
