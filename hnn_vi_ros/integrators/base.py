@@ -126,16 +126,9 @@ class Integrator(ABC):
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable
 
-    def check(self, hamiltonian: Hamiltonian) -> None:  # noqa: B027
-        """
-        Refuse a Hamiltonian for another reason than those of the requirements; see check_method.
-
-        Raises
-        ------
-        UnsupportedSystem
-            The method does not apply; the message says what would.
-
-        """
+    def refusal(self, hamiltonian: Hamiltonian) -> str:
+        """Return why it does not take a Hamiltonian, to follow its name, or ''; see Requirements."""
+        return self.requirements.refusal(hamiltonian)
 
     @property
     def kernel_name(self) -> str:
