@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from math import isnan
 import re
 from typing import Any, ClassVar, TYPE_CHECKING
 
@@ -168,6 +169,10 @@ class StateError(HnnViRosError, ValueError):
               'where constraints hold')
 
 
+# What can be done about most steps that fail.
+ADVICE = 'use a smaller step_size or another integrator'
+
+
 class StepFailure(HnnViRosError):
     """
     One step of the integrator failed; the state before it is the last good one.
@@ -175,16 +180,18 @@ class StepFailure(HnnViRosError):
     Parameters
     ----------
     reason : str
-        What went wrong: ``'no convergence'`` or ``'not finite'``.
+        What went wrong, such as ``'no convergence'`` or ``'not finite'``.
     t : float
         Simulated time at the start of the failed step [s].
     h : float
         Step size [s].
     relative_residual : float
-        Largest residual of the implicit equation, relative to the scale of its unknowns [1], at
-        the end of the first try; 0 for an explicit method, NaN before the first step.
+        Largest residual of the equation that was not solved, relative to the scale of its
+        unknowns [1], at the end of the first try; NaN where the step failed for another reason.
     evaluations : int
         Gradients and Hessian-vector products that were evaluated for the step, all tries together.
+    advice : str, optional
+        What can be done about it.
 
     """
 
@@ -193,17 +200,20 @@ class StepFailure(HnnViRosError):
               'of the training domain needs a better model or `confine: true`')
 
     def __init__(self, reason: str, t: float, h: float, relative_residual: float,
-                 evaluations: int):
+                 evaluations: int, advice: str = ADVICE):
         self.reason, self.t, self.h = reason, t, h
         self.relative_residual, self.evaluations = relative_residual, evaluations
+        self.advice = advice
+        residual = '' if isnan(relative_residual) else (
+            f', relative residual {relative_residual:.3g}')
         super().__init__(
-            f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s, relative residual '
-            f'{relative_residual:.3g} after {evaluations} evaluations of gradients and products '
-            'with second derivatives; use a smaller step_size or another integrator')
+            f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s{residual} after {evaluations} '
+            f'evaluations of gradients and products with second derivatives; {advice}')
 
     def dated(self, t: float) -> 'StepFailure':
         """Return the failure at another time [s], such as that of a stamp."""
-        return StepFailure(self.reason, t, self.h, self.relative_residual, self.evaluations)
+        return StepFailure(self.reason, t, self.h, self.relative_residual, self.evaluations,
+                           self.advice)
 
 
 class StoppedByEvent(HnnViRosError):
