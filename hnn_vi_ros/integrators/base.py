@@ -127,7 +127,7 @@ class Integrator(ABC):
     step: Callable
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Return why it does not take a Hamiltonian, to follow its name, or ''; see Requirements."""
+        """Return why it takes no such Hamiltonian, to follow its name, or ''; see Requirements."""
         return self.requirements.refusal(hamiltonian)
 
     @property
