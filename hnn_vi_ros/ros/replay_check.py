@@ -93,10 +93,12 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     begin = simulation.steps
     samples, difference = _first_difference(run, simulation)
     missing = _missing(run, begin)
+    if difference is None and not samples:
+        return Verdict(f'{run.reader.path}: holds no samples to compare{missing}', False)
     agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
         f'{samples} samples agree bit by bit, {where}'
     if difference is None:
-        return Verdict(f'{agreed}{missing}', bool(samples) and not missing)
+        return Verdict(f'{agreed}{missing}', not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf

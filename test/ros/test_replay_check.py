@@ -73,6 +73,12 @@ def test_driven_run_agrees_bit_by_bit_by_the_commands_in_its_bag(tmp_path, drive
     assert verdict.good and '100 samples agree bit by bit' in verdict.text, verdict.text
 
 
+def test_bag_without_samples_is_not_confirmed_and_says_why(tmp_path, driven):
+    verdict = check_replay(record_run(tmp_path / 'bag', driven, 0))
+    assert not verdict.good
+    assert verdict.text.endswith('bag_0.mcap: holds no samples to compare'), verdict.text
+
+
 @pytest.mark.parametrize('begin, samples', [(0, 100), (40, 90), (60, 85), (62, 85)])
 def test_bag_begun_while_a_command_is_held_agrees_bit_by_bit(tmp_path, driven, begin, samples):
     # At step 60 the one of step 58 is held until step 78; solver and bath have a history. At
