@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from hnn_vi_ros.effects.commands import Reference
-from hnn_vi_ros.errors import listed
+from hnn_vi_ros.errors import listed, reduce_error
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
 from hnn_vi_ros.kernels.kernel import (
@@ -120,6 +120,8 @@ class EffectError(ValueError):
     def __init__(self, index: int, message: str):
         super().__init__(message)
         self.index = index
+
+    __reduce__ = reduce_error
 
 
 class Effect(ABC):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.points import add_along, distance, separation
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, REDUNDANT, Step
+from hnn_vi_ros.integrators.base import Integrator, NOT_HELD, OK, Point, REDUNDANT, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
@@ -310,7 +310,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
             outcome = _solve(constraints, constraints.new, 0.5 * h)
             if outcome != OK:
                 break
-            outcome = NO_CONVERGENCE
+            outcome = NOT_HELD
             if not error < np.inf:
                 break
             if error <= _EPS or (error >= previous and error <= _ROUNDING * _EPS):
@@ -389,8 +389,8 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
     Returns
     -------
     int
-        OK; REDUNDANT, and the row is noted, if one row depends on earlier ones; else
-        NO_CONVERGENCE, if a step is too long, or not finite.
+        OK; REDUNDANT, and the row is noted, if one row depends on earlier ones; else NOT_HELD,
+        if a step is too long, or not finite.
 
     """
     matrix, count = constraints.matrix, constraints.defect.size
@@ -404,7 +404,7 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
     if row < 0:
         return OK
     if not abs(matrix[row, row]) <= DEPENDENT * constraints.scale[row]:
-        return NO_CONVERGENCE
+        return NOT_HELD
     constraints.dependent[0] = row
     return REDUNDANT
 

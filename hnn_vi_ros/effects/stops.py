@@ -17,7 +17,7 @@ from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, s
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.base import Integrator, NO_IMPACT, OK, Point, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
@@ -246,7 +246,7 @@ def stop(step: Step, high: bool) -> Step:
                     done, resting = _meet(
                         kernel, z1, stops, work, met, done, resting, ends, rest, h, rounding)
             if np.isnan(done) or impacts > MOST_IMPACTS:
-                outcome = NO_CONVERGENCE
+                outcome = NO_IMPACT
             if outcome != OK:
                 _undo(state, stops.kept, 2, first)
                 return outcome, residual, total
@@ -292,7 +292,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 again = _push(kernel, wanted, z1, stops, state.resting[effect], work, tries)
                 tries += 1
                 if tries > _PUSHES * (stops.columns.size + 1):
-                    outcome = NO_CONVERGENCE
+                    outcome = NO_IMPACT
                     break
             if not again:
                 if at == stops.columns.size:
@@ -304,7 +304,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                     stops, state.resting[effect], z1, work.rates, have, until, met, at, h,
                     rounding, high)
                 if action == LOST:
-                    outcome = NO_CONVERGENCE
+                    outcome = NO_IMPACT
                     break
                 if action == FREE and (wanted == have or not wanted > 0.0):
                     break

@@ -10,7 +10,10 @@ from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, 
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import MOMENTUM
 from hnn_vi_ros.errors import DataError, listed, RecordingError
+from hnn_vi_ros.run.held_state import STATE_FILE
 import numpy as np
+import safetensors
+import safetensors.numpy
 
 if TYPE_CHECKING:
     from mcap.records import Channel
@@ -81,6 +84,15 @@ class SignalReader:
     def digest(self) -> str:
         """Return the SHA-256 of the bag's files."""
         return self._reader.digest()
+
+    @property
+    def commanded_before(self) -> bool:
+        """Return whether a simulator held a command when it began the bag, which lacks that."""
+        try:
+            state = safetensors.numpy.load(self._reader.attachment(STATE_FILE))
+        except (RecordingError, safetensors.SafetensorError, ValueError, KeyError):
+            return False
+        return 'live.command' in state and bool(state['live.command'].any())
 
     def type_of(self, topic: str) -> str:
         """Return the type of a topic; DataError if the bag does not hold it."""

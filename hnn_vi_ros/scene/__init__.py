@@ -267,9 +267,6 @@ class Scene(StrictModel):
                 raise SceneError(
                     f'{self.place("initial_state", key)}: {len(values)} values, expected '
                     f'{len(own)}, one for each coordinate: {listed(own)}')
-        if self.events and len(names) != len(momenta):
-            raise SceneError(f'{self.place("events")}: no states inside of a step of rotations '
-                             'are known, at which an event could come; leave events out')
         if self.mechanism and (self.mechanism in TURNING) != (len(names) != len(momenta)):
             raise SceneError(
                 f'{self.place("mechanism")}: {self.mechanism} draws '

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene compiled into one kernel that advances the state by whole steps."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import math
 from operator import itemgetter
 import time
 from typing import Any, NoReturn
@@ -10,11 +12,11 @@ import warnings
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.commands import Command, NUMBERS
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
-    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
+    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS, step_failure)
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
@@ -134,7 +136,8 @@ class Simulation:
         self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
         self._evaluate_gradient()
         if not is_finite(self._z):
-            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
+            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0,
+                              'start elsewhere: H has no finite gradient there')
         self._update_gradient()
         self._energy0 = self.energy
 
@@ -282,17 +285,75 @@ class Simulation:
             A step did not converge or is not finite.
 
         """
-        h, now = self.step_size, self.snapshot()
-        counts = (self.gradients, self.rescued, self.several_solutions, self.residual,
-                  self.costliest)
         # Steps of another length are no guide to the start of this one's equations.
-        self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
-                      for name, value in snapshot.items()})
-        self.step_size = step_size
-        try:
+        with self._elsewhere({name: np.zeros_like(value) if name.endswith('.count') else value
+                              for name, value in snapshot.items()}):
+            self.step_size = step_size
             self.advance(steps)
             return self.q.copy(), self.p.copy()
+
+    def clock_trial(self, snapshot: dict[str, np.ndarray], elapsed: float
+                    ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at a time after a snapshot [s], of a method whose steps are its own.
+
+        Those are of the same length as in a whole step of the clock, whatever the time.
+        """
+        with self._elsewhere(snapshot) as own:
+            own.own_step[0], self.step_size = self.step_size, elapsed
+            self.advance(1)
+            return self.q.copy(), self.p.copy()
+
+    def own_states(self, snapshot: dict[str, np.ndarray]
+                   ) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """
+        Return the states in which a method's own steps end within a step of the clock.
+
+        Parameters
+        ----------
+        snapshot : dict
+            Of this simulation, at the start of the step.
+
+        Returns
+        -------
+        list of (float, np.ndarray, np.ndarray)
+            Time after the snapshot [s], q and p of shape (d,).
+
+        """
+        found: list[tuple[float, np.ndarray, np.ndarray]] = []
+        h, elapsed = self.step_size, 0.0
+        with self._elsewhere(snapshot) as own:
+            ahead, n = own.kept, self._z.q.size
+            own.own_step[0] = h
+            while True:
+                lead = float(ahead.clock[1]) if ahead.count[0] else 0.0
+                end = elapsed + lead
+                if end >= h:
+                    return found
+                if end > 0.0:
+                    found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
+                # The shortest step of the clock for which one of the method's own is taken.
+                self.step_size = math.nextafter(lead, math.inf)
+                self.advance(1)
+                elapsed += self.step_size
+
+    @contextmanager
+    def _elsewhere(self, snapshot: dict[str, np.ndarray]) -> Iterator[Any]:
+        """Go to a snapshot, and back at the end; lend the workspace of steps that are its own."""
+        h, now, begin = self.step_size, self.snapshot(), int(snapshot['steps'])
+        counts = (self.gradients, self.rescued, self.several_solutions, self.residual,
+                  self.costliest)
+        own = next((workspace for workspace in self._memories[int(snapshot['way'])]
+                    if hasattr(workspace, 'own_step')), None)
+        self.restore(snapshot)
+        try:
+            yield own
+        except StepFailure as failure:
+            failure.h = h
+            raise failure.dated(begin * h) from None
         finally:
+            if own is not None:
+                own.own_step[0] = 0.0
             self.step_size = h
             self.restore(now)
             (self.gradients, self.rescued, self.several_solutions, self.residual,
@@ -312,11 +373,9 @@ class Simulation:
 
     def dense_step(self) -> DenseStep:
         """Take one step, and return it with the states inside of it, or raise StepFailure."""
-        if self.hamiltonian.rotations:
-            raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
-                                    'events out, and ask for times that are whole steps')
         return DenseStep(self, self._system.integrator is self.integrator
-                         and self._kernel.channels == 0, lambda: self._system.cuts)
+                         and self._kernel.channels == 0 and not self.hamiltonian.rotations,
+                         lambda: self._system.cuts)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -382,7 +441,7 @@ class Simulation:
         taken = self._rescue.take_step(
             self._active, self.step_size, z, z1, self._memories[self._active])
         if outcome == IN_DOUBT:
-            outcome = taken.outcome
+            outcome, residual = taken.outcome, taken.residual
             self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
                 doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
         self.gradients += taken.gradients
@@ -390,11 +449,11 @@ class Simulation:
         self.residual = self.residual if np.isnan(taken.residual) else taken.residual
         spent += taken.gradients
         if not taken.ok:
-            reason = self._system.reason(
-                taken.outcome if taken.outcome == NO_SOLUTION else outcome)
+            outcome = taken.outcome if taken.outcome == NO_SOLUTION else outcome
+            reason = self._system.reason(outcome)
             if taken.given_up:
                 reason += f', given up after {taken.given_up} gradients in sub-steps'
-            return StepFailure(reason, self.time, self.step_size, residual, spent)
+            return step_failure(outcome, self.time, self.step_size, residual, spent, reason)
         self.steps += 1
         self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
         return None
