@@ -4,16 +4,54 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache
+import math
+from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, StepEffect
-from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION
-from hnn_vi_ros.effects.observations import (
-    check_observed, flow, ObserverParameters, prepare)
+from hnn_vi_ros.effects.commands import Command, Commanded, Observation, OBSERVATION
 from hnn_vi_ros.effects.splitting import strang
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.integrators.base import Integrator, Step
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+_MOST_PREDICTIONS = 40
+# The largest position of a joint, and velocity; far beyond, numbers overflow.
+_LARGEST = 1e9
+# Two observations closer in time than this are the same one [s].
+_LEAST = 1e-9
+
+
+class ObserverParameters(NamedTuple):
+    """
+    Parameters of the compiled flow of an observer of n coordinates.
+
+    Parameters
+    ----------
+    columns : np.ndarray of int64, shape (n,)
+        Columns of the observed coordinates.
+    gain, damping, velocity_limit : float
+        k, lambda and V; see Observer.
+    reach : float
+        The largest q - y from which the simulation is pulled [m], [rad].
+    knots : np.ndarray, shape (m, 1 + 3 d)
+        Knots of Reference. The last row, behind those of a path, belongs to the observer: the
+        time at which the observation expires, the time at which it was made [s], n positions and
+        n velocities.
+    clock : np.ndarray
+        See EffectState.
+
+    """
+
+    columns: np.ndarray
+    gain: float
+    damping: float
+    velocity_limit: float
+    reach: float
+    knots: np.ndarray
+    clock: np.ndarray
 
 
 class Observer(StepEffect, Commanded):
@@ -29,7 +67,7 @@ class Observer(StepEffect, Commanded):
     Parameters
     ----------
     coordinates : list of str
-        What is observed.
+        The observed coordinates.
     gain : float
         k >= 0 [N/m], [N m/rad]; 0 observes and compares, and leaves the simulation alone.
     damping : float
@@ -37,16 +75,17 @@ class Observer(StepEffect, Commanded):
     timeout : float
         How long an observation holds, and how old one may be, > 0 [s].
     deviations : list of float, optional
-        Standard deviations, the units of errors [m], [rad]; by default of what was observed.
+        Standard deviations, the units of errors [m], [rad]; estimated from the observations by
+        default.
     predictions : int
         From 1 to 40; one begins every 2 s / this.
     velocity_limit : float
-        V > 0, that of the machine [m/s], [rad/s]; faster observations are ignored.
+        V > 0, the velocity limit of the machine [m/s], [rad/s]; faster observations are ignored.
 
     Raises
     ------
     ValueError
-        A parameter out of its range, no coordinate, or one named twice.
+        A parameter is out of its range, or there is no coordinate, or one is named twice.
 
     References
     ----------
@@ -60,7 +99,7 @@ class Observer(StepEffect, Commanded):
                  timeout: float = 0.5, deviations: list[float] | None = None,
                  predictions: int = 4, velocity_limit: float = 100.0):
         check_positive(timeout=timeout, velocity_limit=velocity_limit)
-        check_observed(coordinates, deviations, predictions, gain=gain, damping=damping)
+        _check(coordinates, deviations, predictions, gain=gain, damping=damping)
         self.names, self.gain, self.damping = coordinates, float(gain), float(damping)
         self.timeout, self.velocity_limit = float(timeout), float(velocity_limit)
 
@@ -70,19 +109,140 @@ class Observer(StepEffect, Commanded):
         return own.from_state and integrator.order <= 2 and super().accepts(integrator)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ObserverParameters:
-        """Return the places, the gains, and what is observed."""
-        places = np.array([coordinate_index(coordinates, name) for name in self.names])
+        """Return the columns, the gains, and the row of the observation."""
+        columns = np.array([coordinate_index(coordinates, name) for name in self.names])
         reach = self.velocity_limit / max(self.damping, 1.0 / self.timeout)
-        return ObserverParameters(places, self.gain, self.damping, self.velocity_limit, reach,
+        return ObserverParameters(columns, self.gain, self.damping, self.velocity_limit, reach,
                                   state.reference.knots, state.clock)
 
     def prepare(self, command: Command, parameters: ObserverParameters, q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return what sets an observation; see Commanded."""
-        return prepare(command, parameters, self.names, self.timeout, q)
+        """Return a function that puts an observation into effect; see Commanded."""
+        assert isinstance(command, Observation)
+        position, velocity = select(command, self.names)
+        now, row = parameters.clock[0], parameters.knots[-1]
+        seen = now + command.delay
+        if not abs(command.delay) <= self.timeout:
+            raise ValueError(
+                f'observed {command.delay:.3g} s from the simulated time, at most '
+                f'{self.timeout:g} s are taken; stamp by simulated time, or by zero for now')
+        # An observation that was stamped ahead of time gives way to a present one.
+        if row[0] > 0.0 and row[1] <= now and seen < row[1] - _LEAST:
+            raise ValueError(
+                f'observed {row[1] - seen:.3g} s before the last observation: it is late')
+        _check_reached(position, velocity, seen, parameters, self.names, self.timeout, q)
+
+        def put() -> None:
+            row[:2] = seen + self.timeout, seen
+            row[2:2 + 2 * len(position)] = *position, *np.nan_to_num(velocity)
+        return put
 
     @staticmethod
     @cache
     def wrap(step: Step, keeps_gradient: bool) -> Step:
         """Return the step between two half flows; see StepEffect."""
-        return strang(flow, step, keeps_gradient)
+        return strang(_flow, step, keeps_gradient)
+
+
+def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return positions and velocities of named joints, shape (n,); unobserved velocities are NaN.
+
+    Raises
+    ------
+    ValueError
+        A joint is missing or there twice, or a number is not finite.
+
+    """
+    given = list(command.names)
+    for name in names:
+        if given.count(name) != 1:
+            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it '
+                             f'once; observed are {listed(names)}')
+    rows = [given.index(name) for name in names]
+    position, velocity = command.position[rows], command.velocity[rows]
+    if not (np.abs(position) <= _LARGEST).all() or (np.abs(velocity) > _LARGEST).any():
+        raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
+                         f'is beyond {_LARGEST:g}')
+    return position, velocity
+
+
+def largest_gain(mass: float, damping: float, h: float) -> float:
+    """
+    Return the largest gain for which the splitting of an observer is stable at a step size.
+
+    Half a flow, the flight of a free mass m and another half map (q - y, p) with the determinant
+    exp(-lambda h); both eigenvalues are at most 1 in size up to k = (2 m lambda / h)
+    coth(lambda h / 2), which is 4 m / h^2 without damping.
+
+    Parameters
+    ----------
+    mass : float
+        m [kg], [kg m2].
+    damping : float
+        lambda [1/s].
+    h : float
+        Step size [s].
+
+    """
+    half = 0.5 * damping * h
+    return 4.0 * mass / h**2 * (half / math.tanh(half) if half > 0.0 else 1.0)
+
+
+def _check(names: Sequence[str], deviations: Sequence[float] | None, predictions: int,
+           **gains: float) -> None:
+    if not 1 <= predictions <= _MOST_PREDICTIONS:
+        raise ValueError(f'predictions = {predictions} must be from 1 to {_MOST_PREDICTIONS}')
+    for gain, value in gains.items():
+        if not (np.isfinite(value) and value >= 0.0):
+            raise ValueError(f'{gain} = {value} must be at least 0 and finite')
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f'coordinates = {names} must name at least one, each once')
+    if deviations is not None and (len(deviations) != len(names) or not all(
+            np.isfinite(one) and one > 0.0 for one in deviations)):
+        raise ValueError(f'deviations = {deviations} must be positive and finite, one for each of '
+                         f'{listed(names)}')
+
+
+def _check_reached(position: np.ndarray, velocity: np.ndarray, seen: float,
+                   own: ObserverParameters, names: Sequence[str], timeout: float, q: np.ndarray
+                   ) -> None:
+    """
+    Raise ValueError for an observation that the velocity limit of the machine rules out.
+
+    The machine can be where it gets to from its last observation, or from the position to which
+    the simulation is drawn: a wrong observation that looked right must not make the next right
+    one look wrong. Before the first observation it can be as far away as it gets in the time-out.
+    """
+    limit, row, n = own.velocity_limit, own.knots[-1], len(names)
+    beyond = np.abs(position - q[own.columns]) - (own.reach if row[0] > 0.0 else limit * timeout)
+    if row[0] > 0.0:
+        beyond = np.minimum(beyond, np.abs(position - row[2:2 + n]) - limit * abs(seen - row[1]))
+    for name, rate, excess in zip(names, np.abs(velocity), beyond, strict=True):
+        # An unknown velocity is NaN and passes.
+        if rate > limit or excess > 0.0:
+            what = f'moves by {rate:.4g} per second' if rate > limit else \
+                f'is {excess:.4g} beyond where the machine can be'
+            raise ValueError(f'joint {name!r} {what}, by velocity_limit = {limit:g}; raise it if '
+                             'the machine is faster')
+
+
+@inlined
+def _flow(own: ObserverParameters, h: float, q: np.ndarray, p: np.ndarray, p_carry: np.ndarray
+          ) -> None:
+    # Half a step from either end is the same instant: the splitting stays symmetric.
+    t, row = own.clock[0] + h, own.knots[own.knots.shape[0] - 1]
+    n, decay = own.columns.size, math.expm1(-own.damping * h)
+    # The integral of exp(-lambda t) over h: both act together.
+    pull = own.gain * (-decay / own.damping if own.damping > 0.0 else h)
+    if t > row[0] or own.gain + own.damping == 0.0:
+        return
+    lost = False
+    for k in range(n):
+        away = q[own.columns[k]] - row[2 + k] - (t - row[1]) * row[2 + n + k]
+        lost = lost or abs(away) > own.reach
+    for k in range(n):
+        i = own.columns[k]
+        away = q[i] - row[2 + k] - (t - row[1]) * row[2 + n + k]
+        p[i] = 0.0 if lost else p[i] - pull * away
+        q[i] -= away if lost else -decay * away

@@ -4,8 +4,7 @@
 
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.effects.observations import largest_gain
-from hnn_vi_ros.effects.observer import Observer
+from hnn_vi_ros.effects.observer import largest_gain, Observer
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
