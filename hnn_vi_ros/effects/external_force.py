@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
-    Command, Commanded, EFFORT, JointCommand, LARGEST, NUMBERS, indices_of)
+    Command, Commanded, EFFORT, indices_of, JointCommand, LARGEST, NUMBERS)
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate

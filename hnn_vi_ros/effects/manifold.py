@@ -58,8 +58,9 @@ class Manifold:
         self._names = [name for _, _, name in ordered]
         self._kernel, self._d = kernel, kernel.dimension - kernel.channels
         if len(self._listed) > self._d:
-            raise EffectError(self._indices[-1], f'{len(self._listed)} constraints leave {self._d} '
-                                                'coordinates no freedom; leave some out')
+            raise EffectError(
+                self._indices[-1], f'{len(self._listed)} constraints leave {self._d} coordinates '
+                                   'no freedom; leave some out')
         functions = tuple(part.function for part in self._listed if part.function is not None)
         for function, index in zip(functions, self._indices[-len(functions):], strict=False):
             if kernel.compiled:

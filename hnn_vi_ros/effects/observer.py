@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, StepEffect
-from hnn_vi_ros.effects.commands import Command, Commanded, Observation, OBSERVATION
+from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION, Observation
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.parameters import check_positive
