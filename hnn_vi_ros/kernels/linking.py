@@ -12,9 +12,11 @@ This is the one file that uses numba's compiler passes, code libraries and cache
 """
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from hashlib import sha256
 from pathlib import Path
 import pickle
+from threading import current_thread, main_thread, Thread
 from typing import Any
 import warnings
 
@@ -356,13 +358,38 @@ def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:
         return True
 
 
+def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
+    """
+    Have a function compiled in a thread of its own wherever the main thread wants it.
+
+    Signals are handled by the main thread alone, between instructions of Python. Of those the
+    first, after seconds of optimising, may be one of llvmlite's that swallows KeyboardInterrupt.
+    """
+    compile_ = dispatcher.compile
+
+    def compile_aside(signature: Any) -> Any:
+        if current_thread() is not main_thread():
+            return compile_(signature)
+        found: Future[Any] = Future()
+
+        def run() -> None:
+            try:
+                found.set_result(compile_(signature))
+            except BaseException as problem:
+                found.set_exception(problem)
+        Thread(target=run).start()
+        return found.result()
+    dispatcher.compile = compile_aside
+    return dispatcher
+
+
 def keep(dispatcher: CPUDispatcher, kind: type[_LoopCache] = _Cache) -> CPUDispatcher:
     """Have a function of this package found again on disk while its sources stay as they are."""
     try:
         dispatcher._cache = kind(dispatcher.py_func)
     except RuntimeError:
         _warn_of_lost('the package or a folder of caches', 'neither can be written')
-    return dispatcher
+    return aside(dispatcher)
 
 
 def keep_loop(dispatcher: CPUDispatcher) -> CPUDispatcher:
