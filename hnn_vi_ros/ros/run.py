@@ -186,7 +186,7 @@ class Run:
         simulation, every = self.simulation, self.sampler.every
         n = int(min(self._batch, every - simulation.steps % every, most))
         try:
-            seconds = self._monitor.advance(n)
+            taken, seconds = self._monitor.advance(n, LONGEST_CALL)
         except StoppedByEvent as stop:
             self._events.hand_out(self.sampler, self.recording)
             self._stop(0, f'stopped by the event {stop.event.when}')
@@ -207,7 +207,7 @@ class Run:
             self._hand_out()
             if simulation.steps >= self._last_step:
                 self._stop(0, self.sampler.end)
-        return n
+        return taken
 
     def _hand_out(self) -> None:
         """Publish, record and show a sample; the log gets the very bytes that are published."""

@@ -144,7 +144,7 @@ class Rescue:
         for attempt in method.attempts(z.q.size)[1:]:
             loop = self._loop(advance, active, method, attempt)
             outcome, _, gradients, residual, *_ = loop(
-                h, 0, 1, z, z1, memory, *np.empty((2, 1, z.q.size)))
+                h, 0, 1, z, z1, memory, *np.empty((2, 1, z.q.size)), 1)
             spent += gradients
             if outcome in (OK, NO_SOLUTION):
                 break
