@@ -25,6 +25,10 @@ _SAME, _FIRST = 1e-8, itemgetter(0)
 _STRETCH, _GROWTH = 0.02, 16.0
 
 
+class RescuePending(Exception):
+    """Refusal of a step that fails while what takes such steps is still being compiled."""
+
+
 class Stepping(ABC):
     """
     Steps of a state by the method of a system, and what they cost; see Simulation.
@@ -38,11 +42,18 @@ class Stepping(ABC):
     on_failure : str
         See Rescue.
 
+    Attributes
+    ----------
+    rescue_ready : bool
+        Whether a step that fails compiles what it needs where that is not there yet. Set to False
+        by who has ``compile_rescue`` run in another thread, which sets it to True at its end: such
+        a step raises RescuePending meanwhile, and all is as before the step.
+
     """
 
     def __init__(self, system: System, step_size: float, on_failure: str):
         self._system, self._kernel, self.step_size = system, system.kernel, step_size
-        self._rescue = Rescue(system, on_failure)
+        self._rescue, self.rescue_ready = Rescue(system, on_failure), True
         # By the method that is active: what may never be needed is not compiled before it is.
         self._loops = {0: self._loop(0)}
         # Steps at a stretch.
@@ -88,6 +99,20 @@ class Stepping(ABC):
         self._take(0, *np.empty((2, 0, self._z.q.size)))
         return time.perf_counter() - start
 
+    def compile_rescue(self) -> None:
+        """Compile all that may take a step that fails, now; another thread may take steps."""
+        try:
+            n = self._z.q.size
+            for active, memory in enumerate(self._rescue.memories(n)):
+                if active not in self._loops:
+                    self._loops[active] = self._loop(active)
+                self._loops[active].compile(
+                    self.step_size, 0, 1, Point.empty(n), Point.empty(n), memory,
+                    *np.empty((2, 1, n)), 1)
+            self._rescue.compile(self.step_size, n)
+        finally:
+            self.rescue_ready = True
+
     def _loop(self, active: int, whole: bool | None = None) -> Loop:
         return Loop(advance, self._kernel, self._rescue.methods[active], whole=whole)
 
@@ -114,9 +139,13 @@ class Stepping(ABC):
     def _take(self, every: int, q_out: np.ndarray, p_out: np.ndarray, until: float = math.inf
               ) -> None:
         """Take the steps to the last sample, or to that in which the time comes, or raise."""
+        before = None if self.rescue_ready else (self.snapshot(), self._costs())
         done, changed, failure, last = 0, -1, None, len(q_out) * every
         while True:
             outcome, done, residual, spent = self._run(done, last, every, q_out, p_out)
+            if outcome != OK and before is not None and not self.rescue_ready:
+                self._go_back(*before, done)
+                raise RescuePending
             if outcome == BEYOND and (self._active == 0 or done > changed):
                 self._change_method()
                 changed = done
@@ -156,6 +185,12 @@ class Stepping(ABC):
         """Return what steps have cost, by its attribute."""
         return {name: getattr(self, name) for name in (
             'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
+
+    def _go_back(self, snapshot: dict[str, np.ndarray], costs: dict[str, Any], done: int) -> None:
+        """Go to where the steps that were done end: what one that failed has left is gone."""
+        self.restore(snapshot)
+        vars(self).update(costs)
+        self._take(done, *np.empty((2, 1, self._z.q.size)))
 
     def _change_method(self) -> None:
         """Go on by the other method, from a state like an initial one."""
