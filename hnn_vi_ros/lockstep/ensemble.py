@@ -98,7 +98,7 @@ class LockstepEnsemble:
             raise UnsupportedSystem(
                 f'{", ".join(labels)}: trajectories step on a device without effects; leave '
                 'device out, or the effects')
-        self._step = step_of(integrator)
+        self._step = step_of(integrator, hamiltonian)
         assert isinstance(integrator, ImplicitIntegrator), 'only such have a step here'
         self._hamiltonian, self._integrator, self._h = hamiltonian, integrator, step_size
         self._on_failure, self._alone = on_failure, None

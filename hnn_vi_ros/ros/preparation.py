@@ -111,7 +111,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
 
     begin('loading the scene')
     factor = settings.real_time_factor
-    scene, step, origin = _load(settings)
+    scene, step, origin, damage = _load(settings)
     begin('selecting the integrator')
     scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
@@ -129,6 +129,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     if step:
         log_lines.append(
             LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
+    if damage:
+        log_lines.append(LogLine(damage, 'WARN'))
     sampler.count(settings.duration)
     check_pace(factor, sampler.tick)
     begin('looking ahead')
@@ -157,20 +159,20 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
                     twin)
 
 
-def _load(settings: Settings) -> tuple[Scene, int, int]:
-    """Return the scene, and the step and the stamp of step 0 [ns] from which it goes on."""
+def _load(settings: Settings) -> tuple[Scene, int, int, str]:
+    """Return the scene, the step and the stamp of step 0 [ns] to go on from, damage of its log."""
     overrides = {name: value for name, value in (
         ('step_size', settings.step_size), ('integrator', settings.integrator)) if value}
     if not settings.resume:
         return load_scene(settings.scene).with_overrides(
-            overrides.get('step_size'), overrides.get('integrator')), 0, 0
+            overrides.get('step_size'), overrides.get('integrator')), 0, 0, ''
     if overrides:
         raise ParameterError(f'parameter {next(iter(overrides))}: cannot be changed in a run that '
                              'is resumed; leave it out, or leave out resume')
     # Imported here: it reads bags, which few runs begin with.
     from hnn_vi_ros.ros.recorded_run import resume
     found = resume(settings.resume, settings.trust_code)
-    return found.scene, found.step, found.origin
+    return found.scene, found.step, found.origin, found.damage
 
 
 def check_pace(real_time_factor: float, tick: float) -> None:

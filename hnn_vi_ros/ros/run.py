@@ -73,7 +73,8 @@ class Run:
             self._members, topics.open_spread(), simulation.hamiltonian,
             prepared.scene.uncertainty.limit, self._record_beside)
         self._twin = None if prepared.twin is None else TwinTopic(
-            prepared.twin, topics.open_errors(), lambda: topics.ignored[OBSERVATIONS.topic],
+            prepared.twin, topics.open_errors(), lambda: (
+                topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp, self._record_beside)
         companions = [one for one in (self._members, self._twin) if one is not None]
         self.simulation = Accompanied(simulation, companions) if companions else simulation
@@ -204,7 +205,8 @@ class Run:
                 failure.dated(self.sampler.time), simulation.steps, self._stamp)
             where = f'at the last good state, t = {self.sampler.time:.9g} s'
             if self._moved_by_others:
-                self.tell(f'stands still {where}; reset it', 'ERROR')
+                why = self._twin.unstable if self._twin is not None else ''
+                self.tell(f'stands still {where}{why and f": {why}"}; reset it', 'ERROR')
             else:
                 self._stop(1, f'stopped {where}')
             return 0

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene compiled into one kernel that advances the state by whole steps."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 import math
-from typing import NoReturn
+from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.commands import Command, NUMBERS
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, REASONS
@@ -118,7 +119,8 @@ class Simulation(Stepping):
         self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
         self._evaluate_gradient()
         if not is_finite(self._z):
-            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
+            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0,
+                              'start elsewhere: H has no finite gradient there')
         self._update_gradient()
         self._energy0 = self.energy
 
@@ -230,16 +232,74 @@ class Simulation(Stepping):
             A step did not converge or is not finite.
 
         """
-        h, now = self.step_size, self.snapshot()
-        costs = self._costs()
         # Steps of another length are no guide to the start of this one's equations.
-        self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
-                      for name, value in snapshot.items()})
-        self.step_size = step_size
-        try:
+        with self._elsewhere({name: np.zeros_like(value) if name.endswith('.count') else value
+                              for name, value in snapshot.items()}):
+            self.step_size = step_size
             self.advance(steps)
             return self.q.copy(), self.p.copy()
+
+    def clock_trial(self, snapshot: dict[str, np.ndarray], elapsed: float
+                    ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at a time after a snapshot [s], of a method whose steps are its own.
+
+        Those are of the same length as in a whole step of the clock, whatever the time.
+        """
+        with self._elsewhere(snapshot) as own:
+            own.own_step[0], self.step_size = self.step_size, elapsed
+            self.advance(1)
+            return self.q.copy(), self.p.copy()
+
+    def own_states(self, snapshot: dict[str, np.ndarray]
+                   ) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """
+        Return the states in which a method's own steps end within a step of the clock.
+
+        Parameters
+        ----------
+        snapshot : dict
+            Of this simulation, at the start of the step.
+
+        Returns
+        -------
+        list of (float, np.ndarray, np.ndarray)
+            Time after the snapshot [s], q and p of shape (d,).
+
+        """
+        found: list[tuple[float, np.ndarray, np.ndarray]] = []
+        h, elapsed = self.step_size, 0.0
+        with self._elsewhere(snapshot) as own:
+            ahead, n = own.kept, self._z.q.size
+            own.own_step[0] = h
+            while True:
+                lead = float(ahead.clock[1]) if ahead.count[0] else 0.0
+                end = elapsed + lead
+                if end >= h:
+                    return found
+                if end > 0.0:
+                    found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
+                # The shortest step of the clock for which one of the method's own is taken.
+                self.step_size = math.nextafter(lead, math.inf)
+                self.advance(1)
+                elapsed += self.step_size
+
+    @contextmanager
+    def _elsewhere(self, snapshot: dict[str, np.ndarray]) -> Iterator[Any]:
+        """Go to a snapshot, and back at the end; lend the workspace of steps that are its own."""
+        h, now, begin = self.step_size, self.snapshot(), int(snapshot['steps'])
+        costs = self._costs()
+        own = next((workspace for workspace in self._memories[int(snapshot['way'])]
+                    if hasattr(workspace, 'own_step')), None)
+        self.restore(snapshot)
+        try:
+            yield own
+        except StepFailure as failure:
+            failure.h = h
+            raise failure.dated(begin * h) from None
         finally:
+            if own is not None:
+                own.own_step[0] = 0.0
             self.step_size = h
             self.restore(now)
             vars(self).update(costs)
@@ -267,11 +327,9 @@ class Simulation(Stepping):
 
     def dense_step(self) -> DenseStep:
         """Take one step, and return it with the states inside of it, or raise StepFailure."""
-        if self.hamiltonian.rotations:
-            raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
-                                    'events out, and ask for times that are whole steps')
         return DenseStep(self, self._system.integrator is self.integrator
-                         and self._kernel.channels == 0, lambda: self._system.cuts)
+                         and self._kernel.channels == 0 and not self.hamiltonian.rotations,
+                         lambda: self._system.cuts)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """

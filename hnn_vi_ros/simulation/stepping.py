@@ -9,7 +9,8 @@ import time
 from typing import Any
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.integrators.base import BEYOND, IN_DOUBT, NO_SOLUTION, OK, Point
+from hnn_vi_ros.integrators.base import (
+    BEYOND, IN_DOUBT, NO_SOLUTION, OK, Point, step_failure)
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation.assembly import Loop
@@ -206,7 +207,7 @@ class Stepping(ABC):
         taken = self._rescue.take_step(
             self._active, self.step_size, z, z1, self._memories[self._active])
         if outcome == IN_DOUBT:
-            outcome = taken.outcome
+            outcome, residual = taken.outcome, taken.residual
             self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
                 doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
         self.gradients += taken.gradients
@@ -214,11 +215,11 @@ class Stepping(ABC):
         self.residual = self.residual if np.isnan(taken.residual) else taken.residual
         spent += taken.gradients
         if not taken.ok:
-            reason = self._system.reason(
-                taken.outcome if taken.outcome == NO_SOLUTION else outcome)
+            outcome = taken.outcome if taken.outcome == NO_SOLUTION else outcome
+            reason = self._system.reason(outcome)
             if taken.given_up:
                 reason += f', given up after {taken.given_up} gradients in sub-steps'
-            return StepFailure(reason, self.time, self.step_size, residual, spent)
+            return step_failure(outcome, self.time, self.step_size, residual, spent, reason)
         self.steps += 1
         self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
         return None
