@@ -216,6 +216,8 @@ register_by(_register)
 # What a file begins with: what it can be read by, then the digest of the rest.
 _MARK = b'hnn_vi_ros, numba '
 _HEAD = _MARK + numba.__version__.encode() + b'\n'
+# What those of other versions begin with; before files had a digest, they were pickles.
+_OTHERS = (_MARK, pickle.PROTO)
 
 
 class _Files(IndexDataCacheFile):
@@ -266,7 +268,7 @@ class _Files(IndexDataCacheFile):
             self._warn(problem.strerror or str(problem))
             return None
         head, digest, data = _parts(whole, len(_HEAD), sha256().digest_size)
-        if head != _HEAD and head.startswith(_MARK):
+        if head != _HEAD and head.startswith(_OTHERS):
             return None
         if head != _HEAD or sha256(data).digest() != digest:
             self._warn('files are damaged')
