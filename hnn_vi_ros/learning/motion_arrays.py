@@ -9,7 +9,6 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.limits import array_names, sha256_of, unpack_arrays
-from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
