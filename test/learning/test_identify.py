@@ -149,9 +149,10 @@ def test_differences_keep_within_a_range_and_are_of_order_two(value):
         np.exp(value), rel=1e-9)
 
 
-def test_number_that_has_all_but_vanished_has_the_slope_of_zero(pendulum, tmp_path):
+@pytest.mark.parametrize('start', [0.2, 0.0])
+def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum, tmp_path):
     scene = pendulum.changed({'effects': [{
-        'kind': 'joint_friction', 'damping': {'angle': 0.1}, 'friction': {'angle': 0.2},
+        'kind': 'joint_friction', 'damping': {'angle': 0.1}, 'friction': {'angle': start},
         'speed': 0.5}]})
     free = free_scene(scene, ['joint_friction.friction.angle'], {}, tmp_path, False)
     windows = windows_of([swing(pendulum, 0.2, 4)], 0.2, True)
@@ -222,6 +223,38 @@ def test_delay_and_friction_of_a_driven_pendulum_are_found(tmp_path):
     assert delay == pytest.approx(late, abs=dt**2)
     assert damping == pytest.approx(rate, rel=0.01)
     assert mass == pytest.approx(1.0, rel=0.01)
+
+
+def commanded(method: str, step_size: float) -> Scene:
+    return Scene.build(
+        hamiltonian='pendulum', integrator=method, step_size=step_size,
+        initial_state=([0.5], [0.0]), effects=[
+            {'kind': 'damping', 'rate': 0.3},
+            {'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}])
+
+
+LATE = 0.035
+
+
+@pytest.fixture(scope='module')
+def held_log() -> Motion:
+    """Return what a pendulum does by commands that are held for 80 ms and come 35 ms late."""
+    scene = commanded('gauss4', 0.001)
+    force = np.repeat(3.0 * np.random.default_rng(1).normal(size=21), 4)
+    motion = hnn_vi_ros.simulate(scene, 1.6, every=20, commands=lambda t: [
+        float(force[max(0, int((t - LATE) / 0.02 + 1e-6))])])
+    v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
+    return replace(smoothed('log', motion.t, motion.q, v, force[:81, None], 40.0), held=True)
+
+
+# In the middle of a step, at its end, and late in it.
+@pytest.mark.parametrize('step_size', [0.01, 0.005, 0.02])
+def test_held_forces_act_from_the_moment_of_their_command_on(held_log, step_size, tmp_path):
+    free = freed(commanded('gauss4', step_size), tmp_path, input_delay=0.03, mass=1.05)
+    delay, mass = (one.value for one in estimated(free, held_log).estimates)
+    # Of steps of order 4, (5 h)^4 / 720 of the motion and less; by means over steps, some 1e-4.
+    assert mass == pytest.approx(1.0, abs=2e-6)
+    assert delay == pytest.approx(LATE, abs=1e-7)
 
 
 def test_outliers_move_a_robust_fit_less(pendulum, tmp_path):
