@@ -257,6 +257,31 @@ def test_held_forces_act_from_the_moment_of_their_command_on(held_log, step_size
     assert delay == pytest.approx(LATE, abs=1e-7)
 
 
+def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, capsys):
+    random = np.random.default_rng(0)
+    q, v = (part + noise * random.normal(size=part.shape)
+            for part, noise in zip((held_log.q, held_log.v), (1e-4, 1e-3), strict=True))
+    np.savez(tmp_path / 'log.npz', t=held_log.t, q=q, dq=v, tau=held_log.tau)
+    (tmp_path / 'scene.yaml').write_text(
+        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
+        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
+        'initial_state: {q: [0.5], p: [0.0]}\n')
+
+    def identified(*options: str) -> tuple[str, dict]:
+        path = tmp_path / f'{len(options)}.json'
+        main([str(tmp_path / 'scene.yaml'), '--data', str(tmp_path / 'log.npz'), '--free',
+              'input_delay', 'damping.rate', '--json', str(path), *options])
+        return capsys.readouterr().out, json.loads(path.read_text())['input_delay']
+    said, delay = identified()
+    # Interpolated forces come half of a sample earlier.
+    assert delay['low'] > LATE + 0.005
+    assert 'taken as interpolated, which the data do not say; held, they fit better' in said
+    assert 'take --inputs held' in said
+    said, delay = identified('--inputs', 'held')
+    assert delay['low'] < LATE < delay['high']
+    assert 'Forces between samples are taken as held; interpolated, they fit worse' in said
+
+
 def test_outliers_move_a_robust_fit_less(pendulum, tmp_path):
     log = swing(pendulum, 2.0, 4)
     q = log.q.copy()
