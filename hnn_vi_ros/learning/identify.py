@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
+from hnn_vi_ros.errors import (
+    DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning.identify_fit import fit, misfit_with, Problem, Solution
+from hnn_vi_ros.learning.identify_fit import fit, Problem, search, Solution
 from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
 from hnn_vi_ros.learning.identify_scene import write_fitted
@@ -29,7 +30,7 @@ from hnn_vi_ros.learning.identify_windows import Windows
 from hnn_vi_ros.learning.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.motions import steps_between
+from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 
@@ -56,7 +57,7 @@ class Identified(NamedTuple):
 
 class Inputs(NamedTuple):
     """
-    What measured forces are taken to do between samples, and how well the other way fits.
+    The way of measured forces between samples that is assumed, and how well the other one fits.
 
     Parameters
     ----------
@@ -139,11 +140,21 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
     if driven:
         held = motions[0].held
         taken, other = ('held', 'interpolated')[::1 if held else -1]
-        misfit = misfit_with(solution, problem, read_motions(
+        misfit = _misfit_with(solution, problem, read_motions(
             data[0], data[1].model_copy(update={'inputs': other}), names, options.data)[0])
         inputs = Inputs(taken, other, held or data[1].inputs is not None, solution.freedom * (
             1.0 - (misfit / solution.misfit)**2), misfit)
     return Identified(free, solution, problem, estimates, stages, hamiltonian, description, inputs)
+
+
+def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Motion]) -> float:
+    """Return the misfit of the same windows with other forces; infinite where that fails."""
+    windows = replace(solution.windows, motions=motions)
+    other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)
+    try:
+        return search(other, solution.values).misfit
+    except HnnViRosError:
+        return math.inf
 
 
 def _check(options: Namespace) -> None:

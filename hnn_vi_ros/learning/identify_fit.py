@@ -13,7 +13,7 @@ techniques for O.D.E., 1983, on multiple shooting.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
@@ -364,16 +364,6 @@ def search(problem: Problem, values: np.ndarray, tolerance: float = _TOLERANCE) 
         loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
         xtol=tolerance, gtol=tolerance, max_nfev=_EVALUATIONS)
     return problem.solve(found.x)
-
-
-def misfit_with(solution: Solution, problem: Problem, motions: Sequence[Motion]) -> float:
-    """Return the misfit of the same windows with other forces; infinite where that fails."""
-    windows = replace(solution.windows, motions=motions)
-    other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)
-    try:
-        return search(other, solution.values, _ROUGH).misfit
-    except HnnViRosError:
-        return math.inf
 
 
 def noise_of(solution: Solution, robust: bool) -> np.ndarray:

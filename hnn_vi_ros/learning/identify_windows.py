@@ -157,11 +157,7 @@ class Prediction:
         return effects, force
 
     def _parts_of_samples(self) -> list[tuple[float, int]]:
-        """
-        Return the steps from one sample to the next: sizes [s], and how many of each.
-
-        Where forces are held, the step in which they jump is taken in two.
-        """
+        """Return sizes [s] and counts of steps between samples; held forces jump at an end."""
         whole = [(self._h, self._per_sample)]
         if self._force is None or not any(motion.held for motion in self._windows.motions):
             return whole
@@ -243,28 +239,26 @@ class Prediction:
         """Fill the states from some starts, one by one if they do not all go well together."""
         q, p = np.split(starts, 2, axis=1)
         try:
+            self._simulation.step_size = self._h
             self._simulation.restart(q, p, step=step)
-            found[:, 1:] = np.concatenate(self._recorded(), 2).swapaxes(0, 1)
+            found[:, 1:] = self._recorded().swapaxes(0, 1)
         except (StepFailure, StateError):
             if len(starts) > 1:
                 for k in range(len(starts)):
                     self._record(starts[k:k + 1], found[k:k + 1], step)
 
-    def _recorded(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return q and p at the samples, each of shape (T - 1, K, d)."""
+    def _recorded(self) -> np.ndarray:
+        """Return states at the samples, shape (T - 1, K, 2 d)."""
         simulation = self._simulation
         if len(self._parts) == 1:
-            return simulation.record(self._samples, self._per_sample)
-        states = np.empty((2, self._samples, *simulation.q.shape))
-        try:
-            for k in range(self._samples):
-                for h, steps in self._parts:
-                    simulation.step_size = h
-                    simulation.advance(steps)
-                states[:, k] = simulation.q, simulation.p
-        finally:
-            simulation.step_size = self._h
-        return states[0], states[1]
+            return np.concatenate(simulation.record(self._samples, self._per_sample), 2)
+        states = []
+        for _ in range(self._samples):
+            for h, steps in self._parts:
+                simulation.step_size = h
+                simulation.advance(steps)
+            states.append(np.concatenate([simulation.q, simulation.p], 1))
+        return np.array(states)
 
     def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
                   ) -> tuple[np.ndarray, np.ndarray]:

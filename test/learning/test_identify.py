@@ -12,12 +12,11 @@ from hnn_vi_ros.cli import _call
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.learning.identify import main
 from hnn_vi_ros.learning.identify_correlation import (
-    _polynomials, _Restricted, covariances, Process, processes)
+    _polynomials, _Restricted, Process, processes)
 from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
 from hnn_vi_ros.learning.identify_scene import edited
-from hnn_vi_ros.learning.identify_statistics import (
-    errors_of, Estimates, estimates_of, profile)
+from hnn_vi_ros.learning.identify_statistics import Estimates, estimates_of, profile
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
 from hnn_vi_ros.learning.motions import Motion, smoothed, steps_between
 from hnn_vi_ros.run.dependences import difference
