@@ -196,7 +196,11 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     for number in ENDING:
         # Nothing is to interrupt the end, that of the interpreter included.
         signal.signal(number, signal.SIG_IGN)
-    sys.exit(_with_output(shown, status))
+    status = _with_output(shown, status)
+    if status == _INTERRUPTED:
+        # The interpreter's end takes half a second, and waits for what a thread compiles.
+        os._exit(_INTERRUPTED)
+    sys.exit(status)
 
 
 def _call(name: str, argv: list[str], shown: str) -> int | str | None:
@@ -219,7 +223,9 @@ def _call(name: str, argv: list[str], shown: str) -> int | str | None:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
         return f'{shown}: {_missing(problem.name.partition(".")[0])}'
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        # A command whose work can go on later says how.
+        print(f'{shown}: {str(stop) or "stopped"}', file=sys.stderr)
         return _INTERRUPTED
 
 

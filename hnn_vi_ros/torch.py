@@ -10,30 +10,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.learning.weights import check_weights, OnWeights, with_weights
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
 from hnn_vi_ros.run.dependences import Dependence
-from hnn_vi_ros.run.derivatives import Change
 from hnn_vi_ros.run.recorders import check_memory
 from hnn_vi_ros.run.scene_run import Numbers, SceneRun
+from hnn_vi_ros.run.torch_functions import array, Call, Run, STEP
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
-import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
 __all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
 
 # Names of tensors of a model, among those of numbers of a scene.
 _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
-# What else a run depends on, by the names that these tensors have in it.
-_STEP, _WEIGHTS = 'step_size', 'weights'
+# What else a run depends on, by the name that this tensor has in it.
+_WEIGHTS = 'weights'
 
 
 class Motion(NamedTuple):
@@ -100,7 +98,7 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
     ------
     UnsupportedSystem
         The scene's method, an effect or the model's weights are not differentiable yet; names
-        what is.
+        what is. Or, later, a second derivative is asked for.
     HnnViRosError
         An unknown scene, a model that cannot be loaded, a StepFailure, or, when derivatives are
         asked for, a step that has none.
@@ -205,11 +203,12 @@ class DifferentiableSimulation:
         learned = None
         if self._weights:
             learned = with_weights(self._hamiltonian, {
-                _in_file(name): parameters[name].detach().numpy().copy()
-                for name in self._weights})
+                _in_file(name): array(parameters[name]).copy() for name in self._weights})
         values = {name: float(parameters[name].detach()) for name in self._names}
-        how = _How(self, Numbers(values, h, learned), names, samples, every, checkpoints)
-        z = _Run.apply(how, z0.reshape(-1, 2 * d), commands, *tensors)
+        call = Call(self, Numbers(values, h, learned), names, samples, every, checkpoints)
+        # Copies are saved for the derivatives: callers may change their own tensors meanwhile.
+        z = Run.apply(call, z0.reshape(-1, 2 * d), *(
+            None if tensor is None else tensor.clone() for tensor in (commands, *tensors)))
         q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
         return Motion(torch.arange(samples + 1, dtype=torch.float64) * every * (
             step_size if isinstance(step_size, torch.Tensor) else h), q, p)
@@ -224,8 +223,8 @@ class DifferentiableSimulation:
                              f'that the simulation was made for: {listed(expected) or "none"}')
         single = {name: parameters[name] for name in self._names}
         if isinstance(step_size, torch.Tensor):
-            _check_tensors({_STEP: step_size})
-            single[_STEP] = step_size
+            _check_tensors({STEP: step_size})
+            single[STEP] = step_size
         for name, tensor in single.items():
             if tensor.ndim:
                 raise ValueError(f'{name} has shape {tuple(tensor.shape)}, expected (): one '
@@ -255,86 +254,13 @@ class DifferentiableSimulation:
             self._idle.append(held)
 
     def dependence(self, held: SceneRun, numbers: Numbers, name: str) -> Dependence:
-        """Return the dependence of a run on what has a name in ``_How``."""
-        if name == _STEP:
+        """Return the dependence of a run on what has a name in a ``Call``."""
+        if name == STEP:
             return held.run.on_step_size
         if name == _WEIGHTS:
             assert isinstance(numbers.hamiltonian, LearnedHamiltonian)
             return OnWeights(numbers.hamiltonian, list(map(_in_file, self._weights)))
         return held.on_number(name)
-
-
-class _How(NamedTuple):
-    """
-    All that a run is told beside the tensors by which it is differentiated.
-
-    Parameters
-    ----------
-    simulation : DifferentiableSimulation
-        What runs.
-    numbers : Numbers
-        The values of tensors that are numbers.
-    names : list of str
-        What each further tensor stands for.
-    samples, every, checkpoints : int
-        Number of samples, steps from one to the next, and most snapshots.
-
-    """
-
-    simulation: DifferentiableSimulation
-    numbers: Numbers
-    names: list[str]
-    samples: int
-    every: int
-    checkpoints: int | None
-
-
-class _Run(torch.autograd.Function):
-    """A run, by its initial states (m, 2 d) and by what else it depends on."""
-
-    @staticmethod
-    def forward(ctx: Any, how: _How, z0: torch.Tensor, commands: torch.Tensor | None,
-                *_: torch.Tensor) -> torch.Tensor:
-        rows = None if commands is None else commands.detach().numpy()
-        with how.simulation.holding(how.numbers) as held:
-            if _STEP in how.names:
-                held.run.on_step_size  # noqa: B018  refused before a step is taken
-            z = held.run.record(z0.detach().numpy(), how.samples, how.every, rows,
-                                checkpoints=how.checkpoints)
-            ctx.how, ctx.recorded = how, held.run.recorded
-        return torch.from_numpy(z)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, cotangents: torch.Tensor) -> tuple:
-        how, recorded = ctx.how, ctx.recorded
-        wanted = [k for k, needed in enumerate(ctx.needs_input_grad[3:]) if needed]
-        by_commands = np.empty(recorded.commands.shape) if ctx.needs_input_grad[2] else None
-        with how.simulation.holding(how.numbers) as held:
-            held.run.go_back_to(recorded)
-            gradient, found = held.run.pull_back(cotangents.contiguous().numpy(), [
-                how.simulation.dependence(held, how.numbers, how.names[k]) for k in wanted],
-                by_commands)
-        others: list[torch.Tensor | None] = [None] * len(how.names)
-        for k, part in zip(wanted, found, strict=True):
-            others[k] = torch.from_numpy(part)
-        pushed = None if by_commands is None else torch.from_numpy(by_commands)
-        return None, torch.from_numpy(gradient), pushed, *others
-
-    @staticmethod
-    def jvp(ctx: Any, *tangents: torch.Tensor | None) -> torch.Tensor:
-        how, recorded = ctx.how, ctx.recorded
-        z0, commands, *others = (
-            None if change is None else change.detach().contiguous().numpy()
-            for change in tangents[1:])
-        with how.simulation.holding(how.numbers) as held:
-            held.run.go_back_to(recorded)
-            changes = [(how.simulation.dependence(held, how.numbers, name), change)
-                       for name, change in zip(how.names, others, strict=True)
-                       if change is not None and change.any()]
-            first = np.zeros(recorded.z.shape) if z0 is None else z0
-            return torch.from_numpy(
-                held.run.push_forward([Change(first, changes, commands)])[0])
 
 
 def _in_file(name: str) -> str:

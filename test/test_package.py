@@ -44,7 +44,7 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
     'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
-             r'|torch\.py|lockstep/\w+\.py|run/device_ensemble\.py',
+             r'|torch\.py|lockstep/\w+\.py|run/(device_ensemble|torch_functions)\.py',
     'triton': r'lockstep/triton_kernels\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/(turning_)?peers\.py',
@@ -222,8 +222,8 @@ def test_test_file_asserts_something(path):
 
 @pytest.mark.parametrize('effect', EFFECTS.values(), ids=lambda effect: effect.__name__)
 def test_effect_is_a_file_of_its_own(effect):
-    modules = [other.__module__ for other in EFFECTS.values()]
-    assert modules.count(effect.__module__) == 1
+    module = effect.__module__
+    assert [other for other in EFFECTS.values() if other.__module__ == module] == [effect]
 
 
 def test_completion_offers_the_public_names_and_each_is_there():

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulations that torch differentiates: their states, and their derivatives."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 import re
 import tracemalloc
@@ -16,8 +18,9 @@ from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
 import numpy as np
 import pytest
 import torch
-from torch.autograd import forward_ad
+from torch.autograd import forward_ad, functional
 
+Loss = Callable[[torch.Tensor], torch.Tensor]
 # Of the pendulum: q, p, mass, length, gravity and h; the step is complex, the numbers are not.
 NAMES = ('q', 'p', 'hamiltonian.mass', 'hamiltonian.length', 'hamiltonian.gravity', 'step_size')
 VALUES = (1.3, 0.7, 1.1, 0.9, 9.81, 0.1)
@@ -454,9 +457,109 @@ def test_prepared_simulation_takes_the_names_that_it_was_made_for(pendulum):
         DifferentiableSimulation(pendulum, ['mass'])
 
 
-def test_derivatives_of_derivatives_are_refused(pendulum):
+# Ways to a second derivative of f at x, or to a derivative of a derivative that is linear in it.
+def penalty(f: Loss, x: torch.Tensor) -> object:
+    x = x.clone().requires_grad_()
+    (first,) = torch.autograd.grad(f(x), x, create_graph=True)
+    return torch.autograd.grad(first.square() + x, x)
+
+
+def forward_over_reverse(f: Loss, x: torch.Tensor) -> object:
+    with forward_ad.dual_level():
+        dual = forward_ad.make_dual(x.clone().requires_grad_(), torch.ones_like(x))
+        return torch.autograd.grad(f(dual), dual)
+
+
+def reverse_over_forward(f: Loss, x: torch.Tensor) -> object:
+    x = x.clone().requires_grad_()
+    with forward_ad.dual_level():
+        tangent = forward_ad.unpack_dual(f(forward_ad.make_dual(x, torch.ones_like(x)))).tangent
+        return torch.autograd.grad(tangent + x, x)
+
+
+TWICE = (
+    penalty, forward_over_reverse, reverse_over_forward, functional.hessian,
+    lambda f, x: functional.hessian(f, x, vectorize=True),
+    *(lambda f, x, product=product: product(f, x, torch.ones_like(x))
+      for product in (functional.hvp, functional.vhp, functional.jvp)),
+    lambda f, x: torch.func.grad(torch.func.grad(f))(x),
+    lambda f, x: torch.func.jvp(torch.func.grad(f), (x,), (torch.ones_like(x),)),
+    lambda f, x: torch.func.grad(lambda x: torch.func.jvp(f, (x,), (torch.ones_like(x),))[1])(x))
+BATCHED = (
+    lambda f, x: torch.func.hessian(f)(x), lambda f, x: torch.func.jacrev(f)(x),
+    lambda f, x: torch.func.jacfwd(f)(x), lambda f, x: torch.func.vmap(f)(x.repeat(2)),
+    lambda f, x: functional.jacobian(f, x, vectorize=True),
+    lambda f, x: functional.jacobian(f, x, vectorize=True, strategy='forward-mode'))
+# What a loss is differentiated by, at which number.
+ARGUMENTS = {'q0': 1.3, 'p0': 0.7, 'commands': 0.4, 'step_size': 0.02, 'hamiltonian.mass': 1.1,
+             'effects.0.rate': 0.4, 'hamiltonian.linear1.bias': 0.1}
+
+
+def loss_of(argument: str, linear: bool, prepared: bool) -> Loss:
+    """Return a loss of the last state as a function of one number that the run depends on."""
+    effects, h, name = [], 0.02, 'exact_pendulum'
+    if argument == 'commands':
+        effects = [{'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}]
+    elif argument == 'effects.0.rate':
+        effects = [{'kind': 'damping', 'rate': 0.3}]
+    elif 'linear1' in argument:
+        name = 'pendulum'
+    scene = load_scene(name).with_overrides(step_size=h)
+    weight = None
+    if name == 'pendulum':
+        scene = scene.changed({'hamiltonian': {
+            **scene.hamiltonian.model_dump(), 'confine': False}})
+        weight = torch.from_numpy(scene.create_hamiltonian().checkpoint.networks['energy'][1][0])
+    scene = scene.changed({'effects': effects}) if effects else scene
+    names = [argument] if '.' in argument else []
+
+    def loss(x: torch.Tensor) -> torch.Tensor:
+        given = {'q0': torch.ones(1).double(), 'p0': torch.ones(1).double()}
+        if names:
+            value = x if weight is None else weight + x
+            given['parameters'] = {argument: value}
+        else:
+            given[argument] = {'commands': x.expand(5, 1), 'step_size': x}.get(
+                argument, x.reshape(1))
+        run = DifferentiableSimulation(scene, names) if prepared else partial(simulate, scene)
+        motion = run(**given, duration=5 * 2 * h, every=2)
+        last = motion.q[-1, 0] + 0.3 * motion.p[-1, 0]
+        return last if linear else last.square()
+    return loss
+
+
+@pytest.mark.parametrize('prepared', [False, True], ids=['simulate', 'prepared'])
+@pytest.mark.parametrize('linear', [False, True], ids=['square', 'linear'])
+@pytest.mark.parametrize('argument', ARGUMENTS)
+def test_second_derivatives_are_refused_however_they_are_asked_for(argument, linear, prepared):
+    f = loss_of(argument, linear, prepared)
+    x = torch.tensor(ARGUMENTS[argument], dtype=torch.float64)
+    for way in TWICE:
+        with pytest.raises(UnsupportedSystem, match='differentiable once|weights in torch.func'):
+            way(f, x)
+    for way in BATCHED:
+        # Of a batch torch itself takes no single number.
+        with pytest.raises((UnsupportedSystem, RuntimeError), match='vmap'):
+            way(f, x)
+
+
+@pytest.mark.parametrize('argument', [name for name in ARGUMENTS if 'linear1' not in name])
+def test_first_derivatives_are_the_same_however_they_are_asked_for(argument):
+    f = loss_of(argument, False, True)
+    x = torch.tensor(ARGUMENTS[argument], dtype=torch.float64)
+    own = x.clone().requires_grad_()
+    (expected,) = torch.autograd.grad(f(own), own)
+    one = torch.ones_like(x)
+    for found in (torch.func.grad(f)(x), torch.func.vjp(f, x)[1](one)[0],
+                  functional.jacobian(f, x), functional.vjp(f, x)[1]):
+        assert torch.equal(found, expected)
+    # Forwards and backwards the same sums are rounded in another order.
+    assert float(torch.func.jvp(f, (x,), (one,))[1]) == pytest.approx(float(expected), rel=1e-10)
+
+
+def test_gradient_that_is_kept_for_a_second_one_may_be_used_as_it_is(pendulum):
     q = torch.ones(1, dtype=torch.float64, requires_grad=True)
-    last = DifferentiableSimulation(pendulum)(q, 0.0 * q.detach(), duration=1.0).q[-1, 0]
-    (first,) = torch.autograd.grad(last.square(), q, create_graph=True)
-    with pytest.raises(RuntimeError, match='differentiate twice'):
-        first.sum().backward()
+    last = simulate(pendulum, q, 0.0 * q.detach(), duration=1.0).q[-1, 0]
+    (first,) = torch.autograd.grad(last, q, create_graph=True)
+    (q.square() * first.detach()).sum().backward()
+    assert torch.equal(q.grad, 2.0 * first.detach())

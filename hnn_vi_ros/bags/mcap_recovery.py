@@ -192,8 +192,11 @@ def _described(file: McapFile) -> int:
 def _refuse_if_nothing(file: McapFile, recovery: Recovery) -> None:
     described = file.survey.attachments or file.survey.metadata
     if not recovery.messages and (recovery.lost or not described):
-        raise RecordingError(f'{file.name}: nothing can be recovered: no message in '
-                             f'{file.path.stat().st_size} bytes can be read; it is left as it is')
+        begin = recovery.another
+        where = f'{file.path.stat().st_size} bytes' if begin is None else \
+            f'the {begin} bytes before a second file, to cut out by `tail -c +{begin + 1}`,'
+        raise RecordingError(f'{file.name}: nothing can be recovered: no message in {where} '
+                             'can be read; it is left as it is')
 
 
 def _write_anew(file: McapFile, recovery: Recovery, replace: bool) -> None:

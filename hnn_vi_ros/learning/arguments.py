@@ -8,6 +8,8 @@ from hnn_vi_ros.command_line import complete_by, named, Parser
 
 # Which outputs of an imported network are H, and the order of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
+# Of measured forces, as in learning/motions.py.
+INPUTS = ('held', 'interpolated')
 # As in hamiltonians/activations.py, which takes the compiler to import.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
 _IMPORTED = """\
@@ -115,6 +117,10 @@ def identify() -> Parser:
         'and tau, or RUN/t, ... of several runs; or, with --config, a log'))
     parser.add_argument('--config', type=Path, metavar='FILE', help=(
         'a training configuration of a machine, whose data section says how --data is read'))
+    parser.add_argument('--inputs', choices=INPUTS, help=(
+        'what measured forces do between samples: each is held until the next, or goes over into '
+        'it; default: as --config says, or held for topics of commands, else interpolated; the '
+        'report says which fits better'))
     parser.add_argument('--free', required=True, nargs='+', metavar='NAME', help=(
         'the numbers to find, see below; the search begins at their values in the scene'))
     parser.add_argument('--bounds', nargs=3, action='append', default=[],

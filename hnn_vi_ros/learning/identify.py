@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
+from hnn_vi_ros.errors import (
+    DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
+from hnn_vi_ros.learning.identify_fit import fit, Problem, search, Solution
 from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
 from hnn_vi_ros.learning.identify_scene import write_fitted
@@ -28,12 +29,14 @@ from hnn_vi_ros.learning.identify_windows import Windows
 from hnn_vi_ros.learning.motion_arrays import ArraysData, keys_of, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.motions import steps_between
+from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 
 # Residuals of so many times the noise that neighbouring samples tell are not noise alone.
 _POOR = 3.0
+# By so much less a sum of squares tells one way of forces from the other: three standard errors.
+_EVIDENCE = 9.0
 # Names under which velocities stand in arrays.
 _VELOCITIES = 'dq', 'v'
 
@@ -48,6 +51,31 @@ class Identified(NamedTuple):
     stages: list[tuple[float, float]]
     hamiltonian: Hamiltonian
     data: str
+    inputs: 'Inputs | None'
+
+
+class Inputs(NamedTuple):
+    """
+    The way of measured forces between samples that is assumed, and how well the other one fits.
+
+    Parameters
+    ----------
+    taken, other : str
+        Both ways, ``held`` and ``interpolated``.
+    stated : bool
+        Whether the user or the kind of data says so.
+    evidence : float
+        By how much the other way makes the sum of squared residuals less, in squares of the noise.
+    misfit : float
+        Its residuals, in standard deviations.
+
+    """
+
+    taken: str
+    other: str
+    stated: bool
+    evidence: float
+    misfit: float
 
 
 def main(argv: Sequence[str]) -> None:
@@ -107,7 +135,25 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
                 if (name := one.name) in options.profile}
     estimates = replace(estimates, estimates=[
         profiles.get(one.name, one) for one in estimates.estimates])
-    return Identified(free, solution, problem, estimates, stages, hamiltonian, description)
+    inputs = None
+    if driven:
+        held = motions[0].held
+        taken, other = ('held', 'interpolated')[::1 if held else -1]
+        misfit = _misfit_with(solution, problem, read_motions(
+            data[0], data[1].model_copy(update={'inputs': other}), names, options.data)[0])
+        inputs = Inputs(taken, other, held or data[1].inputs is not None, solution.freedom * (
+            1.0 - (misfit / solution.misfit)**2), misfit)
+    return Identified(free, solution, problem, estimates, stages, hamiltonian, description, inputs)
+
+
+def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Motion]) -> float:
+    """Return the misfit of the same windows with other forces; infinite where that fails."""
+    windows = replace(solution.windows, motions=motions)
+    other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)
+    try:
+        return search(other, solution.values).misfit
+    except HnnViRosError:
+        return math.inf
 
 
 def _check(options: Namespace) -> None:
@@ -154,10 +200,12 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     if options.config is not None:
         # Imported here: with it come the libraries of training.
         from hnn_vi_ros.learning.machine_config import load_machine
-        return options.config, load_machine(options.config).data
-    data = guessed(options.data[0])
-    path = split_runs(options.data[0])[0]
-    return path, _arrays(path, data) if isinstance(data, ArraysData) else data
+        path, data = options.config, load_machine(options.config).data
+    else:
+        path, data = split_runs(options.data[0])[0], guessed(options.data[0])
+        data = _arrays(path, data) if isinstance(data, ArraysData) else data
+    return path, data if options.inputs is None else data.model_copy(
+        update={'inputs': options.inputs})
 
 
 def _arrays(path: Path, data: ArraysData) -> ArraysData:
@@ -192,7 +240,7 @@ def report_of(found: Identified) -> str:
     lines += _held_back(found)
     lines += [f'Correlation of {one} and {other}: {r:.3f}; what one gains in error the other '
               'makes up for' for one, other, r in estimates.correlated]
-    lines += _noise(found)
+    lines += [*_inputs(found), *_noise(found)]
     low, high = (part(windows.measured[windows.there], axis=0) for part in (np.min, np.max))
     ranges = ', '.join(f'{name} {a:.4g} to {b:.4g} {unit}' for (name, unit), a, b in zip(
         channels(found), low, high, strict=True))
@@ -230,6 +278,19 @@ def _row(one: Estimate) -> str:
     low, high = ('?' if end is None else f'{end:.6g}' for end in (one.low, one.high))
     return (f'| {one.name} | {one.value:.6g} | {one.unit} | {one.standard_error:.3g} '
             f'| {low} to {high} |')
+
+
+def _inputs(found: Identified) -> list[str]:
+    """Return what forces do between samples, and which way fits better."""
+    if found.inputs is None:
+        return []
+    taken, other, stated, evidence, misfit = found.inputs
+    known = '' if stated else ', which the data do not say'
+    own = f'{misfit:.3g} of the noise for {found.solution.misfit:.3g}'
+    verdict = f'{other}, they fit better (residuals {own}): check, and take --inputs {other}' \
+        if evidence > _EVIDENCE else f'{other}, they fit worse (residuals {own})' \
+        if evidence < -_EVIDENCE else f'{other}, they fit as well'
+    return [f'Forces between samples are taken as {taken}{known}; {verdict}']
 
 
 def _noise(found: Identified) -> list[str]:

@@ -19,17 +19,16 @@ def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
     """
     Return the integral of the measured forces up to times from the first sample on [s].
 
-    Each force holds until the next, or goes over into it, as the motion says; the first one acts
-    before the first sample, the last one after the last.
+    Each force goes over into the next; the first one acts before the first sample, the last one
+    after the last.
     """
     tau, spacing = motion.tau, motion.spacing
-    means = tau[:-1] if motion.held else 0.5 * (tau[1:] + tau[:-1])
-    whole = np.concatenate([np.zeros((1, tau.shape[1])), np.cumsum(means * spacing, axis=0)])
+    whole = np.concatenate([np.zeros((1, tau.shape[1])),
+                            np.cumsum(motion.forces * spacing, axis=0)])
     row = np.clip(np.floor(times / spacing).astype(int), 0, len(tau) - 1)
     rest = (times - row * spacing)[:, None]
     slope = np.zeros_like(tau)
-    if not motion.held:
-        slope[:-1] = np.diff(tau, axis=0) / spacing
+    slope[:-1] = np.diff(tau, axis=0) / spacing
     return whole[row] + rest * (tau[row] + 0.5 * np.where(rest > 0.0, rest, 0.0) * slope[row])
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.learning.identify_correlation import covariances, Process, processes
 from hnn_vi_ros.learning.identify_fit import (
     Problem, projected, search, Solution, told_directions, units_of)
 from hnn_vi_ros.learning.identify_numbers import FreeScene, STATES
@@ -19,8 +20,6 @@ from scipy.stats import t as student
 CONFIDENCE = 0.95
 # What share of a direction in which the data tell nothing names a number.
 _SHARE = 1e-2
-# Standard errors of a correlation beyond which residuals are no white noise.
-_COLOURED = 3.0
 CORRELATED = 0.9
 
 
@@ -36,7 +35,8 @@ class Estimate:
     value : float
         That fits best.
     standard_error, low, high : float or None
-        And the interval of 95 %; None where the data do not tell the number.
+        Half the interval of 95 % over the quantile of Student's distribution, and that interval;
+        None where the data do not tell the number.
 
     """
 
@@ -63,13 +63,14 @@ class Estimates:
     estimates : list of Estimate
         N of them: the free numbers, then initial states if they were asked for.
     covariance : np.ndarray, shape (N, N)
-        Of their errors; 0 in rows and columns of those that the data do not tell.
+        Of their errors, by the standard errors; 0 in rows and columns of those that the data do
+        not tell.
     unknown : list of dict of str to float
         Directions in which the data tell nothing: by how much of its value (or of 1, of 0) each
         number may change if the others do, the largest 1.
     coloured : np.ndarray, shape (C,)
-        By which factor the sum of its correlations makes the noise of each measured quantity
-        count; 1 for white noise.
+        How many samples of each measured quantity count as one, by the sum of the correlations
+        of its noise; 1 where that may be white.
 
     """
 
@@ -97,106 +98,68 @@ def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
     """
     Return what a fit tells of its numbers, and of the initial states of its runs if asked.
 
-    The covariance is that of least squares, (J^T J)^-1 of the derivatives in standard deviations
-    with the initial states eliminated. Where residuals are correlated in time, as those of data
-    that are sampled faster than their noise changes, it is (J^T J)^-1 J^T R J (J^T J)^-1 with
-    their correlations R.
+    An error is a sum over the noise of the samples, by the derivatives of least squares. The
+    covariance is that of such sums for each process that the noise may be, see
+    identify_correlation, and the intervals are those of the mixture of all these.
     """
-    slopes, back = projected(solution, problem.weights(solution.residuals))
-    scale = units_of(solution)
-    sizes, rows, told = told_directions(slopes.reshape(-1, slopes.shape[3]) / scale)
-    inverse = _inverse(scale, sizes[told], rows[told])
-    null = rows[~told].T / scale[:, None]
-    correlations = [correlations_of(solution.residuals[:, :, c], solution.windows.there)
-                    for c in range(slopes.shape[2])]
-    coloured = np.array([1.0 + 2.0 * float(np.sum(own)) for own in correlations])
-    meat = _correlated(slopes, correlations)
-    covariance = inverse @ meat @ inverse * _robust_factor(problem, solution)
+    weights = problem.weights(solution.residuals)
+    slopes, back = projected(solution, weights)
+    n, shape = slopes.shape[3], slopes.shape[:3]
+    units = units_of(solution)
+    taken, factors, null = _solved(slopes.reshape(-1, n), units)
+    starts = [_solved(own.reshape(-1, own.shape[2])) for own in solution.by_starts]
+    noise = _processes(solution, weights, np.concatenate([
+        taken.reshape(*shape, -1),
+        np.stack([own.reshape(*shape[1:], -1) for own, _, _ in starts])], axis=3))
+    influences = (taken @ factors).reshape(*shape, n)
     names = [(number.name, number.unit) for number in free.numbers]
     values = [*solution.values]
     if states:
         rows = _first_windows(solution)
-        own = [_own_covariance(solution, problem, w, correlations) for _, w in rows]
-        gain = np.concatenate([np.eye(len(values)), *(back[w] for _, w in rows)])
-        covariance = gain @ covariance @ gain.T
-        null = gain @ null
-        at = len(values)
-        for (run, w), part in zip(rows, own, strict=True):
-            n = len(part)
-            covariance[at:at + n, at:at + n] += part
+        null = np.concatenate([null, *(back[w] @ null for _, w in rows)])
+        influences = np.concatenate([influences, *(influences @ back[w].T for _, w in rows)], 3)
+        for k, (run, w) in enumerate(rows):
+            own, inverse, _ = starts[w]
+            at = n + k * own.shape[1]
+            influences[w, ..., at:at + own.shape[1]] += (own @ inverse).reshape(*shape[1:], -1)
             names += _state_names(coordinates, run if len(rows) > 1 else '')
             values += [*solution.starts[w]]
-            at += n
-    return _told(names, np.array(values), covariance, null, solution.freedom, coloured)
+    # Of the robust loss psi = w r, whose slope is w^3; the projection took w in place of it.
+    bend = float((weights[solution.windows.there]**3).mean())
+    found = covariances(influences, noise) / bend**2
+    return _told(names, np.array(values), found, null, solution.freedom, np.array([
+        np.median([one.samples_as_one for one in own])
+        if all(len(one.reflections) for one in own) else 1.0 for own in noise]))
 
 
-def _inverse(scale: np.ndarray, sizes: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Return (J^T J)^-1 in some directions, of the singular values of J by units."""
-    kept = rows / sizes[:, None]
-    found: np.ndarray = kept.T @ kept / np.outer(scale, scale)
-    return found
-
-
-def _correlated(slopes: np.ndarray, correlations: Sequence[Sequence[float]]) -> np.ndarray:
-    """Return J^T R J of derivatives, shape (W, T, C, n), by correlations of each quantity."""
-    n = slopes.shape[3]
-    meat = np.zeros((n, n))
-    for c, found in enumerate(correlations):
-        own = slopes[:, :, c]
-        added = np.zeros((n, n))
-        for k, r in enumerate(found, 1):
-            lagged = np.einsum('wti,wtj->ij', own[:, :-k], own[:, k:])
-            added += r * (lagged + lagged.T)
-        # What correlations seem to take away is kept: the data are never better than white.
-        sizes, rows = np.linalg.eigh(added)
-        meat += np.einsum('wti,wtj->ij', own, own) + (rows * np.maximum(sizes, 0.0)) @ rows.T
-    return meat
-
-
-def correlations_of(residuals: np.ndarray, there: np.ndarray) -> list[float]:
+def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
+            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the correlations of residuals, shape (W, T), with those 1, 2, ... samples later.
+    Return the solution of least squares by slopes, shape (N, n).
 
-    None where the first of them is no more than chance. They end where the sum of two in a row
-    is no longer positive (C. Geyer, Practical Markov chain Monte Carlo, Statistical Science 7
-    (1992)).
+    Returns
+    -------
+    tuple of np.ndarray, shapes (N, n), (n, n) and (n, m)
+        Orthonormal columns, 0 in place of what the data do not tell; factors, of which the first
+        times these is the transpose of the pseudo-inverse; and directions that are not told.
+
     """
-    size = float((residuals[there]**2).mean())
-    if size == 0.0:
-        return []
-    found: list[float] = []
-    for k in range(1, residuals.shape[1] // 2):
-        pairs = there[:, :-k] & there[:, k:]
-        found.append(float((residuals[:, :-k] * residuals[:, k:])[pairs].mean()) / size)
-        if k == 1 and found[0] < _COLOURED / math.sqrt(pairs.sum()):
-            return []
-        if k % 2 == 0 and found[-1] + found[-2] <= 0.0:
-            return found[:-2]
-    return found
-
-
-def _robust_factor(problem: Problem, solution: Solution) -> float:
-    """Return what the variance of a fit with the robust loss is of one with squares (Huber)."""
-    if not problem.robust:
-        return 1.0
-    own = solution.residuals[solution.windows.there]
-    weights = problem.weights(own)
-    # Of psi = w r, whose slope is w^3; the projection took w in place of it.
-    return float(((weights * own)**2).mean() / (weights**3).mean()**2)
-
-
-def _own_covariance(solution: Solution, problem: Problem, w: int,
-                    correlations: Sequence[Sequence[float]]) -> np.ndarray:
-    """Return the covariance of the initial state of a window if all numbers were known."""
-    n = solution.starts.shape[1]
-    slopes = solution.by_starts[w].reshape(-1, n)
-    raw = np.linalg.norm(slopes, axis=0)
-    scale = np.where(raw > 0.0, raw, 1.0)
+    if scale is None:
+        raw = np.linalg.norm(slopes, axis=0)
+        scale = np.where(raw > 0.0, raw, 1.0)
     sizes, rows, told = told_directions(slopes / scale)
-    inverse = _inverse(scale, sizes[told], rows[told])
-    meat = _correlated(solution.by_starts[w:w + 1], correlations)
-    found: np.ndarray = inverse @ meat @ inverse * _robust_factor(problem, solution)
-    return found
+    factors = np.where(told[:, None], rows, 0.0) / (
+        np.where(told, sizes, 1.0)[:, None] * scale)
+    return slopes @ factors.T, factors, rows[~told].T / scale[:, None]
+
+
+def _processes(solution: Solution, weights: np.ndarray, taken: np.ndarray
+               ) -> list[list[Process]]:
+    """Return what the noise of each quantity may be, by all that the unknowns take from it."""
+    lengths, random = solution.windows.there.sum(axis=1), np.random.default_rng(0)
+    left = weights * solution.residuals
+    return [processes(left[:, :, c], lengths, taken[:, :, c], random)
+            for c in range(left.shape[2])]
 
 
 def _first_windows(solution: Solution) -> list[tuple[str, int]]:
@@ -212,7 +175,7 @@ def _state_names(coordinates: Sequence[Coordinate], run: str) -> list[tuple[str,
             *((before + momentum_name(one.name), one.p_unit) for one in coordinates)]
 
 
-def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariance: np.ndarray,
+def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.ndarray,
           null: np.ndarray, freedom: int, coloured: np.ndarray) -> Estimates:
     """Return the estimates; those with a share in what the data do not tell have no interval."""
     scale = np.where(values != 0.0, np.abs(values), 1.0)
@@ -220,8 +183,11 @@ def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariance: np.n
     largest = shares.max(axis=0, initial=0.0, keepdims=True)
     shares = shares / np.where(largest > 0.0, largest, 1.0)
     blind = (shares > _SHARE).any(axis=1)
-    covariance = np.where(blind[:, None] | blind[None, :], 0.0, covariance)
-    error, factor = np.sqrt(np.diag(covariance)), quantile(freedom)
+    error, factor = errors_of(covariances, freedom), quantile(freedom)
+    mean = covariances.mean(axis=0)
+    spread = np.sqrt(np.diag(mean))
+    covariance = mean * np.outer(*2 * [np.where(blind | (spread == 0.0), 0.0, error) / np.where(
+        spread > 0.0, spread, 1.0)])
     estimates = [
         Estimate(name, unit, float(value), None, None, None) if hidden else
         Estimate(name, unit, float(value), float(own), float(value - factor * own),
@@ -230,6 +196,19 @@ def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariance: np.n
     unknown = [{name: float(part) for (name, _), part in zip(names, direction, strict=True)
                 if abs(part) > _SHARE} for direction in _directions(null / scale[:, None])]
     return Estimates(estimates, covariance, unknown, coloured)
+
+
+def errors_of(covariances: np.ndarray, freedom: int) -> np.ndarray:
+    """
+    Return standard errors, of which as many as of one distribution of Student reach as far.
+
+    Of the mixture of those with these covariances, shape (N, u, u), whose tails are longer.
+    """
+    own = np.sqrt(np.einsum('sii->is', covariances))
+    factor = quantile(freedom)
+    return np.array([0.0 if not part.any() else brentq(
+        lambda end, part=part: student.cdf(end / part, freedom).mean() - (0.5 + 0.5 * CONFIDENCE),
+        0.0, 2.0 * factor * part.max()) / factor for part in np.maximum(own, 1e-300)])
 
 
 def _directions(null: np.ndarray) -> np.ndarray:
@@ -282,12 +261,12 @@ def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Est
 
 def _error_by_cost(solution: Solution, problem: Problem, k: int) -> float:
     """Return how far a number moves until the cost, with all others at their best, is 1 more."""
-    slopes, _ = projected(solution, problem.weights(solution.residuals))
-    scale = units_of(solution)
-    sizes, rows, told = told_directions(slopes.reshape(-1, slopes.shape[3]) / scale)
+    weights = problem.weights(solution.residuals)
+    slopes, _ = projected(solution, weights)
+    _, factors, _ = _solved(slopes.reshape(-1, slopes.shape[3]), units_of(solution))
     # The cost of a residual bends as w^3, 1 for squares.
-    bend = (problem.weights(solution.residuals)[solution.windows.there]**3).mean()
-    return math.sqrt(float(_inverse(scale, sizes[told], rows[told])[k, k] / bend))
+    bend = (weights[solution.windows.there]**3).mean()
+    return float(np.linalg.norm(factors[:, k])) / math.sqrt(bend)
 
 
 def _end(excess: Callable[[float], float], value: float, error: float, bound: float

@@ -29,6 +29,8 @@ import numpy as np
 
 # Of a central difference: the error of its truncation is as large as that of rounding.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+# Of a step: where forces jump no further from one of its ends, it is not taken in two.
+_ALIGNED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,7 @@ class Prediction:
         self._h = windows.spacing / self._per_sample
         self._samples = windows.measured.shape[1] - 1
         self._effects, self._force = self._acting(scene)
+        self._parts = self._parts_of_samples()
         self._on_failure = scene.on_failure
         # Time, and what was measured, are others in each window.
         self._timed = any(isinstance(effect, MeasuredForce | PeriodicDrive)
@@ -150,9 +153,20 @@ class Prediction:
                 names = command_names(effect, self.hamiltonian.coordinates, self._windows.motions)
                 longest = max(len(motion.t) for motion in self._windows.motions)
                 force = MeasuredForce(names, longest * self._per_sample)
-                force.times[1] = 1.0 / self._h
                 effects[i] = force
         return effects, force
+
+    def _parts_of_samples(self) -> list[tuple[float, int]]:
+        """Return sizes [s] and counts of steps between samples; held forces jump at an end."""
+        whole = [(self._h, self._per_sample)]
+        if self._force is None or not any(motion.held for motion in self._windows.motions):
+            return whole
+        before, share = divmod(self._delay / self._h % self._per_sample, 1.0)
+        if min(share, 1.0 - share) < _ALIGNED:
+            return whole
+        return [part for part in (
+            (self._h, int(before)), (share * self._h, 1), ((1.0 - share) * self._h, 1),
+            (self._h, self._per_sample - int(before) - 1)) if part[1]]
 
     @cached_property
     def _simulation(self) -> Simulation:
@@ -213,22 +227,38 @@ class Prediction:
             return
         for run in np.unique(self._windows.run[wanted]):
             motion, force = self._windows.motions[run], self._force
-            force.times[0] = round(float(motion.t[0]) / self._h) * self._h
-            edges = self._h * np.arange(len(force.table) + 1) - self._delay
-            force.table[:] = np.diff(impulse(motion, edges), axis=0) / self._h
+            begin = round(float(motion.t[0]) / self._h) * self._h
+            if motion.held:
+                force.take(motion.tau, begin + self._delay, motion.spacing)
+            else:
+                edges = self._h * np.arange(len(motion.tau) * self._per_sample + 1) - self._delay
+                force.take(np.diff(impulse(motion, edges), axis=0) / self._h, begin, self._h)
             yield np.flatnonzero(wanted & (self._windows.run == run))
 
     def _record(self, starts: np.ndarray, found: np.ndarray, step: int) -> None:
         """Fill the states from some starts, one by one if they do not all go well together."""
         q, p = np.split(starts, 2, axis=1)
         try:
+            self._simulation.step_size = self._h
             self._simulation.restart(q, p, step=step)
-            states = np.concatenate(self._simulation.record(self._samples, self._per_sample), 2)
-            found[:, 1:] = states.swapaxes(0, 1)
+            found[:, 1:] = self._recorded().swapaxes(0, 1)
         except (StepFailure, StateError):
             if len(starts) > 1:
                 for k in range(len(starts)):
                     self._record(starts[k:k + 1], found[k:k + 1], step)
+
+    def _recorded(self) -> np.ndarray:
+        """Return states at the samples, shape (T - 1, K, 2 d)."""
+        simulation = self._simulation
+        if len(self._parts) == 1:
+            return np.concatenate(simulation.record(self._samples, self._per_sample), 2)
+        states = []
+        for _ in range(self._samples):
+            for h, steps in self._parts:
+                simulation.step_size = h
+                simulation.advance(steps)
+            states.append(np.concatenate([simulation.q, simulation.p], 1))
+        return np.array(states)
 
     def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
                   ) -> tuple[np.ndarray, np.ndarray]:
@@ -287,6 +317,8 @@ class Prediction:
     @cached_property
     def _run(self) -> DifferentiableRun | None:
         """Return the run whose derivatives are exact, None where there is none."""
+        if len(self._parts) > 1:
+            return None
         try:
             return DifferentiableRun(self.hamiltonian, self._integrator, self._h, self._effects)
         except UnsupportedSystem:
@@ -346,8 +378,8 @@ class Prediction:
         """Return values of a number within its bounds, and weights of a difference by them."""
         number, value = self._free.numbers[k], float(self._values[k])
         # Not of what is left of a number that has all but vanished: that would be rounding.
-        spacing = _SPACING * (max(abs(value), abs(number.start)) or 1.0)
-        return difference(value, spacing, number.low, number.high)
+        usual = self._windows.spacing if number.place == DELAY else abs(number.start) or 1.0
+        return difference(value, _SPACING * max(abs(value), usual), number.low, number.high)
 
 
 class _OnNumber(OnNumber):

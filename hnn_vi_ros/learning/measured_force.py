@@ -22,7 +22,7 @@ class MeasuredParameters(NamedTuple):
 
 class MeasuredForce(Force):
     """
-    A force on some coordinates, one for each step of a simulation, by the clock.
+    A force on some coordinates that holds for a while, and then another one, by the clock.
 
     It is no effect of scenes: there commands come one by one, by ``external_force``, and each
     takes a call. This one knows all of them when the first step is taken.
@@ -31,35 +31,43 @@ class MeasuredForce(Force):
     ----------
     names : sequence of str
         m coordinates.
-    steps : int
-        Most steps of a run.
-
-    Attributes
-    ----------
-    table : np.ndarray, shape (steps, m)
-        The force in each step of a run [N], [N m]; to be filled before a start, as are ``times``.
-    times : np.ndarray, shape (2,)
-        The time at which the run begins [s], and steps per second.
+    most : int
+        Most forces of a run.
 
     """
 
     depends_on_momentum, single, turns = False, True, False
 
-    def __init__(self, names: Sequence[str], steps: int):
+    def __init__(self, names: Sequence[str], most: int):
         self.names = tuple(names)
-        self.table, self.times = np.zeros((steps, len(self.names))), np.zeros(2)
+        self._table, self._times = np.zeros((most, len(self.names))), np.zeros(3)
+
+    def take(self, forces: np.ndarray, begin: float, duration: float) -> None:
+        """
+        Take the forces of a run, before it starts.
+
+        Parameters
+        ----------
+        forces : np.ndarray, shape (n, m)
+            One after another [N], [N m]; the first one acts before, too, and the last one after.
+        begin, duration : float
+            Time at which the first one begins, and how long each holds [s].
+
+        """
+        self._table[:len(forces)] = forces
+        self._times[:] = begin, 1.0 / duration, len(forces) - 1
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> MeasuredParameters:
         """Return the clock, the coordinates' places, and the table."""
         places = np.array([coordinate_index(coordinates, name) for name in self.names])
-        return MeasuredParameters(state.clock, places, self.table, self.times)
+        return MeasuredParameters(state.clock, places, self._table, self._times)
 
     @staticmethod
     @inlined
     def add_force(own: MeasuredParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the force of the step that is being taken, by the time at its start."""
-        row = int((own.clock[0] - own.times[0]) * own.times[1] + 0.5)
-        row = max(0, min(row, own.table.shape[0] - 1))
+        # Steps begin where a force does, or well after: by rounding also a little before.
+        row = int(max(0.0, min((own.clock[0] - own.times[0]) * own.times[1] + 1e-9, own.times[2])))
         for k in range(own.places.size):
             f_p[own.places[k]] += own.table[row, k]

@@ -15,6 +15,7 @@ from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.lockstep.devices import kernels_of, open_device, STEPS
 from hnn_vi_ros.lockstep.gradient import make_gradient
 from hnn_vi_ros.lockstep.steps import first_state, Progress, State, step_of, System
+from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
@@ -159,6 +160,7 @@ class LockstepEnsemble:
                   counts: Counts, failures: dict[int, StepFailure]) -> State:
         """Return the state when nothing is to do, with what ``Simulation`` has taken of it."""
         while progress.todo.any():
+            heed()
             state, outcome = self._launch(state, progress, end)
             for k in (outcome != OK).nonzero()[:, 0].tolist():
                 row, steps = int(rows[k]), end - int(progress.todo[k])

@@ -28,8 +28,6 @@ _EPSILON = np.finfo(np.float64).eps
 # What is simulated for a bag: so many steps a sample, which of 1 to 3 us each are as many as run
 # in real time at a sample a second; and so many for samples of before another recorder began.
 _MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
-# Steps between which a signal is noticed.
-_BATCH = 10**5
 
 
 class Verdict(NamedTuple):
@@ -188,8 +186,7 @@ def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
         raise RecordingError(f'{run.reader.path}: holds what came at step {step}, before the '
                              f'state that it begins at, of step {simulation.steps}')
     try:
-        while (left := step - simulation.steps) > 0:
-            simulation.advance(min(left, _BATCH))
+        simulation.advance(max(0, step - simulation.steps))
     except StepFailure as failure:
         raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
                              ) from failure

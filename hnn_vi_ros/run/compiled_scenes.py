@@ -78,6 +78,7 @@ def _compile(name: str) -> CompiledScene:
                 simulation.compile(whole=True)
             # And what other effects will share, by address.
             simulation.compile(whole=False)
+            simulation.compile_rescue()
             for effect in _around(scene):
                 with suppress(HnnViRosError):
                     simulate(scene, 0.0, effects=[effect])

@@ -3,7 +3,6 @@
 """Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from hnn_vi_ros.guards.watch import (
     energies_of, look_at_block, show_many, tell, tell_many, Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
-from hnn_vi_ros.processors import usable_processors
+from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.run.resolving_step import name_step
 from hnn_vi_ros.run.trajectory import Trajectory
@@ -318,11 +317,9 @@ def _compiled(start: Callable[[slice], Simulation], q0: np.ndarray, p0: np.ndarr
     workers = min(threads, -(-len(q0) // size))
     q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
     q_all[0], p_all[0] = q0, p0
-    with ThreadPoolExecutor(workers) as pool:
-        # Taken from the iterator, so that a failure of one worker is raised here.
-        list(pool.map(lambda worker: _fill(
-            start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all,
-            alarms), range(workers)))
+    in_threads(lambda worker: _fill(
+        start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all, alarms),
+        workers)
     return q_all, p_all
 
 

@@ -107,7 +107,10 @@ class Twin:
             # What is to be said of the scene is said of the simulation.
             warnings.simplefilter('ignore')
             self._predictions = [Prediction(build(alone)) for _ in range(observer.predictions)]
-            self._predictions[0].simulation.compile()
+            first = self._predictions[0].simulation
+        first.compile()
+        first.compile_rescue()
+        first.hamiltonian.compile()
         self._every = _LONGEST / observer.predictions
         self.newest: Report | None = None
         self.failed = 0

@@ -5,6 +5,8 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+import math
+import time
 from typing import Any, Literal
 
 from hnn_vi_ros.errors import StoppedByEvent
@@ -88,9 +90,13 @@ class WatchedSimulation:
         self._simulation.restart(*arguments, **more)
         self.events.clear()
 
-    def advance(self, n: int) -> None:
-        """Take n steps; see ``record``."""
-        self.record(1, n)
+    def advance(self, n: int, until: float = math.inf) -> int:
+        """Take n steps, or fewer, and return how many; see Simulation, and ``record``."""
+        for taken in range(1, n + 1):
+            self.dense_step()
+            if time.perf_counter() >= until:
+                return taken
+        return n
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -36,9 +36,8 @@ def main(argv: list[str]) -> int:
     try:
         run_jobs(jobs, folder, arguments.jobs)
     except KeyboardInterrupt:
-        print(f'\nInterrupted: {len(folder.rows)} rows are kept in {folder.path}; the same '
-              'command goes on from there.')
-        return 130
+        raise KeyboardInterrupt(f'stopped: {len(folder.rows)} rows are kept in {folder.path}; the '
+                                'same command goes on from there') from None
     found = {row.key: row for row in folder.rows}
     rows = [found[job.key] for job in jobs]
     if arguments.commit:

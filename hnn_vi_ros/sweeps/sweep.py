@@ -59,9 +59,8 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     except (ValueError, TypeError) as problem:
         raise ParameterError(str(problem)) from problem
     except KeyboardInterrupt:
-        print(f'sweep: stopped; what is whole is in {out}: the same command goes on',
-              file=sys.stderr)
-        raise
+        raise KeyboardInterrupt(
+            f'stopped; what is whole is in {out}: the same command goes on') from None
     plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'),
                      options.device)
     folder, share = SweepFolder(out), shards_of(options.shard)

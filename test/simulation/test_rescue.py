@@ -12,9 +12,10 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_size_control
 from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import assembly, Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
+from hnn_vi_ros.simulation.stepping import RescuePending
 import numpy as np
 from plain_systems import Plain
 import pytest
@@ -276,6 +277,54 @@ def test_sub_steps_are_given_up_at_a_limit_that_the_failure_names():
     assert 2 * most < caught.value.evaluations < 2 * most + 100
     assert caught.value.evaluations == simulation.gradients
     assert 'use a smaller step_size or another integrator' in str(caught.value)
+
+
+@pytest.mark.parametrize('make', [
+    lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](max_iterations=3),
+                       0.05, [0.0], [-3.0]),
+    lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6],
+                       [0.0]),
+    lambda: bounce('implicit', 40.0)], ids=['chain of solvers', 'sub-steps', 'two methods'])
+def test_step_that_waits_for_its_rescue_leaves_no_trace(make):
+    whole, waiting = make(), make()
+    whole.advance(60)
+    waiting.rescue_ready = False
+    for _ in range(2):
+        with pytest.raises(RescuePending):
+            waiting.advance(60)
+    # All steps before it are taken, and nothing tells that it was tried.
+    before = make()
+    before.advance(waiting.steps)
+    assert waiting.steps < 60 and before.rescued == 0
+    assert (waiting.gradients, waiting.costliest) == (before.gradients, before.costliest)
+    now, expected = waiting.snapshot(), before.snapshot()
+    assert all(np.array_equal(now[name], expected[name]) for name in expected)
+    waiting.compile_rescue()
+    assert waiting.rescue_ready
+    waiting.advance(60 - waiting.steps)
+    end, expected = waiting.snapshot(), whole.snapshot()
+    assert all(np.array_equal(end[name], expected[name]) for name in expected)
+    assert (waiting.rescued, waiting.gradients) == (whole.rescued, whole.gradients)
+
+
+@pytest.mark.parametrize('make', [
+    lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6],
+                       [0.0]),
+    lambda: Simulation(
+        HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6], [0.0],
+        [EFFECTS['external_force'](['x']), EFFECTS['damping'](0.01)]),
+    lambda: bounce('implicit', 40.0)], ids=['plain', 'effects', 'two methods'])
+def test_step_that_fails_finds_all_that_takes_it_compiled(make, monkeypatch):
+    simulation = make()
+    simulation.compile()
+    simulation.compile_rescue()
+
+    def refuse(*arguments, **options):
+        raise AssertionError('compiled in a step')
+    monkeypatch.setattr(assembly, 'entry_point', refuse)
+    monkeypatch.setattr(assembly, 'provide_for', refuse)
+    simulation.advance(60)
+    assert simulation.rescued > 0
 
 
 # What a failure says.
