@@ -25,8 +25,8 @@ settings.load_profile('any machine')
 # yet, and those of nodes that take as long by the clock.
 LONGEST = (
     'studies/test_work_precision.py', 'hard_cases/test_hard_cases.py', 'test_planted_faults.py',
-    'studies/test_scene_tool.py', 'accuracy/test_calibration.py', 'lockstep/test_fused.py',
-    'simulation/test_assembly.py', 'test_flake8.py', 'test_cli.py', 'learning/test_rigid_body.py',
+    'studies/test_scene_tool.py', 'accuracy/test_calibration.py', 'simulation/test_assembly.py',
+    'test_flake8.py', 'test_cli.py', 'learning/test_rigid_body.py',
     'learning/test_machine_training.py', 'learning/test_input_map.py',
     'learning/test_family_training.py', 'models/test_mechanical_mean.py',
     'models/test_confined.py', 'learning/test_train.py', 'test_mypy.py',

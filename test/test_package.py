@@ -47,7 +47,6 @@ HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
     'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
              r'|torch\.py|lockstep/\w+\.py|run/device_ensemble\.py',
-    'triton': r'lockstep/triton_kernels\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/(turning_)?peers\.py',
     'diffrax': r'studies/(turning_)?peers\.py',

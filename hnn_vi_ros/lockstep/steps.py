@@ -55,14 +55,11 @@ class Progress(NamedTuple):
 
     Parameters
     ----------
-    todo : torch.Tensor
-        Steps that are to do.
     most, at : torch.Tensor
         The most gradients of a step, and its number.
 
     """
 
-    todo: torch.Tensor
     most: torch.Tensor
     at: torch.Tensor
 
