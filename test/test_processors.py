@@ -8,13 +8,12 @@ import re
 
 from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.studies import arguments
 import pytest
+from studies import arguments
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
 # These name the machine, whose processors are all that it has.
-OF_THE_MACHINE = {'processors.py', 'accuracy/calibration.py', 'studies/results.py',
-                  'commands/doctor.py'}
+OF_THE_MACHINE = {'processors.py', 'accuracy/calibration.py', 'commands/doctor.py'}
 
 
 @pytest.mark.skipif(not hasattr(os, 'sched_setaffinity'), reason='takes affinities, as Linux has')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of what only ``hnn`` has; import nothing of what it works with."""
+"""The command lines of this room; import nothing of what it works with."""
 
 from pathlib import Path
 
@@ -36,6 +36,38 @@ def run() -> Parser:
         'write a recording for the rerun viewer: .rrd'))
     parser.add_argument('--csv', type=Path, metavar='FILE', help=(
         'write the samples as text: a column each for t, coordinates, momenta and H'))
+    return parser
+
+
+def scene() -> Parser:
+    """Return the parser of ``scene``."""
+    parser = Parser('scene', (
+        'Check, list, explain and compile scenes, write one for a robot; print their schema.'), [
+        'ros2 run hnn_vi_ros scene --list',
+        'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
+        'ros2 run hnn_vi_ros scene --explain double_pendulum',
+        'ros2 run hnn_vi_ros scene --compile my_scene.yaml',
+        'ros2 run hnn_vi_ros scene --new my_robot.urdf --out my_scene.yaml'])
+    # By itself argparse keeps what excludes each other on one line, however long that is.
+    parser.usage = ('scene [-h] [--version] (--check NAME [NAME ...] | --list | --schema |\n'
+                    '             --explain NAME | --compile [NAME ...] |\n'
+                    '             --new URDF [--out SCENE])')
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument('--check', nargs='+', metavar='NAME', help=(
+        'say of each scene, a shipped name or a file, whether it is valid'))
+    task.add_argument('--list', action='store_true', help='name the shipped scenes')
+    task.add_argument('--schema', action='store_true', help=(
+        'print the JSON schema by which editors complete and check scenes'))
+    task.add_argument('--explain', metavar='NAME', help=(
+        'print what a scene simulates, and measure what each of its effects adds to a step'))
+    task.add_argument('--compile', nargs='*', metavar='NAME', help=(
+        'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
+        'first start need not'))
+    task.add_argument('--new', metavar='URDF', help=(
+        'write a scene for a robot, a path or package://PACKAGE/PATH: its joints, their limits '
+        'and friction, and where it rests'))
+    parser.add_argument('--out', type=Path, metavar='SCENE', help=(
+        'the file that --new writes, which must not exist (default: ROBOT.yaml)'))
     return parser
 
 

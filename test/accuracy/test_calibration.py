@@ -17,10 +17,10 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.studies.references import EXACT, make_reference
 import numpy as np
 from plain_systems import Plain
 import pytest
+from studies.references import EXACT, make_reference
 
 ENERGY, PATH = 'energy_error', 'path_error'
 # None of these was looked at when the constants of the calibration were chosen.

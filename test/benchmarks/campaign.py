@@ -21,10 +21,10 @@ from hnn_vi_ros.accuracy.calibration import calibrate
 from hnn_vi_ros.accuracy.energy_scale import energy_scale
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.studies.references import EXACT
-from hnn_vi_ros.studies.results import commit, machine
 import numpy as np
 from scipy.integrate import solve_ivp
+from studies.references import EXACT
+from studies.results import commit, machine
 
 # Horizons in periods, and errors.
 TOLERANCES = (

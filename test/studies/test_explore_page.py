@@ -9,9 +9,9 @@ import shutil
 import subprocess
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.studies import explore_page
-from hnn_vi_ros.studies.results import read_rows
 import pytest
+from studies import explore_page
+from studies.results import read_rows
 
 DOCS = Path(__file__).parents[2] / 'docs' / 'accuracy'
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')

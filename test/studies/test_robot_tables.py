@@ -6,12 +6,12 @@ import json
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
-from hnn_vi_ros.studies import rigid_body_coverage, robot_tables
-from hnn_vi_ros.studies.published_page import _robots_table, ROBOTS
-from hnn_vi_ros.studies.robot_tables import (
-    DFKI_URDF, MODELS, read_runs, ROBOTS_MEASURED, rows_of, two_runs)
 import numpy as np
 import pytest
+from studies import rigid_body_coverage, robot_tables
+from studies.published_page import _robots_table, ROBOTS
+from studies.robot_tables import (
+    DFKI_URDF, MODELS, read_runs, ROBOTS_MEASURED, rows_of, two_runs)
 
 UR10, MEASURE = 'real UR10', ROBOTS_MEASURED['real UR10'].chosen_by
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import shutil
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.studies import turning_costs
-from hnn_vi_ros.studies.explore_page import page_data
-from hnn_vi_ros.studies.measuring import StudyRow
-from hnn_vi_ros.studies.results import read_rows
 import numpy as np
 import pytest
+from studies import turning_costs
+from studies.explore_page import page_data
+from studies.measuring import StudyRow
+from studies.results import read_rows
 
 DOCS = Path(__file__).parents[2] / 'docs'
 PEERS = all(find_spec(name) is not None for name in ('diffrax', 'mujoco'))

@@ -17,17 +17,17 @@ from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.studies import accuracy_page, explore_page, work_precision
-from hnn_vi_ros.studies.arguments import SCENES
-from hnn_vi_ros.studies.measuring import measure_row, PeerRun, StudyRow, whole_steps
-from hnn_vi_ros.studies.peers import create_peers, jax_energy, scipy_peers
-from hnn_vi_ros.studies.references import (
-    make_reference, ModelDiscrepancy, Reference, true_hamiltonian)
-from hnn_vi_ros.studies.results import read_rows, Results
 import mpmath
 import numpy as np
 from PIL import Image
 import pytest
+from studies import accuracy_page, explore_page, work_precision
+from studies.arguments import SCENES
+from studies.measuring import measure_row, PeerRun, StudyRow, whole_steps
+from studies.peers import create_peers, jax_energy, scipy_peers
+from studies.references import (
+    make_reference, ModelDiscrepancy, Reference, true_hamiltonian)
+from studies.results import read_rows, Results
 
 COLUMNS = ['method', 'step_size', 'horizon', 'path_error', 'energy_band',
            'seconds_per_simulated_second', 'p95_seconds', 'gradients_per_simulated_second',
@@ -146,7 +146,7 @@ def test_orbits_that_are_no_ellipse_have_no_formula(q0, p0):
 def test_formula_and_gauss_agree_within_their_accuracies(monkeypatch):
     start = np.array([0.96, 1.28]), np.array([-0.4, 0.3])
     exact = make_reference(Kepler(), *start, 100.0, 0.1)
-    monkeypatch.setattr('hnn_vi_ros.studies.references.EXACT', {})
+    monkeypatch.setattr('studies.references.EXACT', {})
     gauss = make_reference(Kepler(), *start, 100.0, 0.1)
     assert gauss.how.startswith('gauss16') and gauss.accuracy < 1e-11
     # Each is known to a few times what it says.
@@ -352,7 +352,7 @@ def test_peers_refuse_a_network_that_is_not_of_tanh():
 
 
 def test_peers_stand_in_the_same_table(tmp_path, monkeypatch):
-    monkeypatch.setattr('hnn_vi_ros.studies.peers.create_peers', scipy_peers)
+    monkeypatch.setattr('studies.peers.create_peers', scipy_peers)
     rows = study(tmp_path, 'exact_pendulum', '--methods', 'rk4', '--steps', '0.1', '--horizons',
                  '1', '--peers')
     assert len(rows) == 23 and len({row.key for row in rows}) == 23

@@ -1,0 +1,286 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""One row of a work-precision study: a method at one step size, run to one horizon and timed."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+import gc
+import math
+import time
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+from studies.references import INSTANTS, Reference, SAMPLES
+
+# solve(z0, duration, setting) returns (q, p) at the end, shape (2 d,), and gradients evaluated;
+# the setting is a tolerance, relative and absolute, or a step size.
+Solve = Callable[[np.ndarray, float, float], tuple[np.ndarray, int]]
+
+OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
+
+
+@dataclass(frozen=True)
+class StudyRow:
+    """
+    Measurements of one row; a figure that there is none for is NaN.
+
+    Parameters
+    ----------
+    method : str
+        The label of a method, a variant of one, or a peer with its tolerance.
+    step_size : float
+        h [s]; NaN for a peer that chooses its own.
+    horizon : float
+        T, how long was simulated [s].
+    path_error : float
+        Largest abs((q, p) - reference) over the instants T/10, ..., T at which a step ends; not
+        below the accuracy of the reference, beyond which nothing is known.
+    energy_band : float
+        Largest abs(H - H0) [J], over about a thousand states; of a peer, over ten.
+    seconds_per_simulated_second, p95_seconds : float
+        Median and 95th percentile of the wall time of the timed runs, over T.
+    gradients_per_simulated_second : float
+        Gradients and Hessian-vector products over T.
+    status : str
+        'ok'; 'energy only' where no path can be verified; either with how many steps converged
+        only in parts; 'too long: ...' for one that was not run; else why the run failed, and when.
+
+    """
+
+    method: str
+    step_size: float
+    horizon: float
+    path_error: float
+    energy_band: float
+    seconds_per_simulated_second: float
+    p95_seconds: float
+    gradients_per_simulated_second: float
+    status: str
+
+    @property
+    def key(self) -> tuple[str, float | None, float]:
+        """Return what the row is of."""
+        return (self.method, None if math.isnan(self.step_size) else self.step_size,
+                self.horizon)
+
+    @property
+    def finished(self) -> bool:
+        """Return whether the run came to its end."""
+        return self.status.startswith((OK, ENERGY_ONLY))
+
+    @property
+    def failed(self) -> bool:
+        """Return whether the run was begun and did not come to its end."""
+        return not self.finished and not self.status.startswith(TOO_LONG)
+
+
+class MeasuredPath(NamedTuple):
+    """A run: (q, p) at the last of each ``INSTANTS / len(path)`` instants, and what it took."""
+
+    path: np.ndarray
+    energy_band: float
+    gradients: int
+    note: str
+
+
+class RunFailure(Exception):
+    """A run ended before its horizon: why, at what time [s], after how many gradients."""
+
+    def __init__(self, reason: str, t: float, gradients: int):
+        super().__init__(reason)
+        self.reason, self.t, self.gradients = reason, t, gradients
+
+
+class MethodRun(ABC):
+    """A method at one setting, ready to be run to any horizon that its step divides."""
+
+    label: str
+    step_size: float
+
+    @abstractmethod
+    def measure(self, horizon: float) -> MeasuredPath:
+        """Run once, looking at the states on the way; RunFailure if it does not arrive."""
+
+    @abstractmethod
+    def prepare(self, horizon: float) -> Callable[[], object]:
+        """Return a run that looks at nothing but the end, to be timed."""
+
+
+class OwnRun(MethodRun):
+    """
+    One of our methods, compiled.
+
+    Parameters
+    ----------
+    label : str
+        See variants.
+    simulation : Simulation
+        At its initial state.
+    hamiltonian : Hamiltonian
+        By which energies are judged; not always the one that is integrated.
+
+    """
+
+    def __init__(self, label: str, simulation: Simulation, hamiltonian: Hamiltonian):
+        self.label, self.step_size = label, simulation.step_size
+        self._simulation, self._hamiltonian = simulation, hamiltonian
+        self._start = simulation.q.copy(), simulation.p.copy()
+        simulation.compile(whole=True)
+
+    def measure(self, horizon: float) -> MeasuredPath:
+        """See MethodRun."""
+        simulation, energy = self._simulation, self._hamiltonian.energy
+        simulation.restart(*self._start)
+        steps = whole_steps(horizon, self.step_size)
+        parts = math.gcd(steps, INSTANTS)
+        length = steps // parts
+        every = math.ceil(length * parts / SAMPLES)
+        h0, band, path = energy(*self._start), 0.0, []
+        try:
+            for _ in range(parts):
+                q, p = simulation.record(length // every, every)
+                simulation.advance(length % every)
+                path.append(np.concatenate([simulation.q, simulation.p]))
+                energies = energy(np.vstack([q, simulation.q]), np.vstack([p, simulation.p]))
+                band = max(band, float(np.abs(energies - h0).max()))
+        except StepFailure as failure:
+            raise RunFailure(failure.reason, simulation.time, simulation.gradients) from failure
+        note = f' ({simulation.rescued} steps in parts)' if simulation.rescued else ''
+        return MeasuredPath(np.array(path), band, simulation.gradients, note)
+
+    def prepare(self, horizon: float) -> Callable[[], object]:
+        """See MethodRun."""
+        self._simulation.restart(*self._start)
+        steps = whole_steps(horizon, self.step_size)
+        return lambda: self._simulation.advance(steps)
+
+
+class Peer(NamedTuple):
+    """A peer's method: its name, whether it chooses its own steps, and how it is called."""
+
+    name: str
+    adaptive: bool
+    solve: Solve
+
+
+class PeerRun(MethodRun):
+    """
+    A peer at one tolerance or step size.
+
+    Its path error is that at the horizon, of the very run that is timed. Its energy band is that
+    of another run as well, which stops at each of the instants: between its own steps a peer
+    would show the error of its interpolation.
+
+    Parameters
+    ----------
+    peer : Peer
+        What is run.
+    setting : float
+        Its tolerance [1] or step size [s].
+    hamiltonian : Hamiltonian
+        By which energies are judged.
+    z0 : np.ndarray, shape (2 d,)
+        Initial (q, p); of rotations 2 d less one for each.
+
+    """
+
+    def __init__(self, peer: Peer, setting: float, hamiltonian: Hamiltonian, z0: np.ndarray):
+        self.label = f'{peer.name} tolerance={setting:g}' if peer.adaptive else peer.name
+        self.step_size = math.nan if peer.adaptive else setting
+        self._peer, self._setting, self._hamiltonian = peer, setting, hamiltonian
+        self._z0 = z0
+
+    def measure(self, horizon: float) -> MeasuredPath:
+        """See MethodRun."""
+        states, spent = [self._z0], 0
+        for part in range(INSTANTS):
+            z, gradients = self._solve(
+                states[-1], horizon / INSTANTS, part * horizon / INSTANTS, spent)
+            states.append(z)
+            spent += gradients
+        end, spent = self._solve(self._z0, horizon, 0.0, 0)
+        path = np.array([*states, end])
+        # Of a rotation p has a column less than q.
+        energies = self._hamiltonian.energy(
+            *np.split(path, [self._hamiltonian.dimension], axis=1))
+        return MeasuredPath(end[None], float(np.abs(energies - energies[0]).max()), spent, '')
+
+    def prepare(self, horizon: float) -> Callable[[], object]:
+        """See MethodRun."""
+        return lambda: self._peer.solve(self._z0, horizon, self._setting)
+
+    def _solve(self, z: np.ndarray, duration: float, t: float, spent: int
+               ) -> tuple[np.ndarray, int]:
+        try:
+            end, gradients = self._peer.solve(z, duration, self._setting)
+        except (ArithmeticError, AssertionError, RuntimeError) as problem:
+            # The first words: the rest is advice on options.
+            reason = ' '.join(str(problem).split())[:60] or type(problem).__name__
+            raise RunFailure(reason, t, spent) from problem
+        if not np.isfinite(end).all():
+            raise RunFailure('not finite', t, spent)
+        return end, gradients
+
+
+def whole_steps(horizon: float, step_size: float) -> int | None:
+    """Return how many steps make up a horizon; None if that is not a whole number."""
+    steps = round(horizon / step_size)
+    return steps if steps > 0 and abs(steps * step_size - horizon) <= 1e-9 * horizon else None
+
+
+def measure_row(run: MethodRun, horizon: float, reference: Reference, runs: int) -> StudyRow:
+    """
+    Run once to measure errors, and so often as asked to measure time.
+
+    Parameters
+    ----------
+    run : MethodRun
+        What is run.
+    horizon : float
+        T [s].
+    reference : Reference
+        To the same horizon.
+    runs : int
+        Timed runs, at least 1; the one that measures errors comes before them and warms up.
+
+    """
+    start = time.perf_counter()
+    try:
+        measured = run.measure(horizon)
+        if not np.isfinite([*measured.path.ravel(), measured.energy_band]).all():
+            raise RunFailure('not finite', horizon, measured.gradients)
+    except RunFailure as failure:
+        seconds, t = time.perf_counter() - start, failure.t
+        rates = (seconds / t, failure.gradients / t) if t > 0.0 else (math.nan, math.nan)
+        return StudyRow(run.label, run.step_size, horizon, math.nan, math.nan, rates[0], math.nan,
+                        rates[1], f'{failure.reason} at t = {t:.6g} s')
+    times = _times(run, horizon, runs) / horizon
+    error, status = math.nan, ENERGY_ONLY
+    if reference.verified:
+        stride = INSTANTS // len(measured.path)
+        error = max(float(np.abs(measured.path - reference.path[stride - 1::stride]).max()),
+                    reference.accuracy)
+        status = OK
+    return StudyRow(run.label, run.step_size, horizon, error, measured.energy_band,
+                    float(np.median(times)), float(np.quantile(times, 0.95)),
+                    measured.gradients / horizon, status + measured.note)
+
+
+def _times(run: MethodRun, horizon: float, runs: int) -> np.ndarray:
+    """Return the wall time of each of some runs [s]."""
+    times = np.empty(runs)
+    gc.collect()
+    gc.disable()
+    try:
+        for i in range(runs):
+            timed = run.prepare(horizon)
+            start = time.perf_counter()
+            timed()
+            times[i] = time.perf_counter() - start
+    finally:
+        gc.enable()
+    return times

@@ -1,0 +1,270 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measure what accuracy costs for bodies that turn, beside peers; write tables and pictures."""
+
+from argparse import ArgumentParser
+from collections.abc import Iterator, Sequence
+import csv
+from dataclasses import replace
+import json
+from pathlib import Path
+import sys
+import time
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
+from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+from scipy.spatial.transform import Rotation
+from studies.explore_page import FLOORS, read_floors, write_explorer
+from studies.measuring import (
+    measure_row, MethodRun, OwnRun, Peer, PeerRun, StudyRow, whole_steps)
+from studies.references import INSTANTS, Reference
+from studies.results import COLUMNS, commit, row_texts
+from studies.turning_peers import turning_peers
+
+# What a body is thrown with: p in space [kg m/s], L in its frame [kg m^2/s]; then it falls.
+THROWN = (0.8, 0.0, 2.4, 0.012, -0.02, 0.04)
+HORIZON, ROUNDS = 100.0, 3
+# The largest error that the table is made for.
+GOOD = 1e-8
+BEGIN, END = '<!-- turning_costs -->', '<!-- end of turning_costs -->'
+# Step sizes [s] of our methods, and of peers; tolerances of those that choose their own.
+_OWN = {'kahan_li8': (0.25, 0.2, 0.16, 0.125, 0.1, 0.0625),
+        'suzuki4': (0.05, 0.025, 0.0125, 0.00625),
+        'lie_stormer_verlet': (0.02, 0.01, 0.005, 0.0025), 'lie_leapfrog': (0.02, 0.01, 0.005),
+        'lie_gauss8': (0.05, 0.025), 'lie_gauss12': (0.125, 0.1, 0.0625),
+        'lie_gauss16': (0.125, 0.1)}
+_TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
+_STEPS = (0.01, 0.005, 0.0025, 0.00125)
+# Of the reference.
+_METHOD, _STEP = 'lie_gauss16', 0.1
+# A long run, how often its invariants are looked at, and methods with step size or tolerance.
+LONG, _LOOKS = 10_000.0, 100
+_LONG = {'lie_leapfrog': 0.01, 'lie_stormer_verlet': 0.01, 'kahan_li8': 0.1,
+         'RK4 on quaternions': 0.01, 'scipy RK45': 1e-7}
+
+
+class Case(NamedTuple):
+    """A scene's Hamiltonian, and the state that it starts from."""
+
+    scene: str
+    hamiltonian: HeavyTop | Quadrotor
+    q: np.ndarray
+    p: np.ndarray
+
+
+def cases() -> list[Case]:
+    """Return the heavy top of its scene, and the quadrotor, thrown without a command or drag."""
+    found = []
+    for name, kind, p in (('heavy_top', HeavyTop, None), ('quadrotor', Quadrotor, THROWN)):
+        scene = load_scene(name)
+        hamiltonian = scene.create_hamiltonian()
+        assert isinstance(hamiltonian, kind), 'the scene of its name'
+        found.append(Case(name, hamiltonian, np.array(scene.initial_state.q),
+                          np.array(scene.initial_state.p if p is None else p)))
+    return found
+
+
+def method_of(name: str) -> Integrator:
+    """Return a method by its name; compositions are those of lie_stormer_verlet."""
+    composed = name in ('kahan_li8', 'suzuki4')
+    return INTEGRATORS[name](base='lie_stormer_verlet') if composed else INTEGRATORS[name]()
+
+
+def reference_of(case: Case, horizon: float, step: float = _STEP) -> Reference:
+    """Return the path of Gauss collocation of order 16, and how much half its step changes."""
+    paths = []
+    for h in (step, 0.5 * step):
+        run = Simulation(case.hamiltonian, INTEGRATORS[_METHOD](), h, case.q, case.p)
+        path = []
+        for _ in range(INSTANTS):
+            run.advance(round(horizon / INSTANTS / h))
+            path.append(np.concatenate([run.q, run.p]))
+        paths.append(np.array(path))
+    error = float(np.abs(paths[1] - paths[0]).max())
+    return Reference(paths[1], error, f'{_METHOD}, h = {0.5 * step:g} s and its double',
+                     np.empty((0, paths[1].shape[1])))
+
+
+def runs_of(case: Case, horizon: float, quick: bool) -> list[MethodRun]:
+    """Return what is measured: every method, or few of them, at every setting or at one."""
+    found: list[MethodRun] = []
+    for name, steps in _OWN.items():
+        if quick and name != 'kahan_li8':
+            continue
+        found += [OwnRun(name, Simulation(case.hamiltonian, method_of(name), h, case.q, case.p),
+                         case.hamiltonian)
+                  for h in steps[-2 if quick else 0:] if whole_steps(horizon, h)]
+    z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
+    for peer in peers:
+        settings = _settings(peer)
+        found += [PeerRun(peer, setting, case.hamiltonian, z0)
+                  for setting in (settings[2:3] if quick else settings)]
+    return found
+
+
+def _settings(peer: Peer) -> tuple[float, ...]:
+    if not peer.adaptive:
+        return _STEPS
+    # A method of order 5 in an interpreter takes seconds for more.
+    return _TOLERANCES[1:4:2] if peer.name == 'scipy RK45' else _TOLERANCES
+
+
+def measure(case: Case, horizon: float, rounds: int, quick: bool
+            ) -> tuple[list[StudyRow], Reference]:
+    """
+    Return the rows of a case, and its reference.
+
+    Times are those of the processor that the process took, without compilation; all are taken in
+    turns, so that what else the machine does falls on each alike.
+    """
+    reference, runs = reference_of(case, horizon), runs_of(case, horizon, quick)
+    rows = [measure_row(run, horizon, reference, 1) for run in runs]
+    arrived = [i for i, row in enumerate(rows) if row.finished]
+    times = np.empty((rounds, len(runs)))
+    for k in range(rounds):
+        for i in arrived:
+            timed = runs[i].prepare(horizon)
+            start = time.process_time()
+            timed()
+            times[k, i] = time.process_time() - start
+    for i in arrived:
+        rows[i] = replace(rows[i], seconds_per_simulated_second=np.median(times[:, i]) / horizon,
+                          p95_seconds=np.quantile(times[:, i], 0.95) / horizon)
+    return rows, reference
+
+
+def states(case: Case, name: str, setting: float, horizon: float, peers: Sequence[Peer]
+           ) -> Iterator[np.ndarray]:
+    """Yield (q, p) at even instants of a run: of one of our methods, or of a peer's."""
+    duration = horizon / _LOOKS
+    if name in INTEGRATORS:
+        run = Simulation(case.hamiltonian, method_of(name), setting, case.q, case.p)
+        for _ in range(_LOOKS):
+            run.advance(round(duration / setting))
+            yield np.concatenate([run.q, run.p])
+        return
+    (peer,) = (one for one in peers if one.name == name)
+    z = np.concatenate([case.q, case.p])
+    for _ in range(_LOOKS):
+        z, _ = peer.solve(z, duration, setting)
+        yield z
+
+
+def drifts(case: Case, horizon: float) -> str:
+    """Return a table of what long runs of a top keep: H, L_z and the norm of the quaternion."""
+    lines = ['| | setting | energy error [J], first tenth | all | change of L_z | norm - 1 | '
+             'time [ms] |', '|---' * 7 + '|']
+    z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
+    for name, setting in _LONG.items():
+        for _ in states(case, name, setting, _LOOKS * setting, peers):
+            pass  # what is compiled
+        start = time.process_time()
+        z = np.array([z0, *states(case, name, setting, horizon, peers)])
+        taken = time.process_time() - start
+        energy, vertical, norm = invariants(case, z)
+        error = np.abs(energy - energy[0])
+        option = f'h = {setting:g} s' if setting > 1e-4 else f'tolerance {setting:g}'
+        shown = f'`{name}`' if name in INTEGRATORS else name
+        lines.append(
+            f'| {shown} | {option} | {error[:_LOOKS // 10 + 1].max():.1e} | {error.max():.1e} | '
+            f'{np.abs(vertical / vertical[0] - 1.0).max():.1e} | {np.abs(norm - 1.0).max():.1e} | '
+            f'{1e3 * taken:.3g} |')
+    return '\n'.join(lines) + '\n'
+
+
+def invariants(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return H, the vertical angular momentum and the norm of the quaternion, of a top."""
+    q, p = z[:, :4], z[:, 4:]
+    norm = np.linalg.norm(q, axis=1)
+    # Of the attitude that a quaternion stands for, whatever its norm.
+    energy = case.hamiltonian.energy(q / norm[:, None], p)
+    return energy, Rotation.from_quat(q).apply(p)[:, 2], norm
+
+
+def table(rows: Sequence[StudyRow]) -> str:
+    """Return the cheapest row of each method within 1e-8, or else its most accurate."""
+    lines = ['| | setting | largest error | energy band [J] | time [ms] |', '|---' * 5 + '|']
+    names = dict.fromkeys(row.method.partition(' tolerance=')[0] for row in rows)
+    best = {}
+    for name in names:
+        own = [row for row in rows if row.finished
+               and row.method.partition(' tolerance=')[0] == name]
+        good = [row for row in own if row.path_error <= GOOD]
+        if own:
+            best[name] = (min(good, key=lambda row: row.seconds_per_simulated_second) if good
+                          else min(own, key=lambda row: row.path_error))
+    for name, row in sorted(best.items(), key=lambda item: (
+            item[1].path_error > GOOD, item[1].seconds_per_simulated_second)):
+        setting = (f'tolerance {row.method.partition("=")[2]}' if np.isnan(row.step_size)
+                   else f'h = {row.step_size:g} s')
+        shown = name if ' ' in name else f'`{name}`'
+        lines.append(f'| {shown} | {setting} | {row.path_error:.1e} | {row.energy_band:.1e} | '
+                     f'{1e3 * row.horizon * row.seconds_per_simulated_second:.3g} |')
+    return '\n'.join(lines) + '\n'
+
+
+def section(case: Case, rows: Sequence[StudyRow], reference: Reference) -> str:
+    """Return the part of the page on one scene."""
+    ours, theirs = (min((row for row in rows if row.finished and row.path_error <= GOOD
+                         and (' ' in row.method) == is_peer),
+                        key=lambda row: row.seconds_per_simulated_second, default=None)
+                    for is_peer in (False, True))
+    ratio = ''
+    if ours is not None and theirs is not None:
+        share = ours.seconds_per_simulated_second / theirs.seconds_per_simulated_second
+        ratio = (f'`{ours.method}` takes {share:.2g} of the time of '
+                 f'{theirs.method.partition(" tolerance")[0]} to {GOOD:g}. ')
+    return (f'`{case.scene}`, {rows[0].horizon:g} s. {ratio}Reference: {reference.how}, good to '
+            f'{reference.accuracy:.1e}.\n\n{table(rows)}')
+
+
+def write(docs: Path, found: dict[str, tuple[list[StudyRow], Reference]], sections: str) -> None:
+    """Write rows, floors, pictures, the page to explore, and the part of the page."""
+    # Imported here: matplotlib takes a second, which a mistake should not wait for.
+    from studies.accuracy_page import draw_again
+    page, folder = docs / 'turning-bodies.md', docs / 'accuracy'
+    before, begin, rest = page.read_text(encoding='utf-8').partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ParameterError(f'{page}: has no lines {BEGIN} and {END}, between which the table '
+                             'goes; put them back')
+    card = read_floors(folder)
+    for scene, (rows, reference) in found.items():
+        with (folder / f'{scene}.csv').open('w', encoding='utf-8') as file:
+            csv.writer(file, lineterminator='\n').writerows([COLUMNS, *map(row_texts, rows)])
+        card['scenes'][scene] = {repr(rows[0].horizon): {
+            'reference': reference.accuracy, 'path': None, 'energy': None, 'box': None}}
+    card['commits'] = list(dict.fromkeys([*card['commits'], commit()]))
+    (folder / FLOORS).write_text(json.dumps(card, indent=1) + '\n', encoding='utf-8')
+    page.write_text(f'{before}{BEGIN}\n\n{sections}\n{END}{after}', encoding='utf-8')
+    draw_again(docs, list(found))
+    write_explorer(folder)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure, and write into the folder of the documentation."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument('--docs', type=Path, default=Path('docs'), help=(
+        'folder of turning-bodies.md and of accuracy/ (default: docs)'))
+    parser.add_argument('--quick', action='store_true', help='a second, few rows: to try it')
+    arguments = parser.parse_args(argv)
+    horizon, rounds = (1.0, 1) if arguments.quick else (HORIZON, ROUNDS)
+    found, sections = {}, []
+    for case in cases():
+        found[case.scene] = measure(case, horizon, rounds, arguments.quick)
+        sections.append(section(case, *found[case.scene]))
+    top, long = cases()[0], 100.0 if arguments.quick else LONG
+    sections.append(f'`{top.scene}` for {long:g} s, sampled {_LOOKS} times:\n\n'
+                    f'{drifts(top, long)}')
+    write(arguments.docs, found, '\n'.join(sections))
+
+
+if __name__ == '__main__':
+    main(sys.argv[1:])
