@@ -71,6 +71,32 @@ def scene() -> Parser:
     return parser
 
 
+def cost() -> Parser:
+    """Return the parser of ``cost``."""
+    parser = Parser('cost', (
+        'Measure what accuracy costs in a scene: the error of methods and step sizes, and the '
+        'time they take.'), [
+            'hnn cost pendulum', 'hnn cost kepler --error 1e-6 --plot kepler.png',
+            'hnn cost my_scene.yaml --duration 60 --seconds 300 --csv costs.csv'], (
+        'The error is the largest deviation of a coordinate or momentum from a reference, in SI '
+        'units. Where no\npath is known so long, as in chaos, it is that of the energy, over the '
+        'size of the energies in play.\nTimes are those of the processor. Exit status: 0; 1 if '
+        'no method holds --error.'))
+    complete_by(parser.add_argument('scene', metavar='SCENE', help=(
+        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
+    parser.add_argument('--error', type=float, metavar='E', help=(
+        'say what to take for an error of this size'))
+    parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
+                        help='simulated time [s] (default: 10)')
+    parser.add_argument('--seconds', type=seconds, default=60.0, metavar='SECONDS', help=(
+        'processor time that may be taken, about, compilation included [s] (default: 60)'))
+    parser.add_argument('--plot', type=Path, metavar='FILE', help=(
+        'draw error against time: .png, .svg or .pdf'))
+    parser.add_argument('--csv', type=Path, metavar='FILE', help=(
+        'write every method and step size as a line of text'))
+    return parser
+
+
 def new_scene() -> Parser:
     """Return the parser of ``new_scene``."""
     parser = Parser('new_scene', (

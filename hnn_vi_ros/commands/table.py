@@ -27,6 +27,7 @@ EXECUTABLES = {
 # What only ``hnn`` has comes first: it is what a user without ROS begins with.
 COMMANDS = {
     'run': 'hnn_vi_ros.commands.run',
+    'cost': 'hnn_vi_ros.commands.cost',
     'new_scene': 'hnn_vi_ros.commands.new_scene',
     'doctor': 'hnn_vi_ros.commands.doctor',
     'completion': 'hnn_vi_ros.commands.completion',

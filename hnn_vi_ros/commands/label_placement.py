@@ -47,17 +47,17 @@ def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray])
 
     """
     figure = ax.figure
-    renderer = figure.canvas.get_renderer()
     pixels = figure.dpi / 72.0
     obstacles = np.vstack([_along(ax.transData.transform(points)) for points in lines]
                           or [np.empty((0, 2))])
-    inside: Bbox = ax.get_window_extent(renderer)
+    inside = ax.get_window_extent()
     taken: list[Bbox] = []
     for label in labels:
-        text = ax.annotate(label.text, label.point, (0, 0), fontsize=_FONT, color=label.color,
+        x, y = label.point
+        text = ax.annotate(label.text, (x, y), (0, 0), fontsize=_FONT, color=label.color,
                            zorder=6, textcoords='offset points',
                            path_effects=[withStroke(linewidth=1.5, foreground='white')])
-        box = text.get_window_extent(renderer)
+        box = text.get_window_extent()
         places = [place for place in _candidates(ax.transData.transform(label.point), box, pixels)
                   if _is_free(place[1], taken, inside)]
         if not places:
@@ -97,4 +97,5 @@ def _is_free(place: Bbox, taken: list[Bbox], inside: Bbox) -> bool:
 
 
 def _covered(place: Bbox, obstacles: np.ndarray) -> int:
-    return int(((obstacles > place.min - 2.0) & (obstacles < place.max + 2.0)).all(axis=1).sum())
+    low, high = np.array([place.min, place.max])
+    return int(((obstacles > low - 2.0) & (obstacles < high + 2.0)).all(axis=1).sum())
