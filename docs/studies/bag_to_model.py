@@ -9,6 +9,7 @@ system. What is there already in the folder of the run is not made again.
 """
 
 from collections.abc import Sequence
+import json
 from pathlib import Path
 import shlex
 import subprocess
@@ -16,6 +17,7 @@ import sys
 
 from hnn_vi_ros.bags.cdr import decode_float64_multi_array
 from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.run.ensemble import simulate_many
@@ -24,7 +26,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
-from studies import arguments as command_lines
+from studies.pages import render
 from studies.results import machine
 
 SCENE, CONFIG, INTEGRATOR = 'exact_double_pendulum', 'double_pendulum_bag', 'gauss8'
@@ -33,48 +35,13 @@ RECORDED, SIMULATED, RATE = 60.0, 10.0, 100.0  # [s], [s], [Hz]
 STARTS = 6
 ENERGY_BAND, PATH_ERROR = 0.02, 0.05
 PAGE, PICTURE = 'bag-to-model.md', 'bag_to_model.png'
-
-_PAGE = """\
-# From a bag to a model
-
-Written by `ros2 run hnn_vi_ros bag_to_model --docs docs`, on {machine}.
-
-{recorded:g} s of the double pendulum, recorded by the simulator, become a model:
-
-```bash
-{record}
-{train}
-```
-
-The training configuration, [{config}.yaml](../config/training/{config}.yaml), takes positions and
-velocities from the bag's joint states and momenta from `~/state`; dp/dt is estimated by a
-Savitzky-Golay filter. It learned from {dataset}: one chaotic motion, which comes near every state
-of its energy. The loss on held-out blocks of time is {loss:.2g} of the mean
-squared rates, with seed {seed}.
-
-The model is simulated for {simulated:g} s by `{integrator}` in steps of {step:g} s, and so is the
-exact system. The path error is the largest deviation of a coordinate or momentum, over the largest
-size that it takes; the energy band is the range of the exact H along the learned path, over its
-height above the state at rest, {height:.4g} J. What starts with the last row is in no bag. The
-Lyapunov time is 8 s.
-
-| from | path error | energy band |
-|---|---|---|
-{rows}
-
-Promised were a path within {path_error:.0%} and an energy band within {energy_band:.0%}.
-
-The model knows the states near one energy and nothing else: of motions with less or more energy it
-is a guess, and far from them the simulator raises an alarm. For a model of all energies, record
-several bags and pass them together, `--data BAG BAG ...`.
-
-![The learned path beside the exact one, and the energies](bag_to_model.png)
-"""
+# Beside the page: what it is made of.
+RESULTS = 'learning/bag_to_model.json'
 
 
 def main(argv: Sequence[str]) -> int:
     """Make what is missing, compare, and write the page; status 1 if a promise is not kept."""
-    arguments = command_lines.bag_to_model().parse_args(argv)
+    arguments = parser().parse_args(argv)
     bag, model = arguments.out / 'bag', arguments.out / f'{CONFIG}.safetensors'
     commands = _commands(bag, model)
     for target, words in zip((bag, model), commands, strict=True):
@@ -90,7 +57,7 @@ def main(argv: Sequence[str]) -> int:
     for start, path_error, band in zip(_instants(), path_errors, bands, strict=True):
         print(f'from {start:g} s: path error {path_error:.2%}, energy band {band:.3%}')
     if arguments.docs is not None:
-        _write(arguments.docs, commands, model, height, path_errors, bands)
+        _keep(arguments.docs, commands, model, height, path_errors, bands)
         _draw(arguments.docs / PICTURE, scene, exact, learned)
     return int(path_errors.max() > PATH_ERROR or bands.max() > ENERGY_BAND)
 
@@ -151,21 +118,27 @@ def _energy(scene: Scene, q: np.ndarray, p: np.ndarray) -> np.ndarray:
     return scene.create_hamiltonian().energy(q, p)
 
 
-def _write(docs: Path, commands: tuple[list[str], list[str]], model: Path, height: float,
-           path_errors: np.ndarray, bands: np.ndarray) -> None:
+def _keep(docs: Path, commands: tuple[list[str], list[str]], model: Path, height: float,
+          path_errors: np.ndarray, bands: np.ndarray) -> None:
+    """Write what the page is made of, and the page."""
     card = load_checkpoint(model).card
-    rows = '\n'.join(
-        f'| {f"{start:g} s" if start < RECORDED else "the end of the bag"} | {path:.2%} | '
-        f'{band:.3%} |' for start, path, band in zip(_instants(), path_errors, bands, strict=True))
     record, train = (shlex.join(['ros2', 'run', 'hnn_vi_ros', *words]) for words in commands)
-    text = _PAGE.format(
-        machine=machine(), recorded=RECORDED, record=record, train=train, config=CONFIG,
-        dataset=card.dataset, loss=card.losses['validation_loss'], seed=card.seed,
-        simulated=SIMULATED, integrator=INTEGRATOR, step=load_scene(SCENE).step_size,
-        height=height, rows=rows, path_error=PATH_ERROR, energy_band=ENERGY_BAND)
-    docs.mkdir(parents=True, exist_ok=True)
-    (docs / PAGE).write_text(text, encoding='utf-8')
+    found = {
+        'machine': machine(), 'record': record, 'train': train, 'config': CONFIG,
+        'dataset': card.dataset, 'loss': card.losses['validation_loss'], 'seed': card.seed,
+        'recorded': RECORDED, 'simulated': SIMULATED, 'integrator': INTEGRATOR,
+        'step': load_scene(SCENE).step_size, 'height': height,
+        'runs': list(zip(_instants(), path_errors.tolist(), bands.tolist(), strict=True)),
+        'promised': {'path_error': PATH_ERROR, 'energy_band': ENERGY_BAND}}
+    (docs / RESULTS).parent.mkdir(parents=True, exist_ok=True)
+    (docs / RESULTS).write_text(json.dumps(found, indent=1) + '\n', encoding='utf-8')
+    (docs / PAGE).write_text(as_page(docs), encoding='utf-8')
     print(docs / PAGE)
+
+
+def as_page(docs: Path) -> str:
+    """Return the page, of what the docs hold."""
+    return render(PAGE, **json.loads((docs / RESULTS).read_text(encoding='utf-8')))
 
 
 def _draw(path: Path, scene: Scene, exact: Trajectory, learned: Trajectory) -> None:
@@ -192,5 +165,12 @@ def _draw(path: Path, scene: Scene, exact: Trajectory, learned: Trajectory) -> N
     print(path)
 
 
-if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('bag_to_model', __doc__, [
+        'make study NAME=bag_to_model ARGS="--docs docs"'])
+    found.add_argument('--out', type=Path, default=Path('bag_to_model'), metavar='DIR',
+                       help='folder of the bag and the model (default: bag_to_model)')
+    found.add_argument('--docs', type=Path, metavar='DIR',
+                       help='write the page bag-to-model.md and its picture there as well')
+    return found

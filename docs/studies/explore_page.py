@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/accuracy/explore.html: the rows of every scene, to choose from, without a net."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.util import find_spec
 import json
 import math
@@ -15,8 +15,8 @@ from studies.results import read_rows, Results
 from studies.work_precision_figure import group_of, line_style, series_of
 
 EXPLORER, FLOORS = 'explore.html', 'floors.json'
-_REMEDY = 'measure with: ros2 run hnn_vi_ros work_precision --all'
-_TEMPLATE = Path(__file__).with_name('explore_template.html')
+_REMEDY = 'measure with: make accuracy'
+_TEMPLATE = Path(__file__).parent / 'templates' / 'explore.html'
 # What plotly calls the markers of matplotlib.
 _SYMBOLS = {'o': 'circle', '<': 'triangle-left', '>': 'triangle-right', 'x': 'x-thin',
             's': 'square', 'D': 'diamond', '^': 'triangle-up', 'p': 'pentagon',
@@ -26,47 +26,17 @@ _COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'seconds_per_si
             'gradients_per_simulated_second')
 
 
-def write_floors(path: Path, results: Mapping[str, Results],
-                 shown: Mapping[str, Sequence[float]]) -> Path:
-    """
-    Write below which errors nothing is known or gained, of each scene and horizon, as JSON.
-
-    Parameters
-    ----------
-    path : Path
-        Where to write.
-    results : mapping of str to Results
-        By scene.
-    shown : mapping of str to sequence of float
-        The horizons of each scene [s].
-
-    """
-    scenes = {scene: {repr(horizon): _floor(entry, horizon) for horizon in shown[scene]}
-              for scene, entry in results.items()}
-    # Other studies' scenes stay, and the commits that may be theirs; see turning_costs.
-    before = read_floors(path.parent) if path.is_file() else {'scenes': {}, 'commits': []}
-    others = before['commits'] if before['scenes'].keys() - scenes.keys() else []
-    card = {'machine': ' and '.join(dict.fromkeys(
-        entry.identity['machine'] for entry in results.values())),
-        'commits': list(dict.fromkeys([
-            *(name for entry in results.values() for name in entry.commits), *others])),
-        'scenes': {**before['scenes'], **scenes}}
-    path.write_text(json.dumps(card, indent=1) + '\n', encoding='utf-8')
+def write_cards(folder: Path, cards: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Write what the rows of scenes were measured on and against; other studies' scenes stay."""
+    path = folder / FLOORS
+    before = read_cards(folder) if path.is_file() else {}
+    path.write_text(json.dumps({**before, **cards}, indent=1) + '\n', encoding='utf-8')
     return path
 
 
-def _floor(results: Results, horizon: float) -> dict[str, Any]:
-    reference, model = results.references[horizon], results.model_errors.get(horizon)
-    box = model.box if model is not None else None
-    return {'reference': reference.accuracy if reference.verified else None,
-            'path': _or_none(model.path) if model else None,
-            'energy': _or_none(model.energy) if model else None,
-            'box': box and box.model_dump()}
-
-
-def read_floors(folder: Path) -> dict[str, Any]:
+def read_cards(folder: Path) -> dict[str, Any]:
     """
-    Read what ``write_floors`` wrote into a folder.
+    Return the card of each scene, which ``write_cards`` wrote; see Results.card.
 
     Raises
     ------
@@ -76,12 +46,12 @@ def read_floors(folder: Path) -> dict[str, Any]:
     """
     path = folder / FLOORS
     try:
-        card = json.loads(path.read_text(encoding='utf-8'))
-        if isinstance(card['scenes'], dict) and {'machine', 'commits'} <= card.keys():
-            return card
-    except (OSError, ValueError, KeyError, TypeError) as problem:
+        cards: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
+        for card in cards.values():
+            Results.read(card, [])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
         raise ParameterError(f'{path}: not there or damaged ({problem}); {_REMEDY}') from problem
-    raise ParameterError(f'{path}: damaged; {_REMEDY}')
+    return cards
 
 
 def write_explorer(folder: Path) -> Path:
@@ -121,18 +91,24 @@ def page_data(folder: Path) -> dict[str, Any]:
         The folder holds no rows, or ``FLOORS`` cannot be read.
 
     """
-    card = read_floors(folder)
-    rows = {scene: rows_of(folder, scene) for scene in card['scenes']}
+    found = {scene: Results.read(card, rows_of(folder, scene))
+             for scene, card in read_cards(folder).items()}
+    rows = {scene: results.rows for scene, results in found.items()}
     names = list(dict.fromkeys(row.method for entry in rows.values() for row in entry))
     lines = list(dict.fromkeys(line for entry in rows.values() for line in series_of(entry)))
     return {
-        'machine': card['machine'], 'commits': ', '.join(card['commits']),
+        'machine': ' and '.join(dict.fromkeys(
+            results.identity['machine'] for results in found.values())),
+        'commits': ', '.join(dict.fromkeys(
+            commit for results in found.values() for commit in results.commits)),
         'count': sum(map(len, rows.values())),
         'methods': [{'name': name, 'line': name.partition(' tolerance=')[0]} for name in names],
         'lines': {name: _line_style(name) for name in lines},
         'scenes': {scene: {
-            'horizons': {horizon: {key: floor[key] for key in ('reference', 'path', 'energy')}
-                         for horizon, floor in card['scenes'][scene].items()},
+            'horizons': {repr(horizon): {key: floor.as_json()[key]
+                                         for key in ('reference', 'path', 'energy')}
+                         for horizon, floor in found[scene].floors.items()
+                         if horizon in found[scene].shown},
             'rows': [_as_list(row, names.index(row.method)) for row in entry]}
             for scene, entry in rows.items()}}
 

@@ -5,12 +5,13 @@
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from itertools import groupby
-import sys
+from pathlib import Path
 import time
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.version import __version__
-from studies import arguments as command_lines
 from studies.hard_cases_checks import run_job
 from studies.hard_cases_plan import Job, load_plan, make_jobs
 from studies.hard_cases_results import (
@@ -25,7 +26,7 @@ _TOGETHER = 4
 
 def main(argv: list[str]) -> int:
     """Run what is not there yet, write tables and pictures, and compare with what is committed."""
-    arguments = command_lines.hard_cases().parse_args(argv)
+    arguments = parser().parse_args(argv)
     run = QUICK if arguments.quick else FULL
     plan = load_plan()
     jobs = make_jobs(plan, arguments.quick, arguments.case)
@@ -49,7 +50,7 @@ def main(argv: list[str]) -> int:
     cases = [case for case in plan.cases if case.number in {row.case for row in rows}]
     written = write_report(folder, cases, rows, expected)
     if arguments.docs is not None:
-        written += write_page(arguments.docs, folder.path, cases, rows, expected, machine())
+        written += write_page(arguments.docs, folder, cases)
     for path in written:
         print(path)
     different = differences(rows, expected)
@@ -101,5 +102,19 @@ def _run_some(jobs: Sequence[Job]) -> list[CaseRow]:
     return [run_one(job) for job in jobs]
 
 
-if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('hard_cases', __doc__, [
+        'make study NAME=hard_cases ARGS="--quick --out try"',
+        'make study NAME=hard_cases ARGS="--case 3 7"'])
+    found.add_argument('--quick', action='store_true', help='short runs of few methods')
+    found.add_argument('--case', nargs='+', type=int, metavar='N', help='only these cases')
+    found.add_argument('--out', type=Path, metavar='DIR', default=Path('hard_cases'), help=(
+        'folder of the results, from which an interrupted run goes on (default: hard_cases)'))
+    found.add_argument('--jobs', type=int, default=usable_processors(), metavar='N',
+                       help='processes (default: one for each processor)')
+    found.add_argument('--docs', type=Path, metavar='DIR',
+                       help='folder to write the page hard-cases.md into as well')
+    found.add_argument('--commit', action='store_true', help=(
+        'take what comes out for what is expected from now on'))
+    return found

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -15,7 +16,6 @@ import numpy as np
 from studies.hard_cases_checks import LENGTH, RATE
 from studies.hard_cases_plan import Case
 from studies.hard_cases_results import CaseRow
-from studies.work_precision_figure import FAINT, INK, STYLES
 
 _OTHER = ('#555555', '*')
 _MARKS, _DPI, _COLUMNS = 6, 110, 2

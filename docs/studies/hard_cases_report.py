@@ -3,51 +3,24 @@
 """Report on the hard cases: Markdown, CSV and pictures, and the pages of the docs."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+import json
 import math
 from pathlib import Path
 import shutil
+from types import MappingProxyType
+from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 from studies.hard_cases_figure import draw_case
-from studies.hard_cases_plan import Case
+from studies.hard_cases_plan import Case, load_plan
 from studies.hard_cases_results import (
-    CaseRow, CSV, differences, Expectation, Folder, Key)
+    CaseRow, CSV, differences, Expectation, expectations_file, Folder, FULL, Key,
+    load_expectations, read_csv)
+from studies.pages import render
 
 MARKDOWN = 'hard_cases.md'
-PAGE, PICTURES = 'hard-cases.md', 'hard_cases'
-_PAGE = """\
-# Hard cases
-
-Fourteen cases in which integrators are known to fail, with an exact H and with a trained network.
-The page is for users who want to know the limits of each method, and whether a failure raises an
-alarm.
-
-**Main result.** Only methods that are neither symplectic nor energy-conserving fail without an
-alarm.
-
-Each row must have the verdict that is committed in
-[hard_cases_expected.csv](studies/hard_cases_expected.csv): *stable*, every gate holds
-and no measured value exceeds its limit; *alarm*, a guard reported that the run is not reliable;
-*stopped*, a step failed with a typed error and the last good state was kept; or *unstable*, a
-gate fails without an alarm, which is accepted only for methods that are neither symplectic nor
-energy-conserving.
-
-| gate | holds if |
-|---|---|
-| G1 | all states are finite and below 1e10 |
-| G2 | every implicit step is solved to max(8, n) eps of its scale |
-| G3 | over 100 blocks the energy drift is at most 10 % of its band, and its range in the last \
-tenth at most 1.5 times that in the first; or the band is at rounding level |
-| G4 | a step forward and one back end within 2e-8 of their start, for symmetric methods |
-| G5 | the symplectic defect of a step is at most 1e-9 in the method's own 2-form |
-
-A limit is the smallest of {{1, 2, 4, 5, 8}} x 10^k that is at least twice the measured value at
-the time of its commit; the table shows both. `make hard-cases` repeats all runs and fails if a
-verdict differs. The page is written by `ros2 run hnn_vi_ros hard_cases --docs docs`, from a full
-run on {machine}. All rows: [hard_cases.csv](hard_cases/hard_cases.csv).
-
-"""
+PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
 
 
 def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
@@ -62,30 +35,28 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
 
     """
     try:
-        pictures = [draw_case(folder.path / picture_name(case), case, _of(case, rows))
+        pictures = [draw_case(folder.path / _picture(case), case, _of(case, rows))
                     for case in cases]
         page = folder.path / MARKDOWN
-        page.write_text('# Hard cases\n\n' + as_markdown(cases, rows, expected),
-                        encoding='utf-8')
+        page.write_text(render(MARKDOWN, cases=_parts(cases, rows, expected)), encoding='utf-8')
         return [page, folder.write_csv(rows), *pictures]
     except OSError as problem:
         raise ParameterError(f'--out {folder.path}: cannot be written ({problem.strerror}); '
                              'give a folder that can be written') from problem
 
 
-def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[CaseRow],
-               expected: Mapping[Key, Expectation], machine: str) -> list[Path]:
+def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     """
     Write the page of the docs, and beside it a page and a picture of each case, and the table.
 
     Parameters
     ----------
-    docs, source : Path
-        Folder of the page, and the one that ``write_report`` wrote to.
-    cases, rows, expected
-        See write_report.
-    machine : str
-        On which they were run.
+    docs : Path
+        Folder of the page.
+    source : Folder
+        The one that ``write_report`` wrote to.
+    cases : sequence of Case
+        Those that were run.
 
     Raises
     ------
@@ -93,86 +64,57 @@ def write_page(docs: Path, source: Path, cases: Sequence[Case], rows: Sequence[C
         A file cannot be written.
 
     """
+    folder = docs / PICTURES
     try:
-        (docs / PICTURES).mkdir(parents=True, exist_ok=True)
-        names = [CSV, *(picture_name(case) for case in cases)]
-        copies = [Path(shutil.copyfile(source / name, docs / PICTURES / name)) for name in names]
-        pages = {docs / PAGE: main_page(cases, rows, expected, machine)} | {
-            docs / f'{page_name(case)}.md': case_page(case, _of(case, rows), expected)
-            for case in cases}
+        folder.mkdir(parents=True, exist_ok=True)
+        copies = [Path(shutil.copyfile(source.path / name, folder / name))
+                  for name in (CSV, *map(_picture, cases))]
+        card = folder / CARD
+        card.write_text(json.dumps(source.identity, indent=1) + '\n', encoding='utf-8')
+        pages = pages_of(docs)
         for path, text in pages.items():
             path.write_text(text, encoding='utf-8')
     except OSError as problem:
         raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
                              'folder that can be written') from problem
-    return [*pages, *copies]
+    return [*pages, *copies, card]
 
 
-def picture_name(case: Case) -> str:
+def pages_of(docs: Path) -> dict[Path, str]:
+    """Return the pages by their files, of the table that the docs hold."""
+    folder = docs / PICTURES
+    card = json.loads((folder / CARD).read_text(encoding='utf-8'))
+    rows = read_csv(folder / CSV)
+    expected = load_expectations(expectations_file(), card.get('run', FULL))
+    cases = [case for case in load_plan().cases if _of(case, rows)]
+    parts = _parts(cases, rows, expected, card.get('notes', {}))
+    return {docs / PAGE: render(PAGE, cases=parts, machine=card['machine'])} | {
+        docs / f'{part["page"]}.md': render('hard_case.md', at=part) for part in parts}
+
+
+def _picture(case: Case) -> str:
     """Return the file name of a case's picture."""
     return f'case_{case.number:02d}.png'
-
-
-def page_name(case: Case) -> str:
-    """Return the name of a case's page, from that of the docs, without its suffix."""
-    return f'{PICTURES}/case_{case.number:02d}'
-
-
-def main_page(cases: Sequence[Case], rows: Sequence[CaseRow],
-              expected: Mapping[Key, Expectation], machine: str) -> str:
-    """Return the page that sums up all cases and leads to the page of each."""
-    toctree = ['```{toctree}', ':hidden:', '', *(page_name(case) for case in cases), '```', '']
-    return _PAGE.format(machine=machine) + '\n'.join([
-        *_summary(cases, rows, expected, linked=True), '', *toctree])
-
-
-def case_page(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]) -> str:
-    """Return the page of one case."""
-    text = '\n'.join([f'# Case {case.number}: {case.title}\n',
-                      'One of the [hard cases](../hard-cases.md), where gates and verdicts are '
-                      'defined.\n', *_section(case, rows, expected)])
-    return text.rstrip('\n') + '\n'
-
-
-def as_markdown(cases: Sequence[Case], rows: Sequence[CaseRow],
-                expected: Mapping[Key, Expectation]) -> str:
-    """Return summary and tables, for the folder where the pictures lie."""
-    parts = [*_summary(cases, rows, expected), '']
-    for case in cases:
-        parts += [f'## Case {case.number}: {case.title}\n',
-                  *_section(case, _of(case, rows), expected)]
-    return '\n'.join(parts)
 
 
 def _of(case: Case, rows: Sequence[CaseRow]) -> list[CaseRow]:
     return [row for row in rows if row.case == case.number]
 
 
-def _summary(cases: Sequence[Case], rows: Sequence[CaseRow],
-             expected: Mapping[Key, Expectation], linked: bool = False) -> Iterator[str]:
-    yield '| case | | rows | stable | alarm | stopped | unstable | as expected |'
-    yield '|---' * 8 + '|'
+def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key, Expectation],
+           notes: Mapping[str, str] = MappingProxyType({})) -> list[dict[str, Any]]:
+    """Return what templates say of each case, with notes on some by their number."""
+    parts = []
     for case in cases:
         own = _of(case, rows)
         counts = Counter(row.verdict for row in own)
-        wrong = len(differences(own, dict(expected)))
-        numbers = ' | '.join(str(counts[word]) for word in (
-            'stable', 'alarm', 'stopped', 'unstable'))
-        name = f'[{case.title}]({page_name(case)}.md)' if linked else case.title
-        yield (f'| {case.number} | {name} | {len(own)} | {numbers} | '
-               f'{"yes" if wrong == 0 else f"{wrong} are not"} |')
-
-
-def _section(case: Case, rows: Sequence[CaseRow], expected: Mapping[Key, Expectation]
-             ) -> Iterator[str]:
-    yield f'Claim: {case.claim}. {case.without}'.rstrip() + '\n'
-    yield f'![case {case.number}]({picture_name(case)})\n'
-    yield ('| set-up | H | method | steps | band [J] (limit) | slope / band | H~ band [J] (limit) '
-           '| residual | other (limit) | alarm | fails | verdict |')
-    yield '|---' * 12 + '|'
-    for row in rows:
-        yield f'| {" | ".join(_cells(row, expected.get(row.key)))} |'
-    yield ''
+        parts.append({
+            'case': case, 'page': f'{PICTURES}/case_{case.number:02d}', 'picture': _picture(case),
+            'counts': [len(own), *(counts[word] for word in (
+                'stable', 'alarm', 'stopped', 'unstable'))],
+            'note': notes.get(str(case.number)), 'wrong': len(differences(own, dict(expected))),
+            'rows': [_cells(row, expected.get(row.key)) for row in own]})
+    return parts
 
 
 def _cells(row: CaseRow, expectation: Expectation | None) -> list[str]:

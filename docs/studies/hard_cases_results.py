@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of the hard cases: kept one by one, judged against what is committed, written as CSV."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import csv
 from dataclasses import asdict, dataclass, replace
 import json
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.guards.rescue import RescueGuard
@@ -21,6 +21,8 @@ STABLE = 'stable'
 # Points of a row's picture.
 _POINTS = 100
 _EPS = 2.0 ** -52
+# What the table for other programs has not.
+_UNWRITTEN: dict[str, Any] = {'digest': '', 't': (), 'error': (), 'other': ()}
 # A measure that is reported, not limited: nothing is gained or lost by a longer one.
 _REPORTED = ('Lyapunov time', 'left', RescueGuard.kind)
 
@@ -222,6 +224,18 @@ def parse_values(text: str) -> dict[str, float]:
     return {name: float(value) for name, _, value in pairs}
 
 
+def read_csv(path: Path) -> list[CaseRow]:
+    """Return the rows that ``Folder.write_csv`` wrote, without what is drawn of them."""
+    kinds: dict[str, Callable[[str], Any]] = {
+        'int': int, 'str': str, 'float': lambda text: float(text or math.nan)}
+    with path.open(encoding='utf-8') as file:
+        lines = list(csv.DictReader(file))
+    return [CaseRow(**{
+        name: parse_values(text) if name == 'measures'
+        else kinds[CaseRow.__annotations__[name].__name__](text)
+        for name, text in line.items()}, **_UNWRITTEN) for line in lines]
+
+
 class Folder:
     """
     The rows of one run on disk, each as soon as it is there, so that the run can be taken up.
@@ -241,7 +255,7 @@ class Folder:
     """
 
     def __init__(self, path: Path, identity: dict[str, str]):
-        self.path, self.rows = path, []
+        self.path, self.identity, self.rows = path, identity, list[CaseRow]()
         try:
             path.mkdir(parents=True, exist_ok=True)
             lines = (path / LINES).read_text(encoding='utf-8').splitlines() \
@@ -273,8 +287,7 @@ class Folder:
     def write_csv(self, rows: Sequence[CaseRow]) -> Path:
         """Write rows as a table for other programs."""
         path = self.path / CSV
-        names = [name for name in CaseRow.__dataclass_fields__
-                 if name not in ('digest', 't', 'error', 'other')]
+        names = [name for name in CaseRow.__dataclass_fields__ if name not in _UNWRITTEN]
         with path.open('w', newline='', encoding='utf-8') as file:
             writer = csv.writer(file, lineterminator='\n')
             writer.writerow(names)
@@ -282,6 +295,5 @@ class Folder:
                 cells = [getattr(row, name) for name in names]
                 writer.writerow([
                     format_values(cell) if isinstance(cell, dict)
-                    else '' if cell != cell
-                    else f'{cell:.6g}' if isinstance(cell, float) else cell for cell in cells])
+                    else '' if cell != cell else cell for cell in cells])
         return path

@@ -1,20 +1,19 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count how often intervals of ``identify`` hold the truth: ``python -m`` this module.
+Count how often intervals of ``identify`` hold the truth.
 
 Synthetic logs of shipped scenes, each from an initial state of its own and with white noise; the
 search begins with other numbers than the true ones.
 """
 
-from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-import sys
 import tempfile
 import time
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
 from hnn_vi_ros.learning.identify_statistics import estimates_of
@@ -77,7 +76,7 @@ def held(case: Case, logs: int, seed: int) -> Iterator[tuple[bool, ...]]:
 
 def main(argv: Sequence[str]) -> None:
     """Print a row for each scene."""
-    options = _options(argv)
+    options = parser().parse_args(argv)
     print('| scene | numbers | logs | intervals that hold the truth | time of one fit |\n'
           '|---|---|---:|---|---:|')
     for case in CASES:
@@ -90,13 +89,11 @@ def main(argv: Sequence[str]) -> None:
                   f'{100.0 * rows.mean():.1f} % ({each}) | {seconds:.2f} s |', flush=True)
 
 
-def _options(argv: Sequence[str]) -> Namespace:
-    parser = ArgumentParser('identify_coverage')
-    parser.add_argument('--logs', type=int, default=200)
-    parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--scene', choices=[case.scene for case in CASES])
-    return parser.parse_args(argv)
-
-
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('identify_coverage', __doc__, [
+        'make study NAME=identify_coverage ARGS="--logs 200 --seed 1"'])
+    found.add_argument('--logs', type=int, default=200, help='logs of each scene (default: 200)')
+    found.add_argument('--seed', type=int, default=1, help='of their noise (default: 1)')
+    found.add_argument('--scene', choices=[case.scene for case in CASES], help='only this one')
+    return found

@@ -1,19 +1,18 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Fit the numbers of real pendulums by ``identify`` and judge them: ``python -m`` this module.
+Fit the numbers of real pendulums by ``identify`` and judge them.
 
 The data are published, and not shipped; see docs/identify.md.
 """
 
-from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-import sys
 import tempfile
 import time
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.evaluate import simulation_of
 from hnn_vi_ros.learning.evaluation import Predict, simulated, variance_of
 from hnn_vi_ros.learning.identify_fit import fit
@@ -185,7 +184,7 @@ def predicted(scene: Scene, case: Case, test: Sequence[Motion]) -> Predict:
 
 def main(argv: Sequence[str]) -> None:
     """Print the numbers of a machine with their intervals, and how well it is predicted."""
-    options = _options(argv)
+    options = parser().parse_args(argv)
     case = CASES[options.case]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -212,15 +211,13 @@ def main(argv: Sequence[str]) -> None:
             print(f'{measure}: {" ".join(f"{value:.4f}" for value in values)}', flush=True)
 
 
-def _options(argv: Sequence[str]) -> Namespace:
-    parser = ArgumentParser('identify_real')
-    parser.add_argument('case', choices=CASES)
-    parser.add_argument('--data', type=Path, required=True, help='folder of the data sets')
-    parser.add_argument('--horizon', type=float, help='of the windows [s]')
-    parser.add_argument('--speed', type=float, default=0.05, help='of dry friction [rad/s]')
-    parser.add_argument('--robust', action='store_true')
-    return parser.parse_args(argv)
-
-
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('identify_real', __doc__, [
+        'make study NAME=identify_real ARGS="dfki --data FOLDER"'])
+    found.add_argument('case', choices=CASES, help='the machine')
+    found.add_argument('--data', type=Path, required=True, help='folder of the data sets')
+    found.add_argument('--horizon', type=float, help='of the windows [s]')
+    found.add_argument('--speed', type=float, default=0.05, help='of dry friction [rad/s]')
+    found.add_argument('--robust', action='store_true', help='let outliers weigh less')
+    return found

@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure models of the family lie_group: on published data, and over long times."""
 
-from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 import json
 from pathlib import Path
-import sys
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.body_config import load_body
@@ -178,18 +177,9 @@ def measure(data: Path, models: dict[str, Path], end: float) -> tuple[
     return table, runs
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str]) -> None:
     """Write the table, and the picture, of the page on bodies that turn."""
-    parser = ArgumentParser(description=__doc__)
-    parser.add_argument('--data', type=Path, required=True, help='folder of the published data')
-    parser.add_argument('--models', type=Path, nargs='+', required=True,
-                        help=f'model files, of the names {", ".join(CASES)}')
-    parser.add_argument('--end', type=float, default=1000.0, help='of the long runs [s]')
-    parser.add_argument('--seeds', type=Path, help=(
-        'folder of models of other seeds, NAME-SEED.safetensors'))
-    parser.add_argument('--json', type=Path, required=True)
-    parser.add_argument('--picture', type=Path, required=True)
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     table, runs = measure(arguments.data, {path.stem: path for path in arguments.models},
                           arguments.end)
     if arguments.seeds is not None:
@@ -198,5 +188,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     draw(runs, arguments.picture)
 
 
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('lie_group_tables', __doc__, [
+        'make study NAME=lie_group_tables ARGS="--data DATA --models MODEL --json FILE '
+        '--picture FILE"'])
+    found.add_argument('--data', type=Path, required=True, help='folder of the published data')
+    found.add_argument('--models', type=Path, nargs='+', required=True,
+                       help=f'model files, of the names {", ".join(CASES)}')
+    found.add_argument('--end', type=float, default=1000.0, help='of the long runs [s]')
+    found.add_argument('--seeds', type=Path, help=(
+        'folder of models of other seeds, NAME-SEED.safetensors'))
+    found.add_argument('--json', type=Path, required=True, help='the table to write')
+    found.add_argument('--picture', type=Path, required=True, help='the picture to write')
+    return found

@@ -10,17 +10,20 @@ import math
 import time
 from typing import NamedTuple
 
+from hnn_vi_ros.accuracy.cost import run_errors, RunErrors
+from hnn_vi_ros.accuracy.path_reference import PathReference
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
-from studies.references import INSTANTS, Reference, SAMPLES
 
 # solve(z0, duration, setting) returns (q, p) at the end, shape (2 d,), and gradients evaluated;
 # the setting is a tolerance, relative and absolute, or a step size.
 Solve = Callable[[np.ndarray, float, float], tuple[np.ndarray, int]]
 
 OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
+# States of a peer by which its energies are judged.
+_LOOKS = 10
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,8 @@ class StudyRow:
     horizon : float
         T, how long was simulated [s].
     path_error : float
-        Largest abs((q, p) - reference) over the instants T/10, ..., T at which a step ends; not
-        below the accuracy of the reference, beyond which nothing is known.
+        Largest abs((q, p) - reference) over the instants at which a step ends, of a peer at the
+        end; not below the accuracy of the reference, beyond which nothing is known.
     energy_band : float
         Largest abs(H - H0) [J], over about a thousand states; of a peer, over ten.
     seconds_per_simulated_second, p95_seconds : float
@@ -68,6 +71,21 @@ class StudyRow:
                 self.horizon)
 
     @property
+    def is_peer(self) -> bool:
+        """Return whether it is a peer's, not one of ours, whose names have no spaces."""
+        return ' ' in self.method
+
+    @property
+    def is_ours(self) -> bool:
+        """Return whether it is of one of our methods, solved to round-off in double precision."""
+        return not self.is_peer and '@' not in self.method
+
+    @property
+    def was_run(self) -> bool:
+        """Return whether it was measured, a failed run included, and not left for its time."""
+        return not self.status.startswith(TOO_LONG)
+
+    @property
     def finished(self) -> bool:
         """Return whether the run came to its end."""
         return self.status.startswith((OK, ENERGY_ONLY))
@@ -75,16 +93,7 @@ class StudyRow:
     @property
     def failed(self) -> bool:
         """Return whether the run was begun and did not come to its end."""
-        return not self.finished and not self.status.startswith(TOO_LONG)
-
-
-class MeasuredPath(NamedTuple):
-    """A run: (q, p) at the last of each ``INSTANTS / len(path)`` instants, and what it took."""
-
-    path: np.ndarray
-    energy_band: float
-    gradients: int
-    note: str
+        return not self.finished and self.was_run
 
 
 class RunFailure(Exception):
@@ -102,8 +111,13 @@ class MethodRun(ABC):
     step_size: float
 
     @abstractmethod
-    def measure(self, horizon: float) -> MeasuredPath:
+    def measure(self, reference: PathReference) -> RunErrors:
         """Run once, looking at the states on the way; RunFailure if it does not arrive."""
+
+    @property
+    def note(self) -> str:
+        """Return what is to be told of the last run."""
+        return ''
 
     @abstractmethod
     def prepare(self, horizon: float) -> Callable[[], object]:
@@ -131,26 +145,20 @@ class OwnRun(MethodRun):
         self._start = simulation.q.copy(), simulation.p.copy()
         simulation.compile(whole=True)
 
-    def measure(self, horizon: float) -> MeasuredPath:
+    def measure(self, reference: PathReference) -> RunErrors:
         """See MethodRun."""
-        simulation, energy = self._simulation, self._hamiltonian.energy
+        simulation = self._simulation
         simulation.restart(*self._start)
-        steps = whole_steps(horizon, self.step_size)
-        parts = math.gcd(steps, INSTANTS)
-        length = steps // parts
-        every = math.ceil(length * parts / SAMPLES)
-        h0, band, path = energy(*self._start), 0.0, []
         try:
-            for _ in range(parts):
-                q, p = simulation.record(length // every, every)
-                simulation.advance(length % every)
-                path.append(np.concatenate([simulation.q, simulation.p]))
-                energies = energy(np.vstack([q, simulation.q]), np.vstack([p, simulation.p]))
-                band = max(band, float(np.abs(energies - h0).max()))
+            return run_errors(simulation, reference, hamiltonian=self._hamiltonian)
         except StepFailure as failure:
-            raise RunFailure(failure.reason, simulation.time, simulation.gradients) from failure
-        note = f' ({simulation.rescued} steps in parts)' if simulation.rescued else ''
-        return MeasuredPath(np.array(path), band, simulation.gradients, note)
+            raise RunFailure(failure.reason, failure.t, simulation.gradients) from failure
+
+    @property
+    def note(self) -> str:
+        """Return how many steps converged only in parts."""
+        rescued = self._simulation.rescued
+        return f' ({rescued} steps in parts)' if rescued else ''
 
     def prepare(self, horizon: float) -> Callable[[], object]:
         """See MethodRun."""
@@ -194,20 +202,20 @@ class PeerRun(MethodRun):
         self._peer, self._setting, self._hamiltonian = peer, setting, hamiltonian
         self._z0 = z0
 
-    def measure(self, horizon: float) -> MeasuredPath:
+    def measure(self, reference: PathReference) -> RunErrors:
         """See MethodRun."""
-        states, spent = [self._z0], 0
-        for part in range(INSTANTS):
+        states, spent, horizon = [self._z0], 0, reference.horizon
+        for part in range(_LOOKS):
             z, gradients = self._solve(
-                states[-1], horizon / INSTANTS, part * horizon / INSTANTS, spent)
+                states[-1], horizon / _LOOKS, part * horizon / _LOOKS, spent)
             states.append(z)
             spent += gradients
         end, spent = self._solve(self._z0, horizon, 0.0, 0)
-        path = np.array([*states, end])
         # Of a rotation p has a column less than q.
         energies = self._hamiltonian.energy(
-            *np.split(path, [self._hamiltonian.dimension], axis=1))
-        return MeasuredPath(end[None], float(np.abs(energies - energies[0]).max()), spent, '')
+            *np.split(np.array([*states, end]), [self._hamiltonian.dimension], axis=1))
+        error = float(np.abs(end - reference.states[-1]).max()) if reference.verified else math.nan
+        return RunErrors(error, float(np.abs(energies - energies[0]).max()), spent)
 
     def prepare(self, horizon: float) -> Callable[[], object]:
         """See MethodRun."""
@@ -232,7 +240,7 @@ def whole_steps(horizon: float, step_size: float) -> int | None:
     return steps if steps > 0 and abs(steps * step_size - horizon) <= 1e-9 * horizon else None
 
 
-def measure_row(run: MethodRun, horizon: float, reference: Reference, runs: int) -> StudyRow:
+def measure_row(run: MethodRun, reference: PathReference, runs: int) -> StudyRow:
     """
     Run once to measure errors, and so often as asked to measure time.
 
@@ -240,34 +248,29 @@ def measure_row(run: MethodRun, horizon: float, reference: Reference, runs: int)
     ----------
     run : MethodRun
         What is run.
-    horizon : float
-        T [s].
-    reference : Reference
-        To the same horizon.
+    reference : PathReference
+        To the horizon.
     runs : int
         Timed runs, at least 1; the one that measures errors comes before them and warms up.
 
     """
-    start = time.perf_counter()
+    horizon, start = reference.horizon, time.perf_counter()
     try:
-        measured = run.measure(horizon)
-        if not np.isfinite([*measured.path.ravel(), measured.energy_band]).all():
-            raise RunFailure('not finite', horizon, measured.gradients)
+        with np.errstate(over='ignore', invalid='ignore'):
+            errors = run.measure(reference)
+        if not math.isfinite(errors.energy) or math.isinf(errors.path):
+            raise RunFailure('not finite', horizon, errors.gradients)
     except RunFailure as failure:
         seconds, t = time.perf_counter() - start, failure.t
         rates = (seconds / t, failure.gradients / t) if t > 0.0 else (math.nan, math.nan)
         return StudyRow(run.label, run.step_size, horizon, math.nan, math.nan, rates[0], math.nan,
                         rates[1], f'{failure.reason} at t = {t:.6g} s')
+    status = (OK if reference.verified else ENERGY_ONLY) + run.note
     times = _times(run, horizon, runs) / horizon
-    error, status = math.nan, ENERGY_ONLY
-    if reference.verified:
-        stride = INSTANTS // len(measured.path)
-        error = max(float(np.abs(measured.path - reference.path[stride - 1::stride]).max()),
-                    reference.accuracy)
-        status = OK
-    return StudyRow(run.label, run.step_size, horizon, error, measured.energy_band,
+    return StudyRow(run.label, run.step_size, horizon,
+                    np.maximum(errors.path, reference.accuracy), errors.energy,
                     float(np.median(times)), float(np.quantile(times, 0.95)),
-                    measured.gradients / horizon, status + measured.note)
+                    errors.gradients / horizon, status)
 
 
 def _times(run: MethodRun, horizon: float, runs: int) -> np.ndarray:

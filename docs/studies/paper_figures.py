@@ -3,15 +3,14 @@
 """Regenerate figures 1 and 2 of the paper from the shipped model, as PNG and CSV."""
 
 from pathlib import Path
-import sys
 from typing import Any
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene
 import numpy as np
-from studies import arguments
 
 # As in the paper, section 5.
 STEP_SIZE, DURATION = 0.01, 100.0
@@ -22,7 +21,7 @@ Q_COLOR, P_COLOR, ENERGY_COLOR = '#1f4e9c', '#f28e2b', '#222222'
 
 def main(argv: list[str]) -> int:
     """Run both methods and write the two figures and their data into a folder."""
-    out = arguments.paper_figures().parse_args(argv).out
+    out = parser().parse_args(argv).out
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / 'paper_figures.csv').touch()
@@ -109,5 +108,10 @@ def _save(figure: object, path: Path) -> Path:
     return path
 
 
-if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('paper_figures', __doc__, [
+        'make study NAME=paper_figures ARGS="--out figures"'])
+    found.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
+                       help='folder to write to (default: docs)')
+    return found

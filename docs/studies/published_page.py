@@ -7,10 +7,11 @@ import csv
 from dataclasses import astuple, dataclass, fields
 import json
 from pathlib import Path
+from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 import numpy as np
-from studies.published_text import PAGE_TEXT, QUICK_TEXT
+from studies.pages import render
 
 PAGE, FOLDER, CSV = 'learning.md', 'learning', 'published_tables.csv'
 MACHINES = 'machines.json'
@@ -116,122 +117,98 @@ def read_results(folder: Path) -> list[Result]:
 def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
     """Write the page; return the file."""
     path = folder / PAGE
-    machines = '\n'.join(_machines_table(folder / FOLDER / MACHINES))
-    robots = '\n'.join(_robots_table(folder / FOLDER / ROBOTS))
-    path.write_text(as_page(ResultTable(results), quick, machines, robots), encoding='utf-8')
+    path.write_text(as_page(folder, results, quick), encoding='utf-8')
     return path
 
 
-def as_page(results: ResultTable, quick: bool, machines: str, robots: str) -> str:
-    """Return the page."""
-    return PAGE_TEXT.format(
-        quick=QUICK_TEXT if quick else '', csv=f'{FOLDER}/{CSV}', machines=machines,
-        robots=robots, machine=results.names('machine'), commit=results.names('commit'),
-        summary=_summary(results),
-        hnn_published='\n'.join(_published_table(results, 'hnn')),
-        hnn_noise='\n'.join(_noise_table(results)),
-        hnn_physics='\n'.join(_physics_table(results, 'hnn')),
-        dgnet_published='\n'.join(_published_table(results, 'dgnet')),
-        dgnet_physics='\n'.join(_physics_table(results, 'dgnet')),
-        dissipative_published='\n'.join(_published_table(results, 'dissipative_hnn')),
-        real_physics='\n'.join(_real_table(results)))
+def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str:
+    """Return the page, of results and of what the folder holds on machines and robots."""
+    table = ResultTable(results)
+    return render(
+        PAGE, quick=quick, machine=table.names('machine'), commit=table.names('commit'),
+        summary=_summary(table), hnn_published=_published_rows(table, 'hnn'),
+        hnn_noise=list(_noise_rows(table)), hnn_physics=list(_physics_rows(table, 'hnn')),
+        dgnet_published=_published_rows(table, 'dgnet'),
+        dgnet_physics=list(_physics_rows(table, 'dgnet')),
+        dissipative_published=_published_rows(table, 'dissipative_hnn'),
+        real_physics=list(_real_rows(table)),
+        machines=list(machine_rows(folder / FOLDER / MACHINES)),
+        robots=list(robot_rows(folder / FOLDER / ROBOTS)))
 
 
-def _summary(results: ResultTable) -> str:
-    """Say how many published numbers are reached."""
+def _summary(results: ResultTable) -> dict[str, int]:
+    """Count how many published numbers are reached."""
     found = [(results.values(*key), published) for key, published in PUBLISHED.items()]
     reached = [is_reached(values, published) for values, published in found if len(values)]
     first, mean = (sum(part) for part in zip(*reached, strict=True)) if reached else (0, 0)
-    return (f'{len(reached)} of {len(PUBLISHED)} published errors are reproduced here: on the '
-            f'published data ours are at or below {first} of them, in the mean over seeds {mean}.')
+    return {'measured': len(reached), 'all': len(PUBLISHED), 'first': first, 'mean': mean}
 
 
-def _published_table(results: ResultTable, table: str) -> Iterator[str]:
-    """Yield the published measures, ours beside them."""
-    yield ('| system | measure | published | ours, the published data (seed 0) | '
-           'ours, mean ± spread | seeds | at or below |')
-    yield '|---' * 7 + '|'
+def _published_rows(results: ResultTable, table: str) -> list[list[str]]:
+    """Return the published measures, ours beside them."""
+    rows = []
     for (name, system, measure), published in PUBLISHED.items():
         values = results.values(name, system, measure)
-        if name != table:
-            continue
-        if not len(values):
-            yield f'| {SYSTEMS[system]} | {measure} | {published:.2e} | not measured | | | |'
-            continue
-        yield (f'| {SYSTEMS[system]} | {measure} | {published:.2e} | {values[0]:.2e} | '
-               f'{spread(values)} | {len(values)} | {verdict(values, published)} |')
+        if name == table:
+            rows.append([SYSTEMS[system], measure, f'{published:.2e}', *(
+                [f'{values[0]:.2e}', spread(values), str(len(values)), verdict(values, published)]
+                if len(values) else ['not measured', '', '', ''])])
+    return rows
 
 
-def _noise_table(results: ResultTable) -> Iterator[str]:
+def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
     """Yield what a test loss on noisy states can be at all."""
-    yield ('| system | data | ours | the true H | the best function of a noisy state |')
-    yield '|---' * 5 + '|'
     for system in results.systems('hnn'):
         rows = [results.values('hnn', system, measure) for measure in (
             'test loss', 'test loss of the true H', 'least test loss')]
         if all(len(values) for values in rows):
-            for name, cells in (('seed 0', [f'{values[0]:.3e}' for values in rows]),
-                                (f'{len(rows[0])} seeds', [spread(values) for values in rows])):
-                yield f'| {SYSTEMS[system]} | {name} | {" | ".join(cells)} |'
+            yield [SYSTEMS[system], 'seed 0', *(f'{values[0]:.3e}' for values in rows)]
+            yield [SYSTEMS[system], f'{len(rows[0])} seeds', *map(spread, rows)]
 
 
-def _physics_table(results: ResultTable, table: str) -> Iterator[str]:
+def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
     """Yield what a user of a model would ask for."""
-    yield ('| system | field error without noise, RMS | energy error of H, RMS | '
-           'path error, RMS | time [s] |')
-    yield '|---' * 5 + '|'
     for system in results.systems(table):
         if system != REAL:
-            cells = [spread(np.sqrt(results.values(table, system, 'field error'))),
-                     spread(np.sqrt(results.values(table, system, 'true energy MSE'))),
-                     spread(results.values(table, system, 'path error')),
-                     f'{np.mean(results.values(table, system, "seconds")):.0f}']
-            yield f'| {SYSTEMS[system]} | {" | ".join(cells)} |'
+            yield [SYSTEMS[system], spread(np.sqrt(results.values(table, system, 'field error'))),
+                   spread(np.sqrt(results.values(table, system, 'true energy MSE'))),
+                   spread(results.values(table, system, 'path error')),
+                   f'{np.mean(results.values(table, system, "seconds")):.0f}']
 
 
-def _real_table(results: ResultTable) -> Iterator[str]:
+def _real_rows(results: ResultTable) -> Iterator[list[str]]:
     """Yield what the real pendulum's measure can be, and how far the path is off."""
-    yield '| family | energy MSE | of a parabola fitted to the test | path error, RMS |'
-    yield '|---' * 4 + '|'
     for table in ('dgnet', 'dissipative_hnn'):
         rows = [results.values(table, REAL, measure) for measure in (
             'published energy MSE', 'least energy MSE', 'path error')]
         if len(rows[0]):
-            yield (f'| {table} | {spread(rows[0])} | {rows[1][0]:.2e} | {spread(rows[2])} |')
+            yield [table, spread(rows[0]), f'{rows[1][0]:.2e}', spread(rows[2])]
 
 
-def _machines_table(path: Path) -> Iterator[str]:
-    """Yield what was measured on machines."""
-    if not path.is_file():
-        yield 'Not measured.'
-        return
-    yield ('| machine | measure | model | others | target | ours, mean (worst of seeds) '
-           '| baselines | met |')
-    yield '|---' * 8 + '|'
-    for row in json.loads(path.read_text(encoding='utf-8')):
+def machine_rows(path: Path) -> Iterator[list[str]]:
+    """Yield what was measured on machines; nothing where that was not."""
+    for row in _read(path):
         baselines = '; '.join(
             f'{name} {_numbers(values)}{_seeds(row["baseline_seeds"].get(name))}'
             for name, values in row['baselines'].items())
         count = len(row['seeds'])
         worst = f' ({_numbers(row["worst"])} of {count})' if count > 1 else _seeds(1)
-        yield (f'| {row["case"]} | {row["measure"]} | {row["model"]} '
-               f'| {_numbers(row["reference"])} | {_numbers(row["goal"])} '
-               f'| {_numbers(row["ours"])}{worst} '
-               f'| {baselines} | {"yes" if row["met"] else "**no**"} |')
+        yield [row['case'], row['measure'], row['model'], _numbers(row['reference']),
+               _numbers(row['goal']), _numbers(row['ours']) + worst, baselines,
+               'yes' if row['met'] else '**no**']
 
 
-def _robots_table(path: Path) -> Iterator[str]:
+def robot_rows(path: Path) -> Iterator[list[str]]:
     """Yield what was identified of robots, and which networks the choice takes."""
-    if not path.is_file():
-        yield 'Not measured.'
-        return
-    yield '| robot | measure | model | others | ours | error in the choice | chosen |'
-    yield '|---' * 7 + '|'
-    for row in json.loads(path.read_text(encoding='utf-8')):
+    for row in _read(path):
         choice = '' if row['choice'] is None else f'{row["choice"]:.3g}'
-        yield (f'| {row["robot"]} | {row["measure"]} | `{row["model"]}` '
-               f'| {_numbers(row["reference"])} | {_numbers(row["ours"])} | {choice} '
-               f'| {"yes" if row["chosen"] else ""} |')
+        yield [row['robot'], row['measure'], f'`{row["model"]}`', _numbers(row['reference']),
+               _numbers(row['ours']), choice, 'yes' if row['chosen'] else '']
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file; none where there is none."""
+    return json.loads(path.read_text(encoding='utf-8')) if path.is_file() else []
 
 
 def _seeds(count: int | None) -> str:

@@ -5,11 +5,10 @@
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-import sys
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_file import load_yaml
-from studies import arguments as command_lines
 from studies.published_page import (
     FOLDER, MACHINES, PAGE, read_results, Result, write_page, write_results)
 from studies.published_pendulum import FILE
@@ -23,7 +22,7 @@ _SEEDS = 5
 
 def main(argv: list[str]) -> int:
     """Train and measure every model of the tables, then write the page and its data."""
-    arguments = command_lines.published_tables().parse_args(argv)
+    arguments = parser().parse_args(argv)
     try:
         if arguments.machines:
             print(measure_on_machines(arguments))
@@ -80,5 +79,24 @@ def run(plan: Plan, log: Path) -> Iterator[Result]:
                     for measure, value in measures)
 
 
-if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('published_tables', __doc__, [
+        'make study NAME=published_tables ARGS="--quick --out tables"'])
+    found.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
+                       help='folder to write to (default: docs)')
+    found.add_argument('--data', type=Path, default=Path(), metavar='DIR',
+                       help='folder of real_pend_h_1.txt, the log of the real pendulum from the '
+                            'supplement of Schmidt and Lipson, Science 324 (2009) (default: '
+                            'here)')
+    found.add_argument('--quick', action='store_true',
+                       help='a few steps of one seed: whether everything runs, no results')
+    what = found.add_mutually_exclusive_group()
+    what.add_argument('--page', action='store_true',
+                      help='measure nothing: write the page anew from the values in DIR')
+    what.add_argument('--machines', action='store_true',
+                      help='measure the models of machines alone, whose data sets are in folders '
+                           'of --data: lutter_peters_2021, dfki_double_pendulum, '
+                           'multiarm_pendulum, and of an arm that is simulated; the other values '
+                           'are those in DIR')
+    return found

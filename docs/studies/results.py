@@ -1,7 +1,8 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a study: its rows as CSV, and as JSON what they were measured on and against."""
+"""Results of studies: rows as CSV, and as JSON what they were measured on and against."""
 
+from collections.abc import Iterable, Mapping
 import csv
 from dataclasses import astuple, fields
 import json
@@ -13,10 +14,9 @@ import subprocess
 from typing import Any, TextIO
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.models.energy_error import EnergyError
 import numpy as np
 from studies.measuring import StudyRow
-from studies.references import ModelDiscrepancy, Reference
+from studies.references import Floor
 
 COLUMNS = tuple(field.name for field in fields(StudyRow))
 CSV, CARD = 'work_precision.csv', 'work_precision.json'
@@ -25,17 +25,76 @@ _DIGITS = {'method': str, 'status': str, 'step_size': repr, 'horizon': repr}
 
 class Results:
     """
-    The rows that are finished, kept one by one so that an interruption loses none.
+    Rows of a scene.
 
-    Its ``commits`` are those of the checkouts that measured them.
+    Parameters
+    ----------
+    identity : mapping of str to str
+        What must be the same for rows to stand in one table: scene, version, machine, runs.
+    commits : iterable of str
+        Those of the checkouts that measured them.
+    floors : mapping of float to Floor
+        What the rows of each horizon [s] were measured against.
+    rows : iterable of StudyRow
+        In the order of the first measurement.
+
+    """
+
+    def __init__(self, identity: Mapping[str, str], commits: Iterable[str] = (),
+                 floors: Mapping[float, Floor] | None = None, rows: Iterable[StudyRow] = ()):
+        self.identity, self.commits = dict(identity), list(commits)
+        self.floors = dict(floors or {})
+        self._rows = {row.key: row for row in rows}
+
+    @property
+    def rows(self) -> list[StudyRow]:
+        """Return what was measured, in the order of the first measurement."""
+        return list(self._rows.values())
+
+    def find(self, key: tuple) -> StudyRow | None:
+        """Return the row of a key, None if there is none yet."""
+        return self._rows.get(key)
+
+    @property
+    def horizons(self) -> list[float]:
+        """Return the horizons that there are rows of, the shortest first."""
+        return sorted({row.horizon for row in self.rows})
+
+    @property
+    def shown(self) -> list[float]:
+        """Return the horizons that at least half of our rows were run to: less shows nothing."""
+        return [horizon for horizon in self.horizons if np.mean([
+            row.was_run for row in self.of(horizon) if row.is_ours]) >= 0.5]
+
+    def of(self, horizon: float) -> list[StudyRow]:
+        """Return the rows of one horizon."""
+        return [row for row in self.rows if row.horizon == horizon]
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """Return what ``read`` takes beside the rows."""
+        return {'identity': self.identity, 'commits': self.commits,
+                'floors': {repr(horizon): floor.as_json()
+                           for horizon, floor in self.floors.items()}}
+
+    @classmethod
+    def read(cls, card: Mapping[str, Any], rows: Iterable[StudyRow]) -> 'Results':
+        """Return what ``card`` says of rows, or raise KeyError, TypeError or ValueError."""
+        return Results(card['identity'], card['commits'], {
+            float(horizon): Floor.of_json(entry) for horizon, entry in card['floors'].items()},
+            rows)
+
+
+class ResultsFolder(Results):
+    """
+    The rows that are finished, kept one by one so that an interruption loses none.
 
     Parameters
     ----------
     folder : Path
         Made if it is not there.
     identity : dict of str to str, optional
-        What must be the same for rows to stand in one table: scene, version, machine, runs. That
-        of the folder if it is not given.
+        See Results. That of the folder if it is not given.
 
     Raises
     ------
@@ -45,12 +104,8 @@ class Results:
     """
 
     def __init__(self, folder: Path, identity: dict[str, str] | None = None):
-        self.folder, self.identity = folder, identity or {}
-        self.commits: list[str] = []
-        self._commit = commit()
-        self.references: dict[float, Reference] = {}
-        self.model_errors: dict[float, ModelDiscrepancy] = {}
-        self._rows: dict[tuple, StudyRow] = {}
+        super().__init__(identity or {})
+        self.folder, self._commit = folder, commit()
         try:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / CSV).touch()
@@ -62,15 +117,6 @@ class Results:
             raise ParameterError(f'--out {folder}: cannot be written ({problem.strerror}); '
                                  'give a folder that can be written') from problem
 
-    @property
-    def rows(self) -> list[StudyRow]:
-        """Return what was measured, in the order of the first measurement."""
-        return list(self._rows.values())
-
-    def find(self, key: tuple) -> StudyRow | None:
-        """Return the row of a key, None if there is none yet."""
-        return self._rows.get(key)
-
     def add(self, row: StudyRow) -> None:
         """Keep a row, on disk as well; one of the same key is replaced."""
         if self._commit not in self.commits:
@@ -80,19 +126,15 @@ class Results:
         with (self.folder / CSV).open('a', newline='', encoding='utf-8') as file:
             _writer(file).writerow(row_texts(row))
 
-    def keep_reference(self, horizon: float, reference: Reference, model: ModelDiscrepancy | None
-                       ) -> None:
+    def keep_floor(self, horizon: float, floor: Floor) -> None:
         """Keep what the rows of a horizon are measured against."""
-        self.references[horizon] = reference
-        if model is not None:
-            self.model_errors[horizon] = model
+        self.floors[horizon] = floor
         self._write_card()
 
     def tidy(self) -> None:
         """Write the CSV anew, without the rows that others have replaced."""
         temporary = self.folder / f'{CSV}.new'
-        with temporary.open('w', newline='', encoding='utf-8') as file:
-            _writer(file).writerows([COLUMNS, *map(row_texts, self._rows.values())])
+        write_rows(temporary, self.rows)
         temporary.replace(self.folder / CSV)
 
     def _start(self) -> None:
@@ -105,47 +147,24 @@ class Results:
     def _load(self, check: bool) -> None:
         path = self.folder / CARD
         try:
-            card = json.loads(path.read_text(encoding='utf-8'))
-            different = [key for key in {**card['identity'], **self.identity}
-                         if card['identity'].get(key) != self.identity.get(key)]
-            references, models, commits = (
-                card[key] for key in ('references', 'model_errors', 'commits'))
-        except (ValueError, KeyError, AttributeError) as problem:
+            found = Results.read(
+                json.loads(path.read_text(encoding='utf-8')), read_rows(self.folder / CSV))
+        except (ValueError, KeyError, TypeError, AttributeError) as problem:
             raise ParameterError(f'{path}: is damaged; remove the folder or give another --out'
                                  ) from problem
+        different = [key for key in {**found.identity, **self.identity}
+                     if found.identity.get(key) != self.identity.get(key)]
         if check and different:
             raise ParameterError(
                 f'{self.folder}: holds results of another {" and ".join(sorted(different))}; '
                 'give another --out, or remove the folder to measure anew')
-        self.identity = card['identity']
-        self.commits = commits
-        for horizon, entry in references.items():
-            path = np.array(entry['path'], dtype=np.float64)
-            self.references[float(horizon)] = Reference(
-                path, _number(entry['accuracy'], math.inf), entry['how'], path[:0])
-        for horizon, entry in models.items():
-            self.model_errors[float(horizon)] = ModelDiscrepancy(
-                _number(entry['path'], math.nan), _number(entry['energy'], math.nan),
-                EnergyError(**entry['box']) if entry.get('box') else None)
-        self._rows = {row.key: row for row in read_rows(self.folder / CSV)}
+        self.__dict__ |= vars(found)
         # A row that was cut off by a crash is measured again.
         self.tidy()
 
     def _write_card(self) -> None:
-        card = {
-            'identity': self.identity,
-            'commits': self.commits,
-            'references': {repr(horizon): {
-                'how': reference.how, 'accuracy': _or_none(reference.accuracy),
-                'path': reference.path.tolist()}
-                for horizon, reference in self.references.items()},
-            'model_errors': {repr(horizon): {
-                'path': _or_none(model.path), 'energy': _or_none(model.energy),
-                'box': model.box and model.box.model_dump()}
-                for horizon, model in self.model_errors.items()},
-        }
         temporary = self.folder / f'{CARD}.new'
-        temporary.write_text(json.dumps(card, indent=1) + '\n', encoding='utf-8')
+        temporary.write_text(json.dumps(self.card, indent=1) + '\n', encoding='utf-8')
         temporary.replace(self.folder / CARD)
 
 
@@ -173,6 +192,13 @@ def read_rows(path: Path) -> list[StudyRow]:
     return rows
 
 
+def write_rows(path: Path, rows: Iterable[StudyRow]) -> Path:
+    """Write a table of rows; return the file."""
+    with path.open('w', newline='', encoding='utf-8') as file:
+        _writer(file).writerows([COLUMNS, *map(row_texts, rows)])
+    return path
+
+
 def machine() -> str:
     """Return what this machine is called by those who compare its times."""
     information, processor = Path('/proc/cpuinfo'), platform.processor() or platform.machine()
@@ -198,10 +224,6 @@ def commit() -> str:
         return 'unknown: not a git checkout'
 
 
-def _writer(file: TextIO) -> Any:
-    return csv.writer(file, lineterminator='\n')
-
-
 def row_texts(row: StudyRow) -> list[str]:
     """Return a row as the fields of a line of its table."""
     texts = []
@@ -213,9 +235,5 @@ def row_texts(row: StudyRow) -> list[str]:
     return texts
 
 
-def _or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _number(value: float | None, default: float) -> float:
-    return default if value is None else float(value)
+def _writer(file: TextIO) -> Any:
+    return csv.writer(file, lineterminator='\n')

@@ -1,22 +1,21 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count how often intervals of ``rigid_body`` hold the true parameters: ``python -m`` this module.
+Count how often intervals of ``rigid_body`` hold the true parameters.
 
 Computed motions of the shipped arm of two joints along sums of sines, with noise of the forces
 that remembers itself for some samples; identified from a URDF whose masses are wrong. Motors are
 off by nothing.
 """
 
-from argparse import ArgumentParser
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 import re
-import sys
 import tempfile
 import time
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.excitation import ExcitationData, excited_motions
@@ -86,10 +85,7 @@ def held(runs: Iterable[int], seed: int) -> Iterator[tuple[list[str], list[bool]
 
 def main(argv: Sequence[str]) -> None:
     """Print the share of all intervals, and of each parameter's."""
-    parser = ArgumentParser('rigid_body_coverage')
-    parser.add_argument('--runs', type=int, default=200)
-    parser.add_argument('--seed', type=int, default=1)
-    options = parser.parse_args(argv)
+    options = parser().parse_args(argv)
     start = time.process_time()
     counts: dict[str, list[bool]] = {}
     for names, hits in held(range(options.runs), options.seed):
@@ -105,5 +101,10 @@ def main(argv: Sequence[str]) -> None:
           f'{seconds:.2f} s of processor time for a run')
 
 
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('rigid_body_coverage', __doc__, [
+        'make study NAME=rigid_body_coverage ARGS="--runs 200 --seed 1"'])
+    found.add_argument('--runs', type=int, default=200, help='how many (default: 200)')
+    found.add_argument('--seed', type=int, default=1, help='of their noise (default: 1)')
+    return found

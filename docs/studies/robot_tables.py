@@ -7,15 +7,14 @@ Which networks stand beside the rigid body is chosen on the last quarter of what
 the tables give all of them, judged by data that neither fit nor choice has seen.
 """
 
-from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import json
 from pathlib import Path
-import sys
 import tempfile
 from typing import Any
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.identification_report import force_errors
@@ -118,13 +117,7 @@ MODELS: dict[str, list[str]] = {
 
 def main(argv: Sequence[str]) -> None:
     """Measure what is not known yet, and write the tables."""
-    parser = ArgumentParser('robot_tables', description=__doc__)
-    parser.add_argument('--data', type=Path, required=True, help='folder of the data sets')
-    parser.add_argument('--ur10', type=Path, help=(
-        'URDF of the UR10: robots/ur_description/urdf/ur10_robot.urdf of example-robot-data'))
-    parser.add_argument('--out', type=Path, default=Path('docs/learning'))
-    parser.add_argument('--robot', choices=list(ROBOTS_MEASURED))
-    options = parser.parse_args(argv)
+    options = parser().parse_args(argv)
     file = options.out / RUNS
     runs = read_runs(file)
     known = {(run['robot'], run['model'], run['use']) for run in runs}
@@ -132,7 +125,7 @@ def main(argv: Sequence[str]) -> None:
             for use in ('choice', 'test') if options.robot in (None, name)]
     jobs = [job for job in jobs if job not in known]
     if options.ur10 is None and any(name == _UR10 for name, *_ in jobs):
-        parser.error(f'--ur10 is required for the {_UR10}: give its URDF, or --robot {_DFKI!r}')
+        parser().error(f'--ur10 is required for the {_UR10}: give its URDF, or --robot {_DFKI!r}')
     for name, model, use in tqdm(jobs, disable=None):
         measures = measure(name, model, use, options.data, options.ur10)
         runs.append({'robot': name, 'model': model, 'use': use, 'measures': measures})
@@ -245,5 +238,14 @@ def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[
         return score(predict, test, [0.1], 0.05, 0.1).horizons[0.1].tolist()
 
 
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('robot_tables', __doc__, [
+        'make study NAME=robot_tables ARGS="--data DATA --ur10 URDF"'])
+    found.add_argument('--data', type=Path, required=True, help='folder of the data sets')
+    found.add_argument('--ur10', type=Path, help=(
+        'URDF of the UR10: robots/ur_description/urdf/ur10_robot.urdf of example-robot-data'))
+    found.add_argument('--out', type=Path, default=Path('docs/learning'),
+                       help='folder of the tables (default: docs/learning)')
+    found.add_argument('--robot', choices=list(ROBOTS_MEASURED), help='only this one')
+    return found

@@ -2,16 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure what accuracy costs for bodies that turn, beside peers; write tables and pictures."""
 
-from argparse import ArgumentParser
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import csv
 from dataclasses import replace
-import json
 from pathlib import Path
-import sys
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
@@ -21,11 +19,12 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from scipy.spatial.transform import Rotation
-from studies.explore_page import FLOORS, read_floors, write_explorer
+from studies.explore_page import read_cards, rows_of, write_explorer
 from studies.measuring import (
     measure_row, MethodRun, OwnRun, Peer, PeerRun, StudyRow, whole_steps)
-from studies.references import INSTANTS, Reference
-from studies.results import COLUMNS, commit, row_texts
+from studies.pages import render
+from studies.references import floor_of, make_reference
+from studies.results import commit, machine, Results
 from studies.turning_peers import turning_peers
 
 # What a body is thrown with: p in space [kg m/s], L in its frame [kg m^2/s]; then it falls.
@@ -42,8 +41,10 @@ _OWN = {'kahan_li8': (0.25, 0.2, 0.16, 0.125, 0.1, 0.0625),
         'lie_gauss16': (0.125, 0.1)}
 _TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _STEPS = (0.01, 0.005, 0.0025, 0.00125)
-# Of the reference.
-_METHOD, _STEP = 'lie_gauss16', 0.1
+# The rows of long runs, beside those of the scenes.
+PAGE, FOLDER, DRIFTS = 'turning-bodies.md', 'accuracy', 'heavy_top_drifts.csv'
+_DRIFT_COLUMNS = ('method', 'setting', 'energy_error_first_tenth', 'energy_error',
+                  'vertical_momentum', 'norm', 'milliseconds', 'duration')
 # A long run, how often its invariants are looked at, and methods with step size or tolerance.
 LONG, _LOOKS = 10_000.0, 100
 _LONG = {'lie_leapfrog': 0.01, 'lie_stormer_verlet': 0.01, 'kahan_li8': 0.1,
@@ -77,21 +78,6 @@ def method_of(name: str) -> Integrator:
     return INTEGRATORS[name](base='lie_stormer_verlet') if composed else INTEGRATORS[name]()
 
 
-def reference_of(case: Case, horizon: float, step: float = _STEP) -> Reference:
-    """Return the path of Gauss collocation of order 16, and how much half its step changes."""
-    paths = []
-    for h in (step, 0.5 * step):
-        run = Simulation(case.hamiltonian, INTEGRATORS[_METHOD](), h, case.q, case.p)
-        path = []
-        for _ in range(INSTANTS):
-            run.advance(round(horizon / INSTANTS / h))
-            path.append(np.concatenate([run.q, run.p]))
-        paths.append(np.array(path))
-    error = float(np.abs(paths[1] - paths[0]).max())
-    return Reference(paths[1], error, f'{_METHOD}, h = {0.5 * step:g} s and its double',
-                     np.empty((0, paths[1].shape[1])))
-
-
 def runs_of(case: Case, horizon: float, quick: bool) -> list[MethodRun]:
     """Return what is measured: every method, or few of them, at every setting or at one."""
     found: list[MethodRun] = []
@@ -116,16 +102,16 @@ def _settings(peer: Peer) -> tuple[float, ...]:
     return _TOLERANCES[1:4:2] if peer.name == 'scipy RK45' else _TOLERANCES
 
 
-def measure(case: Case, horizon: float, rounds: int, quick: bool
-            ) -> tuple[list[StudyRow], Reference]:
+def measure(case: Case, horizon: float, rounds: int, quick: bool) -> Results:
     """
-    Return the rows of a case, and its reference.
+    Return the rows of a case.
 
     Times are those of the processor that the process took, without compilation; all are taken in
     turns, so that what else the machine does falls on each alike.
     """
-    reference, runs = reference_of(case, horizon), runs_of(case, horizon, quick)
-    rows = [measure_row(run, horizon, reference, 1) for run in runs]
+    reference = make_reference(case.hamiltonian, case.q, case.p, horizon)
+    runs = runs_of(case, horizon, quick)
+    rows = [measure_row(run, reference, 1) for run in runs]
     arrived = [i for i, row in enumerate(rows) if row.finished]
     times = np.empty((rounds, len(runs)))
     for k in range(rounds):
@@ -137,7 +123,8 @@ def measure(case: Case, horizon: float, rounds: int, quick: bool
     for i in arrived:
         rows[i] = replace(rows[i], seconds_per_simulated_second=np.median(times[:, i]) / horizon,
                           p95_seconds=np.quantile(times[:, i], 0.95) / horizon)
-    return rows, reference
+    floor = floor_of(reference, case.hamiltonian, case.q, case.p)
+    return Results({'machine': machine()}, [commit()], {horizon: floor}, rows)
 
 
 def states(case: Case, name: str, setting: float, horizon: float, peers: Sequence[Peer]
@@ -157,10 +144,8 @@ def states(case: Case, name: str, setting: float, horizon: float, peers: Sequenc
         yield z
 
 
-def drifts(case: Case, horizon: float) -> str:
-    """Return a table of what long runs of a top keep: H, L_z and the norm of the quaternion."""
-    lines = ['| | setting | energy error [J], first tenth | all | change of L_z | norm - 1 | '
-             'time [ms] |', '|---' * 7 + '|']
+def drifts(case: Case, horizon: float) -> Iterator[list[str]]:
+    """Yield what long runs of a top keep: H, L_z and the norm of the quaternion; see DRIFTS."""
     z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
     for name, setting in _LONG.items():
         for _ in states(case, name, setting, _LOOKS * setting, peers):
@@ -170,13 +155,10 @@ def drifts(case: Case, horizon: float) -> str:
         taken = time.process_time() - start
         energy, vertical, norm = invariants(case, z)
         error = np.abs(energy - energy[0])
-        option = f'h = {setting:g} s' if setting > 1e-4 else f'tolerance {setting:g}'
-        shown = f'`{name}`' if name in INTEGRATORS else name
-        lines.append(
-            f'| {shown} | {option} | {error[:_LOOKS // 10 + 1].max():.1e} | {error.max():.1e} | '
-            f'{np.abs(vertical / vertical[0] - 1.0).max():.1e} | {np.abs(norm - 1.0).max():.1e} | '
-            f'{1e3 * taken:.3g} |')
-    return '\n'.join(lines) + '\n'
+        numbers = (error[:_LOOKS // 10 + 1].max(), error.max(),
+                   np.abs(vertical / vertical[0] - 1.0).max(), np.abs(norm - 1.0).max(),
+                   1e3 * taken, horizon)
+        yield [name, f'{setting:g}', *(f'{number:.6g}' for number in numbers)]
 
 
 def invariants(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -188,83 +170,92 @@ def invariants(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     return energy, Rotation.from_quat(q).apply(p)[:, 2], norm
 
 
-def table(rows: Sequence[StudyRow]) -> str:
+def best_rows(rows: Sequence[StudyRow]) -> list[StudyRow]:
     """Return the cheapest row of each method within 1e-8, or else its most accurate."""
-    lines = ['| | setting | largest error | energy band [J] | time [ms] |', '|---' * 5 + '|']
-    names = dict.fromkeys(row.method.partition(' tolerance=')[0] for row in rows)
-    best = {}
-    for name in names:
-        own = [row for row in rows if row.finished
-               and row.method.partition(' tolerance=')[0] == name]
+    best = []
+    for name in dict.fromkeys(_name(row) for row in rows):
+        own = [row for row in rows if row.finished and _name(row) == name]
         good = [row for row in own if row.path_error <= GOOD]
         if own:
-            best[name] = (min(good, key=lambda row: row.seconds_per_simulated_second) if good
-                          else min(own, key=lambda row: row.path_error))
-    for name, row in sorted(best.items(), key=lambda item: (
-            item[1].path_error > GOOD, item[1].seconds_per_simulated_second)):
-        setting = (f'tolerance {row.method.partition("=")[2]}' if np.isnan(row.step_size)
-                   else f'h = {row.step_size:g} s')
-        shown = name if ' ' in name else f'`{name}`'
-        lines.append(f'| {shown} | {setting} | {row.path_error:.1e} | {row.energy_band:.1e} | '
-                     f'{1e3 * row.horizon * row.seconds_per_simulated_second:.3g} |')
-    return '\n'.join(lines) + '\n'
+            best.append(min(good, key=lambda row: row.seconds_per_simulated_second) if good
+                        else min(own, key=lambda row: row.path_error))
+    return sorted(best, key=lambda row: (
+        row.path_error > GOOD, row.seconds_per_simulated_second))
 
 
-def section(case: Case, rows: Sequence[StudyRow], reference: Reference) -> str:
-    """Return the part of the page on one scene."""
-    ours, theirs = (min((row for row in rows if row.finished and row.path_error <= GOOD
-                         and (' ' in row.method) == is_peer),
-                        key=lambda row: row.seconds_per_simulated_second, default=None)
-                    for is_peer in (False, True))
-    ratio = ''
-    if ours is not None and theirs is not None:
-        share = ours.seconds_per_simulated_second / theirs.seconds_per_simulated_second
-        ratio = (f'`{ours.method}` takes {share:.2g} of the time of '
-                 f'{theirs.method.partition(" tolerance")[0]} to {GOOD:g}. ')
-    return (f'`{case.scene}`, {rows[0].horizon:g} s. {ratio}Reference: {reference.how}, good to '
-            f'{reference.accuracy:.1e}.\n\n{table(rows)}')
+def _name(row: StudyRow) -> str:
+    return row.method.partition(' tolerance=')[0]
 
 
-def write(docs: Path, found: dict[str, tuple[list[StudyRow], Reference]], sections: str) -> None:
-    """Write rows, floors, pictures, the page to explore, and the part of the page."""
+def _shown(name: str) -> str:
+    """Return a name as a page has it: ours as code."""
+    return name if ' ' in name else f'`{name}`'
+
+
+def section(scene: str, results: Results) -> dict[str, Any]:
+    """Return what the template says of a scene."""
+    best = best_rows(results.rows)
+    ours, theirs = (next((row for row in best if row.path_error <= GOOD
+                          and (' ' in row.method) == is_peer), None) for is_peer in (False, True))
+    (horizon, floor), = results.floors.items()
+    cells = [[_shown(_name(row)),
+              f'tolerance {row.method.partition("=")[2]}' if np.isnan(row.step_size)
+              else f'h = {row.step_size:g} s', f'{row.path_error:.1e}', f'{row.energy_band:.1e}',
+              f'{1e3 * row.horizon * row.seconds_per_simulated_second:.3g}'] for row in best]
+    return {'scene': scene, 'horizon': horizon, 'floor': floor, 'rows': cells,
+            'faster': None if ours is None or theirs is None else {
+                'ours': ours.method, 'theirs': _name(theirs),
+                'share': ours.seconds_per_simulated_second / theirs.seconds_per_simulated_second}}
+
+
+def page_part(folder: Path) -> str:
+    """Return the part of the page on what accuracy costs, of what a folder holds."""
+    cards = read_cards(folder)
+    sections = [section(case.scene, Results.read(
+        cards[case.scene], rows_of(folder, case.scene)))
+                for case in cases()]
+    with (folder / DRIFTS).open(encoding='utf-8') as file:
+        rows = list(csv.DictReader(file))
+    long = [[_shown(row['method']), f'h = {row["setting"]} s' if float(row['setting']) > 1e-4
+             else f'tolerance {row["setting"]}',
+             *(f'{float(row[name]):.1e}' for name in _DRIFT_COLUMNS[2:6]),
+             f'{float(row["milliseconds"]):.3g}'] for row in rows]
+    return render('turning_costs.md', sections=sections, good=GOOD, looks=_LOOKS, long=long,
+                  duration=float(rows[0]['duration']))
+
+
+def write(docs: Path, found: Mapping[str, Results], long: Sequence[Sequence[str]]) -> None:
+    """Write rows, cards, pictures, the page to explore, and the part of the page."""
     # Imported here: matplotlib takes a second, which a mistake should not wait for.
-    from studies.accuracy_page import draw_again
-    page, folder = docs / 'turning-bodies.md', docs / 'accuracy'
+    from studies.accuracy_page import draw_pictures, keep_results
+    page, folder = docs / PAGE, docs / FOLDER
     before, begin, rest = page.read_text(encoding='utf-8').partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
         raise ParameterError(f'{page}: has no lines {BEGIN} and {END}, between which the table '
                              'goes; put them back')
-    card = read_floors(folder)
-    for scene, (rows, reference) in found.items():
-        with (folder / f'{scene}.csv').open('w', encoding='utf-8') as file:
-            csv.writer(file, lineterminator='\n').writerows([COLUMNS, *map(row_texts, rows)])
-        card['scenes'][scene] = {repr(rows[0].horizon): {
-            'reference': reference.accuracy, 'path': None, 'energy': None, 'box': None}}
-    card['commits'] = list(dict.fromkeys([*card['commits'], commit()]))
-    (folder / FLOORS).write_text(json.dumps(card, indent=1) + '\n', encoding='utf-8')
-    page.write_text(f'{before}{BEGIN}\n\n{sections}\n{END}{after}', encoding='utf-8')
-    draw_again(docs, list(found))
+    keep_results(docs, found)
+    with (folder / DRIFTS).open('w', newline='', encoding='utf-8') as file:
+        csv.writer(file, lineterminator='\n').writerows([_DRIFT_COLUMNS, *long])
+    page.write_text(f'{before}{BEGIN}\n\n{page_part(folder)}\n{END}{after}', encoding='utf-8')
+    for scene, results in found.items():
+        draw_pictures(folder, scene, results)
     write_explorer(folder)
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str]) -> None:
     """Measure, and write into the folder of the documentation."""
-    parser = ArgumentParser(description=__doc__)
-    parser.add_argument('--docs', type=Path, default=Path('docs'), help=(
-        'folder of turning-bodies.md and of accuracy/ (default: docs)'))
-    parser.add_argument('--quick', action='store_true', help='a second, few rows: to try it')
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     horizon, rounds = (1.0, 1) if arguments.quick else (HORIZON, ROUNDS)
-    found, sections = {}, []
-    for case in cases():
-        found[case.scene] = measure(case, horizon, rounds, arguments.quick)
-        sections.append(section(case, *found[case.scene]))
-    top, long = cases()[0], 100.0 if arguments.quick else LONG
-    sections.append(f'`{top.scene}` for {long:g} s, sampled {_LOOKS} times:\n\n'
-                    f'{drifts(top, long)}')
-    write(arguments.docs, found, '\n'.join(sections))
+    found = {case.scene: measure(case, horizon, rounds, arguments.quick) for case in cases()}
+    write(arguments.docs, found, list(drifts(cases()[0], 100.0 if arguments.quick else LONG)))
 
 
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('turning_costs', __doc__, [
+        'make study NAME=turning_costs ARGS="--quick"'])
+    found.add_argument('--docs', type=Path, default=Path('docs'), help=(
+        'folder of turning-bodies.md and of accuracy/ (default: docs)'))
+    found.add_argument('--quick', action='store_true', help='a second, few rows: to try it')
+    return found

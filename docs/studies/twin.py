@@ -1,18 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A twin on measured runs: ``python -m studies.twin SCENE CONFIG DATA``.
+Judge a twin on measured runs.
 
 The test runs of a training configuration are replayed to a scene as observations, sample by
 sample, with the measured forces as commands. What the twin reports is told beside the figure of
 ``evaluate``, whose predictions begin every 0.05 s at smoothed states.
 """
 
-from argparse import ArgumentParser
 from collections.abc import Sequence
 from pathlib import Path
-import sys
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.learning.config import find_config
 from hnn_vi_ros.learning.evaluate import parts_of, simulation_of
@@ -56,11 +55,7 @@ def replay(twin: Twin, simulation: Accompanied, motion: Motion, q: np.ndarray, v
 
 def main(argv: Sequence[str]) -> None:
     """Print what the twin and evaluate say of each other."""
-    parser = ArgumentParser('python -m studies.twin', description=main.__doc__)
-    parser.add_argument('scene')
-    parser.add_argument('config', help='configuration of the training')
-    parser.add_argument('data', help='its data')
-    parser.parse_args(argv)
+    parser().parse_args(argv)
     scene, config = load_scene(argv[0]), load_machine(find_config(argv[1]))
     names = [coordinate.name for coordinate in config.coordinates]
     motions, _ = read_motions(Path(argv[2]), config.data, names, [argv[2]])
@@ -84,5 +79,11 @@ def main(argv: Sequence[str]) -> None:
               f'{found / judged.valid_prediction_time - 1.0:+.1%}', flush=True)
 
 
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('twin', __doc__, [
+        'make study NAME=twin ARGS="dfki_double_pendulum dfki_double_pendulum sysid.npz"'])
+    found.add_argument('scene', help='of the twin')
+    found.add_argument('config', help='configuration of the training')
+    found.add_argument('data', help='its data')
+    return found

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Study of ensemble spread: ``python -m studies.uncertainty CONFIG MODEL ...``.
+Count what the bands of ensembles cover, and how well their spread tells of the unknown.
 
 Pairs of a training configuration and the ensemble that it made. The coverage of the bands is
 counted on motions that neither training nor calibration has seen: of exact data, on new ones; of
@@ -11,11 +11,10 @@ deviation over the members of the gradient of H, or of a machine of its accelera
 q and q'; AUROC is the probability that one outside has the larger one.
 """
 
-from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 from pathlib import Path
-import sys
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
@@ -194,12 +193,7 @@ def _factors(model: str, checkpoint: Checkpoint) -> np.ndarray:
 
 def main(argv: Sequence[str]) -> None:
     """Print a row of a table for each pair of a configuration and its ensemble."""
-    parser = ArgumentParser(prog='python -m studies.uncertainty')
-    parser.add_argument('pairs', nargs='+', metavar='CONFIG MODEL', help=(
-        'a training configuration, and the ensemble of it'))
-    parser.add_argument('--runs', nargs='+', default=[], metavar='FILE', help=(
-        'of machines, motions on which coverage is counted'))
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     if len(arguments.pairs) % 2:
         raise ParameterError('expected pairs: a training configuration, and the ensemble of it')
     print('| ensemble | members | factors | coverage of 90 % bands | by coordinate and momentum '
@@ -218,5 +212,12 @@ def main(argv: Sequence[str]) -> None:
               flush=True)
 
 
-if __name__ == '__main__':
-    main(sys.argv[1:])
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('uncertainty', __doc__, [
+        'make study NAME=uncertainty ARGS="CONFIG.yaml MODEL.safetensors"'])
+    found.add_argument('pairs', nargs='+', metavar='CONFIG MODEL', help=(
+        'a training configuration, and the ensemble of it'))
+    found.add_argument('--runs', nargs='+', default=[], metavar='FILE', help=(
+        'of machines, motions on which coverage is counted'))
+    return found

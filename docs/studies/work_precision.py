@@ -5,55 +5,59 @@
 from dataclasses import replace
 import math
 from pathlib import Path
-import sys
 
-from studies import arguments as command_lines
-from studies.arguments import SCENES
+from hnn_vi_ros.accuracy.path_reference import Instants, PathReference
+from hnn_vi_ros.command_line import Parser, seconds
+import numpy as np
 from studies.measuring import measure_row, MethodRun, StudyRow, TOO_LONG
-from studies.references import make_reference, model_error, Reference, true_hamiltonian
-from studies.work_precision_plan import prepare, Setting, Study
+from studies.references import Floor, floor_of, make_reference
+from studies.work_precision_plan import HALVINGS, LONGEST, prepare, Setting, Study
 from tqdm import tqdm
 
+# Of the page on accuracy and cost: learned ones, then those that a formula gives.
+SCENES = ('harmonic_oscillator', 'pendulum', 'double_pendulum', 'learned_kepler',
+          'learned_henon_heiles', 'exact_harmonic_oscillator', 'exact_pendulum',
+          'exact_double_pendulum', 'kepler', 'henon_heiles')
 # Timed runs at all but the shortest horizon.
 FEW_RUNS = 3
-# The reference's first step over the scene's own.
-_REFERENCE = 10.0
 # About what one gradient takes [s], for the progress bar before anything is known.
 _GRADIENT, _GRADIENTS_PER_STAGE = 1e-6, 6
 
 
 def main(argv: list[str]) -> int:
     """Measure what is not measured yet, then write tables and pictures."""
-    arguments = command_lines.work_precision().parse_args(argv)
-    if arguments.draw:
-        # Here and below: matplotlib and rerun take a second, which a mistake should not wait for.
-        from studies.accuracy_page import draw_again
-        print(*draw_again(arguments.docs), sep='\n')
-        return 0
-    base = arguments.out or Path('work_precision')
-    if arguments.scene is not None:
-        studies = [prepare(arguments, arguments.scene, arguments.out)]
-    else:
+    arguments = parser().parse_args(argv)
+    # Here and below: matplotlib and rerun take a second, which a mistake should not wait for.
+    if not arguments.draw:
+        base = arguments.out or Path('work_precision')
+        named = {arguments.scene: arguments.out} if arguments.scene is not None else {
+            scene: base / scene for scene in SCENES}
         # All of them before the first is measured: a mistake shows at once.
-        studies = [prepare(arguments, scene, base / scene) for scene in SCENES]
-    try:
-        for study in studies:
-            measure(study)
-    except KeyboardInterrupt:
-        print(f'\nInterrupted: {len(study.results.rows)} rows are kept in '
-              f'{study.results.folder}; the same command goes on from there.')
-        return 130
-    from studies.accuracy_page import write_page
-    from studies.work_precision_report import write_report
-    written = [path for study in studies for path in write_report(study.results, study.scene.name)]
-    for path in written if arguments.scene is not None else write_page(base, arguments.docs):
-        print(path)
+        studies = [prepare(arguments, scene, out) for scene, out in named.items()]
+        try:
+            for study in studies:
+                measure(study)
+        except KeyboardInterrupt:
+            print(f'\nInterrupted: {len(study.results.rows)} rows are kept in '
+                  f'{study.results.folder}; the same command goes on from there.')
+            return 130
+        from studies.work_precision_report import write_report
+        written = [path for study in studies
+                   for path in write_report(study.results, study.scene.name)]
+        if arguments.scene is not None:
+            print(*written, sep='\n')
+            return 0
+    from studies.accuracy_page import keep_results, write_pages
+    if not arguments.draw:
+        keep_results(arguments.docs, {study.scene.name: study.results for study in studies})
+    print(*write_pages(arguments.docs), sep='\n')
     return 0
 
 
 def measure(study: Study) -> None:
     """Measure every row that is not there yet, horizon by horizon, and show the time left."""
     runs: dict[int, MethodRun] = {}
+    references: dict[float, PathReference] = {}
     todo = [(horizon, i) for horizon in study.horizons for i in range(len(study.settings))
             if not _is_settled(study, horizon, i)]
     with tqdm(total=1.0, bar_format='{desc} {percentage:3.0f}% |{bar}|{postfix}',
@@ -65,11 +69,12 @@ def measure(study: Study) -> None:
             bar.set_description_str(f'{study.scene.name}, T = {horizon:g} s', refresh=False)
             bar.set_postfix_str(f'about {_as_duration(left)} left, {len(todo) - done} rows: '
                                 f'{setting.label} {_as_step(setting.step_size)}')
-            reference = _reference(study, horizon)
+            reference = references.get(horizon) or references.setdefault(
+                horizon, _reference(study, horizon))
             row = _known_row(study, horizon, setting)
             if row is None:
                 run = runs[i] if i in runs else runs.setdefault(i, setting.create())
-                row = measure_row(run, horizon, reference, _timed_runs(study, horizon))
+                row = measure_row(run, reference, _timed_runs(study, horizon))
             study.results.add(row)
             bar.update(_expected(study, horizon, i))
         bar.set_postfix_str(f'done, {len(todo)} rows')
@@ -130,23 +135,19 @@ def _known_row(study: Study, horizon: float, setting: Setting) -> StudyRow | Non
                     status=f'{TOO_LONG}: about {seconds:.3g} s')
 
 
-def _reference(study: Study, horizon: float) -> Reference:
-    """Return what a horizon is measured against, from the folder if it is there."""
-    results = study.results
-    if horizon in results.references:
-        return results.references[horizon]
-    before = [results.references[T] for T in study.horizons[:study.horizons.index(horizon)]]
-    truth, h = true_hamiltonian(study.hamiltonian), _REFERENCE * study.scene.step_size
-    if before and not before[-1].verified:
-        reference = replace(before[-1], accuracy=math.inf, path=before[-1].path[:0],
-                            how='none: the motion is chaotic')
-        model = results.model_errors.get(study.horizons[study.horizons.index(horizon) - 1])
+def _reference(study: Study, horizon: float) -> PathReference:
+    """Return what a horizon is measured against: no path from the first one of chaos on."""
+    floors = study.results.floors
+    lost = [floor for other, floor in floors.items() if other <= horizon and not floor.verified]
+    if lost:
+        reference = PathReference(Instants.of(horizon, horizon, 1), np.empty((0, 2)), math.inf,
+                                  'none: the motion is chaotic')
+        floor = Floor(reference.how, model=lost[-1].model)
     else:
-        reference = make_reference(study.hamiltonian, *study.start, horizon, h)
-        model = truth and replace(
-            model_error(reference, truth, *study.start, horizon, h),
-            box=study.hamiltonian.checkpoint.card.energy_error)
-    results.keep_reference(horizon, reference, model)
+        reference = make_reference(study.hamiltonian, *study.start, horizon)
+        floor = floor_of(reference, study.hamiltonian, *study.start)
+    if horizon not in floors:
+        study.results.keep_floor(horizon, floor)
     return reference
 
 
@@ -159,5 +160,33 @@ def _as_step(step_size: float) -> str:
     return '' if math.isnan(step_size) else f'h = {step_size:g} s'
 
 
-if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('work_precision', __doc__, [
+        'make study NAME=work_precision ARGS="--scene pendulum --horizons 10 --runs 3"',
+        'make study NAME=work_precision ARGS="--scene kepler --methods gauss8 yoshida4 --peers"'])
+    what = found.add_mutually_exclusive_group(required=True)
+    what.add_argument('--scene', metavar='NAME', help='shipped name or file')
+    what.add_argument('--all', action='store_true', help=(
+        f'measure {", ".join(SCENES)}, and write the page on accuracy and cost'))
+    what.add_argument('--draw', action='store_true', help=(
+        'measure nothing: write that page, its pictures and the page to explore of the rows that '
+        'are in the folder of --docs'))
+    found.add_argument('--methods', nargs='+', metavar='METHOD', help=(
+        'integrators; METHOD@1e-4 or METHOD@3 does not solve its equations further than a '
+        'residual or some iterations, METHOD@float32 takes gradients in single precision'))
+    found.add_argument('--horizons', nargs='+', type=seconds, metavar='SECONDS', help=(
+        'simulated times after which errors are measured'))
+    found.add_argument('--steps', nargs='+', type=seconds, metavar='SECONDS', help=(
+        f'step sizes (default: {LONGEST:g} times that of the scene, and {HALVINGS} halvings)'))
+    found.add_argument('--out', type=Path, metavar='DIR', help=(
+        'folder of the results (default: work_precision/SCENE; with --all work_precision, with a '
+        'folder for each scene in it)'))
+    found.add_argument('--docs', type=Path, metavar='DIR', default=Path('docs'),
+                       help='folder of the page that --all writes (default: docs)')
+    found.add_argument('--peers', action='store_true',
+                       help='measure scipy, torchdiffeq and diffrax as well')
+    found.add_argument('--runs', type=int, help='timed runs at the shortest horizon')
+    found.add_argument('--limit', type=seconds, metavar='SECONDS',
+                       help='a single run that would take longer is not begun')
+    return found

@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
+from hnn_vi_ros.commands.label_placement import Label, place_labels
 from hnn_vi_ros.models.energy_error import EnergyError
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -15,29 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 import numpy as np
 from PIL import Image
-from studies.label_placement import Label, place_labels
 from studies.measuring import StudyRow
-from studies.references import ModelDiscrepancy, Reference
+from studies.references import Floor
 
-# Colour and marker; families share a colour, from light to dark with the order.
-STYLES = {
-    'variational_euler': ('#d1495b', 'o'),
-    'symplectic_euler': ('#e07a5f', '<'),
-    'symplectic_euler_adjoint': ('#e07a5f', '>'),
-    'explicit_euler': ('#8d99ae', 'x'),
-    'generalized_leapfrog': ('#edae49', 's'),
-    'stormer_verlet': ('#c17c1b', 'D'),
-    'implicit_midpoint': ('#c9a227', '^'),
-    'discrete_gradient': ('#7f6a93', 'p'),
-    'yoshida4': ('#8f5fa8', 'v'),
-    'suzuki4': ('#6b3f8a', 'd'), 'kahan_li8': ('#4a2566', '>'),
-    'rk4': ('#2f2f2f', 'X'),
-    'gauss4': ('#7fb7d6', 'o'), 'gauss6': ('#66a5cc', 's'), 'gauss8': ('#3d87ba', 's'),
-    'gauss10': ('#2f76a8', '^'), 'gauss12': ('#236496', 'v'), 'gauss14': ('#175383', 'D'),
-    'gauss16': ('#0b3c6f', 'D'),
-    'lie_stormer_verlet': ('#b5651d', 'P'), 'lie_leapfrog': ('#edae49', '<'),
-    'lie_gauss8': ('#3d87ba', 'd'), 'lie_gauss12': ('#236496', 'o'),
-    'lie_gauss16': ('#0b3c6f', 's'),
+# Colour and marker of the peers.
+_PEERS = {
     'scipy DOP853': ('#1b7f5c', 'o'), 'scipy RK45': ('#63b995', 's'),
     'torchdiffeq dopri5': ('#a8623a', '^'), 'torchdiffeq dopri8': ('#7a3e1d', 'v'),
     'torchdiffeq rk4': ('#c99672', 'X'),
@@ -47,7 +31,6 @@ STYLES = {
     'MuJoCo RK4': ('#b23a48', 'D'), 'MuJoCo implicitfast': ('#d98893', 'd'),
 }
 _OTHER = ('#555555', '*')
-INK, FAINT = '#222222', '#8a8a8a'
 # Larger errors say only that the run is lost.
 _LOST = 100.0
 # A page shows a picture about as wide as this [inch], so texts keep their size on it.
@@ -114,7 +97,7 @@ def group_of(name: str) -> str:
 def line_style(name: str) -> dict[str, Any]:
     """Return how a line is drawn: a colour and a mark of its own, a dash of its group."""
     base, _, variant = name.partition('@')
-    color, marker = STYLES.get(base, _OTHER)
+    color, marker = {**STYLES, **_PEERS}.get(base, _OTHER)
     group = group_of(name)
     if variant:
         marker = _VARIANT_MARKS.get(variant, _EARLY)
@@ -124,8 +107,12 @@ def line_style(name: str) -> dict[str, Any]:
             'markerfacecolor': color if group == 'ours' else 'white', 'markeredgewidth': 1.0}
 
 
-def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
-         model: ModelDiscrepancy | None) -> Path:
+def color_of(name: str, other: str) -> str:
+    """Return the colour of a method or a peer; another one of what has none."""
+    return {**STYLES, **_PEERS}.get(name.partition('@')[0], (other, ''))[0]
+
+
+def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path:
     """
     Draw the rows of one horizon into a PNG file: two panels for each group of lines.
 
@@ -137,10 +124,8 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
         Above all panels.
     rows : sequence of StudyRow
         All of one horizon.
-    reference : Reference
-        Below whose accuracy no path error is known.
-    model : ModelDiscrepancy or None
-        What a learned H is off by, drawn as a floor.
+    known : Floor
+        Below whose accuracy no path error is known; what a learned H is off by is a floor too.
 
     """
     series = series_of(rows)
@@ -152,17 +137,18 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], reference: Reference,
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.2 / figure.get_figheight())
     drawn, panels = [], panels_of(rows)
-    floors = [getattr(model, _FLOORS[panel.y]) if model else math.nan for panel in panels]
+    floors = [getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
+              for panel in panels]
     for k, (group, handles) in enumerate(legends.items()):
         top = figure.get_figheight() - _TOP - sum(heights[:k]) - _TITLE
         for panel, floor, left in zip(panels, floors, (0.95, 5.35), strict=True):
             ax = _add_panel(figure, left, top)
             _begin_panel(ax, panel, _limits_of(panel, rows, floor), _GROUPS[group])
             drawn.append((ax, _draw_lines(ax, panel, series, group)))
-            _draw_levels(ax, panel, floor, reference, model)
+            _draw_levels(ax, panel, floor, known)
         figure.legend(handles=handles, loc='upper center', frameon=False, fontsize=8.5, ncols=2,
                       bbox_to_anchor=(0.5, (top - _PANEL - _TICKS + 0.1) / figure.get_figheight()))
-    figure.legend(handles=_common_handles(reference, model), loc='lower center', frameon=False,
+    figure.legend(handles=_common_handles(known), loc='lower center', frameon=False,
                   fontsize=8.5, ncols=2)
     # Last: the layout is final only now.
     figure.draw_without_rendering()
@@ -270,19 +256,19 @@ def _handles(series: dict[str, list[StudyRow]], group: str) -> list[Line2D]:
             for name, rows in series.items() if group_of(name) == group]
 
 
-def _common_handles(reference: Reference, model: ModelDiscrepancy | None) -> list[Any]:
+def _common_handles(known: Floor) -> list[Any]:
     """Return an entry of a legend for each mark that is no line of a method."""
     handles: list[Any] = [
         Line2D([], [], color=_PALE, label='the lines of the other panels'),
         Line2D([], [], color=INK, marker='x', linestyle='', markersize=8.0, markeredgewidth=2.0,
                label='upper edge: failed or lost')]
-    if model is not None:
+    if known.model is not None:
         handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)),
                               label='error of the learned H itself'))
-        if model.box is not None:
+        if known.model.box is not None:
             handles.append(Line2D([], [], color='#8a5a00', linewidth=1.6,
                                   label='RMS and largest error of H in its box'))
-    if reference.verified:
+    if known.verified:
         handles.append(Patch(color='#e9e9e9', label='below the accuracy of the reference'))
     return handles
 
@@ -294,16 +280,15 @@ def _legend_text(name: str, rows: Sequence[StudyRow]) -> str:
     return f'{name}, h = {max(steps):.2g} to {min(steps):.2g} s'
 
 
-def _draw_levels(ax: Axes, panel: Panel, floor: float, reference: Reference,
-                 model: ModelDiscrepancy | None) -> None:
+def _draw_levels(ax: Axes, panel: Panel, floor: float, known: Floor) -> None:
     """Draw the errors below which nothing is known or gained."""
     if not math.isnan(floor):
         _draw_floor(ax, floor)
-    if panel.y == 'energy_band' and model is not None and model.box is not None:
-        _draw_box_error(ax, model.box)
+    if panel.y == 'energy_band' and known.model is not None and known.model.box is not None:
+        _draw_box_error(ax, known.model.box)
     bottom = ax.get_ylim()[0]
-    if panel.y == 'path_error' and reference.verified and reference.accuracy > bottom:
-        ax.axhspan(bottom, reference.accuracy, color='#e9e9e9', zorder=0.5)
+    if panel.y == 'path_error' and known.verified and known.accuracy > bottom:
+        ax.axhspan(bottom, known.accuracy, color='#e9e9e9', zorder=0.5)
 
 
 def _draw_floor(ax: Axes, floor: float) -> None:

@@ -22,11 +22,12 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import Field
-from studies.arguments import HALVINGS, LONGEST
 from studies.measuring import MethodRun, OwnRun, Peer, PeerRun, whole_steps
-from studies.results import machine, Results
+from studies.results import machine, ResultsFolder
 from studies.variants import applicable, create, MethodLabel, parse_method
 
+# The longest step over the scene's own: 0.2 s where that is 0.01 s. Each further one is half.
+LONGEST, HALVINGS = 20.0, 8
 # Methods of this order or higher begin with longer ones, and end as many halvings earlier.
 HIGH_ORDER, LONGER = 8, (5.0, 2.5, 2.0, 1.25)
 
@@ -63,7 +64,7 @@ class Study:
     horizons: list[float]
     runs: int
     limit: float
-    results: Results
+    results: ResultsFolder
 
     @property
     def start(self) -> tuple[np.ndarray, np.ndarray]:
@@ -113,8 +114,8 @@ def prepare(arguments: argparse.Namespace, name: str, out: Path | None) -> Study
         settings += _peer_settings(scene, hamiltonian, create_peers(hamiltonian), arguments.steps,
                                    grid.tolerances)
     _check_division(horizons, settings)
-    results = Results(out or Path('work_precision') / scene.name,
-                      _identity(scene, hamiltonian, runs))
+    results = ResultsFolder(out or Path('work_precision') / scene.name,
+                            _identity(scene, hamiltonian, runs))
     return Study(scene, hamiltonian, settings, horizons, runs, limit, results)
 
 

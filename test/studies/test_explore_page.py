@@ -40,7 +40,7 @@ def test_lines_of_one_group_have_marks_of_their_own():
 
 
 def test_missing_rows_are_one_line(tmp_path):
-    with pytest.raises(ParameterError, match='not there or damaged.*work_precision --all'):
+    with pytest.raises(ParameterError, match='not there or damaged.*make accuracy'):
         explore_page.page_data(tmp_path)
 
 
