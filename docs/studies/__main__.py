@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import did_you_mean
 
 
 def studies() -> dict[str, str]:
-    """Return the name of each study, and the first line of what it does."""
+    """Return the name and the first line of the docstring of each study."""
     found = {}
     for file in sorted(Path(__file__).parent.glob('[!_]*.py')):
         tree = ast.parse(file.read_text(encoding='utf-8'))

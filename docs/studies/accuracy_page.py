@@ -28,7 +28,7 @@ _Results = Mapping[str, Results]
 
 def keep_results(docs: Path, results: _Results) -> None:
     """
-    Keep results for the page; those of other scenes stay.
+    Keep results for the page; results of other scenes stay.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def keep_results(docs: Path, results: _Results) -> None:
 
 def write_pages(docs: Path) -> list[Path]:
     """
-    Write the page, those of its scenes, their pictures, and the page to explore.
+    Write the page, a page and pictures for each scene, and the page to explore.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def scene_page(name: str, results: Results) -> str:
 
 
 def as_page(results: _Results) -> str:
-    """Return the page; the results are those of each scene."""
+    """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
         'measured': _measured, 'choice': _choice, 'choices': _choices, 'left_out': _left_out,
         'first_order': _first_order, 'first_order_wins': _first_order_wins,

@@ -35,7 +35,7 @@ RECORDED, SIMULATED, RATE = 60.0, 10.0, 100.0  # [s], [s], [Hz]
 STARTS = 6
 ENERGY_BAND, PATH_ERROR = 0.02, 0.05
 PAGE, PICTURE = 'bag-to-model.md', 'bag_to_model.png'
-# Beside the page: what it is made of.
+# The results that the page is made from.
 RESULTS = 'learning/bag_to_model.json'
 
 
@@ -120,7 +120,7 @@ def _energy(scene: Scene, q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def _keep(docs: Path, commands: tuple[list[str], list[str]], model: Path, height: float,
           path_errors: np.ndarray, bands: np.ndarray) -> None:
-    """Write what the page is made of, and the page."""
+    """Write the results and the page."""
     card = load_checkpoint(model).card
     record, train = (shlex.join(['ros2', 'run', 'hnn_vi_ros', *words]) for words in commands)
     found = {
@@ -137,7 +137,7 @@ def _keep(docs: Path, commands: tuple[list[str], list[str]], model: Path, height
 
 
 def as_page(docs: Path) -> str:
-    """Return the page, of what the docs hold."""
+    """Return the page, from the results in the docs."""
     return render(PAGE, **json.loads((docs / RESULTS).read_text(encoding='utf-8')))
 
 

@@ -27,7 +27,7 @@ _COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'seconds_per_si
 
 
 def write_cards(folder: Path, cards: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Write what the rows of scenes were measured on and against; other studies' scenes stay."""
+    """Write the cards of scenes; other studies' scenes stay."""
     path = folder / FLOORS
     before = read_cards(folder) if path.is_file() else {}
     path.write_text(json.dumps({**before, **cards}, indent=1) + '\n', encoding='utf-8')
@@ -70,7 +70,7 @@ def write_explorer(folder: Path) -> Path:
 
     """
     text = _TEMPLATE.read_text(encoding='utf-8')
-    # In JSON a '<' stands in strings alone, where it could end the script that holds it.
+    # A '<' occurs in strings of the JSON only, where it could end the script that holds it.
     data = json.dumps(page_data(folder), separators=(',', ':'), allow_nan=False)
     parts = (('/*DATA*/', data.replace('<', '\\u003c')), ('/*PLOTLY*/', _plotly()))
     for mark, part in parts:

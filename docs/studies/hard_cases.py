@@ -25,7 +25,7 @@ _TOGETHER = 4
 
 
 def main(argv: list[str]) -> int:
-    """Run what is not there yet, write tables and pictures, and compare with what is committed."""
+    """Run the missing rows, write tables and pictures, and compare with the expectations."""
     arguments = parser().parse_args(argv)
     run = QUICK if arguments.quick else FULL
     plan = load_plan()
@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
 
 
 def run_jobs(jobs: Sequence[Job], folder: Folder, processes: int) -> None:
-    """Run the jobs whose rows are not there as they are now, and show how many are left."""
+    """Run the jobs that have no up-to-date row, and show how many are left."""
     there = {row.key: row.digest for row in folder.rows}
     todo = sorted((job for job in jobs if there.get(job.key) != job.digest),
                   key=lambda job: job.kernel)
@@ -80,7 +80,7 @@ def run_one(job: Job) -> CaseRow:
 
 
 def _rows(jobs: Sequence[Job], processes: int) -> Iterator[CaseRow]:
-    """Yield the rows of jobs, which are sorted by what they compile."""
+    """Yield the rows of jobs, which are sorted by the code that they compile."""
     if processes == 1:
         yield from map(run_one, jobs)
         return

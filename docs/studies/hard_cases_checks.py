@@ -17,7 +17,7 @@ from studies.hard_cases_gates import Measured
 from studies.hard_cases_plan import Job
 from studies.hard_cases_run import blocks, FIRST, run_motion, scale_of, summarise
 
-# What the energy of a damped system may rise by from block to block, and a rod be off by.
+# Limits: the rise of a damped system's energy from block to block, and the errors of a rod.
 RISE, LENGTH, RATE = 1e-9, 1e-10, 1e-9
 # Its energy is the exact one to round-off at the steps of case 12: halving them changes nothing.
 _EXACT = 'gauss16'
@@ -36,7 +36,7 @@ def run_dissipation(job: Job) -> Measured:
     Run a damped set-up: the largest H of a block is not above that of the block before.
 
     Within a block, which holds many swings, H oscillates as the method's band does. With a rate
-    of zero, the bits are those of the scene without the effect.
+    of zero, the run is bit-identical to the scene without the effect.
     """
     simulation, measured = _start(job)
     start, peaks, energies = simulation.energy, [], []
@@ -95,7 +95,7 @@ def _thinned(job: Job, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_identical_without(job: Job, steps: int = 2000) -> bool:
-    """Return whether damping of rate zero leaves every bit as it is without the effect."""
+    """Return whether damping of rate zero is bit-identical to no damping."""
     hamiltonian, integrator, _ = job.parts()
     paths = []
     for effects in ([], [Damping(0.0)]):

@@ -19,7 +19,7 @@ from studies.hard_cases_results import CaseRow
 
 _OTHER = ('#555555', '*')
 _MARKS, _DPI, _COLUMNS = 6, 110, 2
-# What is drawn of an error that is beyond all bounds.
+# Errors beyond this are drawn at it.
 _CEILING = 1e6
 _LABELS = {
     'dissipation': 'abs(H - exact H) [J]',
@@ -27,7 +27,7 @@ _LABELS = {
     'constraint': 'largest error until t:\nlength [m], its rate [m/s]',
     'repeatability': 'largest difference of q or p [SI]',
 }
-# Of what has two curves: what the second, dashed one is, and what both are held to.
+# Checks with two curves: the legend of the second, dashed one, and the limits of both.
 _SECOND = {
     'constraint': ('solid: length; dashed: its rate', (LENGTH, RATE)),
     'repeatability': (

@@ -43,7 +43,7 @@ class Measured:
     measures : dict of str to float
         What else the case asks for, by name.
     broken : list of str
-        What the case forbids and was seen, in words.
+        Claims of the case that the run violates.
     alarms : list of Alarm
         The first of each guard, in order of time.
     failure : StepFailure or None
@@ -82,7 +82,7 @@ class Measured:
 
 
 def g1_finite(measured: Measured) -> bool:
-    """Ask for finite states, no entry of which reaches 1e10."""
+    """Ask for finite states with entries below 1e10."""
     return measured.largest < LARGEST
 
 

@@ -125,7 +125,7 @@ class Job:
 
     @cached_property
     def digest(self) -> str:
-        """Return a checksum of what the row depends on beside the code, the model included."""
+        """Return a checksum of the row's inputs, the model among them, without the code."""
         others = {'title', 'claim', 'without', 'set_ups', 'steps', 'quick_steps', 'methods',
                   'quick_methods'}
         parts = (self.case.model_dump(exclude=others), self.set_up.model_dump(exclude=others),

@@ -47,7 +47,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
 
 def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     """
-    Write the page of the docs, and beside it a page and a picture of each case, and the table.
+    Write the page of the docs, a page and a picture for each case, and the table.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ STABLE = 'stable'
 # Points of a row's picture.
 _POINTS = 100
 _EPS = 2.0 ** -52
-# What the table for other programs has not.
+# Fields that the table for other programs leaves out.
 _UNWRITTEN: dict[str, Any] = {'digest': '', 't': (), 'error': (), 'other': ()}
 # A measure that is reported, not limited: nothing is gained or lost by a longer one.
 _REPORTED = ('Lyapunov time', 'left', RescueGuard.kind)
@@ -45,7 +45,7 @@ class CaseRow:
     verdict : str
         See ``hard_cases_gates.verdict``.
     alarm : str
-        What was said and at which step, first things first.
+        Alarms with their steps, in order of time.
     failed : str
         Gates and claims of the case that do not hold.
     band, slope, modified_band, residual, reversal, symplectic : float
@@ -131,7 +131,7 @@ def make_row(job: Job, measured: Measured, seconds: float) -> CaseRow:
 
 
 def judge(row: CaseRow, expectation: Expectation | None) -> CaseRow:
-    """Return the row as it stands against its limits: what exceeds one is not stable."""
+    """Judge a row by its limits: one that exceeds a limit is not stable."""
     if expectation is None or row.verdict != STABLE:
         return row
     exceeded = []
@@ -195,7 +195,7 @@ def load_expectations(path: Path, run: str) -> dict[Key, Expectation]:
 
 
 def write_expectations(path: Path, run: str, rows: Sequence[CaseRow]) -> None:
-    """Write rows as what is expected from now on; rows that were not run stay as they are."""
+    """Write rows as the new expectations; keep those of rows that were not run."""
     table = {(kind, *key): entry for kind in (QUICK, FULL)
              for key, entry in load_expectations(path, kind).items()}
     for row in rows:
@@ -238,7 +238,7 @@ def read_csv(path: Path) -> list[CaseRow]:
 
 class Folder:
     """
-    The rows of one run on disk, each as soon as it is there, so that the run can be taken up.
+    The rows of a run on disk, written one by one, so that an interrupted run can continue.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ BLOCKS = 100
 _STATES, _WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.
 _JUDGED = 2
-# What is judged is the motion: that a step was slow says nothing about it.
+# Guards of the motion; a slow step says nothing about it.
 _GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard)
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
@@ -121,7 +121,7 @@ def stride(job: Job) -> int:
 
 
 def scale_of(simulation: Simulation) -> float:
-    """Return by what the energy of the present state is rounded [J]."""
+    """Return the rounding error of the energy of the present state [J]."""
     return rounding_scale(simulation.energy, simulation.q, simulation.p, simulation.dH_dq,
                           simulation.dH_dp)
 

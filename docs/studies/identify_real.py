@@ -27,7 +27,7 @@ import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors
 
 _FOREVER = 1e9
-# Samples of the swinging arms, of which one is taken.
+# Of so many samples of the swinging arms one is taken.
 _EVERY = 10
 
 # A chain of one or two links that hang down and turn about y; joint angles are relative. About

@@ -29,8 +29,8 @@ CASES = {'turning_pendulum': ('so3_pendulum.npz', 2.0e-7),
          'flying_quadrotor': ('se3_quadrotor.npz', 4.0e-7)}
 # A pendulum that is let go at an angle of 2 rad, and when it is looked at [s].
 ANGLE, _EVERY = 2.0, 0.5
-# The interval of the data, in which models of this kind are integrated [s], and tolerances that
-# are those of torchdiffeq's dopri5.
+# The interval of the data, in which models of this kind are integrated [s], and the tolerances of
+# torchdiffeq's dopri5.
 INTERVAL, _RTOL, _ATOL = 0.05, 1e-7, 1e-9
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the family mechanical on published data of machines, beside what others reached."""
+"""Measure the family mechanical on published data of machines, and compare with others."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ _FOREVER = 1e9
 _VALID, _LETTER_STEPS = 0.01, 20
 _EVERY = 0.05
 
-# The models of a case, by their names in the tables.
+# Names of the models in the tables.
 NETWORKS, WITH_PRIOR = 'networks', 'rigid body and networks'
 RIGID_BODY, PLAIN = 'rigid body', 'plain network'
 
@@ -58,7 +58,7 @@ class CaseMotions(NamedTuple):
 @dataclass(frozen=True)
 class Case:
     """
-    A data set, with what is measured on it.
+    A data set and its measures.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def multiarm_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> M
     """
     Return errors over the first seconds of each segment, the mean over all segments.
 
-    Each is simulated from its first sample, as it was recorded: so the authors fitted their model.
+    Each is simulated from its first recorded sample, in the way the authors fitted their model.
     """
     durations = (0.5, 1.0, 2.0)
     errors = []
@@ -187,9 +187,8 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
 
     Data that are simulated are made here. Those that are not there are named.
 
-    Each model that was measured is written at once to machine_runs.json beside that, and is not
-    trained again: a run that was stopped goes on from there. Cases of which no run stands there
-    keep what the file says of them.
+    Each model is written to machine_runs.json as soon as it is measured, and is not trained again:
+    an interrupted run continues from there. Cases without a run in that file keep their rows.
 
     Parameters
     ----------
@@ -200,7 +199,7 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     seeds : sequence of int
         Of the models of each case.
     quick : bool
-        Whether a few steps are enough; then all is trained anew.
+        Whether a few steps are enough; then all models are trained again.
 
     Raises
     ------
@@ -286,7 +285,7 @@ def read_case(case: Case, data: Path) -> CaseMotions:
 
 
 def models_of(case: Case) -> list[str]:
-    """Return the models of a case by their names in the tables."""
+    """Return the names of a case's models in the tables."""
     return [NETWORKS, *([WITH_PRIOR, RIGID_BODY] if case.prior else []), PLAIN]
 
 
@@ -314,7 +313,7 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
     checkpoint = describe(network, config, motions.train, motions.description, losses,
                           case.config, '')
     with tempfile.TemporaryDirectory() as folder:
-        # Effects read what a model has learned beside H from a file.
+        # Effects read the learned forces of a model from a file.
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
         return case.measure(predicted(case, file, checkpoint, *motions[:2]), motions.test, data)

@@ -211,7 +211,7 @@ class PeerRun(MethodRun):
             states.append(z)
             spent += gradients
         end, spent = self._solve(self._z0, horizon, 0.0, 0)
-        # Of a rotation p has a column less than q.
+        # A rotation has one column less in p than in q.
         energies = self._hamiltonian.energy(
             *np.split(np.array([*states, end]), [self._hamiltonian.dimension], axis=1))
         error = float(np.abs(end - reference.states[-1]).max()) if reference.verified else math.nan

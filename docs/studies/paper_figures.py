@@ -74,7 +74,7 @@ def draw_energies(path: Path, runs: dict[str, Trajectory]) -> Path:
     for ax, (name, run) in zip(axes, runs.items(), strict=True):
         ax.plot(run.t, run.energy, color=ENERGY_COLOR, linewidth=1.0)
         ax.set(title=METHODS[name], ylabel='H(q, p) [J]')
-        # One scale from zero for both panels: growth and conservation are seen for what they are.
+        # One scale from zero for both panels shows growth and conservation in proportion.
         ax.set_ylim(0.0, 1.05 * max(run.energy.max() for run in runs.values()))
         if name == 'variational_euler':
             _draw_inset(ax, run)

@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The data sets of the published tables, drawn anew as the papers' public code draws them.
+The data sets of the published tables, drawn again in the way of the papers' public code.
 
-The random numbers are those of numpy's legacy generator, in the order of the published code, so
-that a seed gives the very states and noise that the published numbers were measured on.
+Random numbers come from numpy's legacy generator, in the order of the published code, so that a
+seed gives the very states and noise that the published numbers were measured on.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class Orbits:
     t : np.ndarray, shape (n,)
         Instants [s].
     clean, noisy : np.ndarray, shape (m, n, 2 d)
-        States (q, p) of m orbits: the true ones, and as they are measured.
+        States (q, p) of m orbits: the true and the measured ones.
     rates : np.ndarray, shape (m, n, 2 d)
         (dq/dt, dp/dt) at the true states.
 

@@ -11,10 +11,10 @@ from studies.published_data import NOISE, Orbits, Plane
 from studies.published_models import Model
 
 # Learned orbits are solved with this method at steps of at most this much [s]: their energy
-# errors are those of the model, not of the steps.
+# errors come from the model, not from the steps.
 METHOD, STEP = 'gauss6', 0.06
-# Orbits that stand for all that could have been drawn, for the least possible loss; those of a
-# seed that no table uses.
+# A sample of all orbits that could have been drawn, for the least possible loss; its seed is in no
+# table.
 _PRIOR_ORBITS, _PRIOR_SEED = 1500, 20_000_001
 _CHUNK = 100
 

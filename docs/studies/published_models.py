@@ -25,7 +25,7 @@ COORDINATES = {1: ['q'], 4: ['x1', 'x2', 'y1', 'y2']}
 QUICK_STEPS = 20
 # Longer than any orbit [s]: a split keeps the whole orbit together.
 _WHOLE = 1e6
-# Of one long orbit, stretches of so many seconds are held out.
+# Stretches of this length of one long orbit are held out [s].
 _BLOCK = 5.0
 
 
@@ -50,7 +50,7 @@ class Training(StrictModel):
 
 @dataclass(frozen=True)
 class Model:
-    """A learned H, and what dissipates beside it."""
+    """A learned H and its dissipative effects."""
 
     hamiltonian: Hamiltonian
     effects: tuple[Effect, ...] = ()

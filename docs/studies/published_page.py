@@ -19,7 +19,7 @@ ROBOTS = 'robots.json'
 REAL = 'real_pendulum'
 SYSTEMS = {'mass_spring': 'mass-spring', 'pendulum': 'pendulum', 'two_body': 'two-body',
            REAL: 'real pendulum'}
-# What the papers report, in their own units: by table, system and measure.
+# Numbers of the papers, in their own units: by table, system and measure.
 PUBLISHED = {
     ('hnn', 'mass_spring', 'test loss'): 3.59e-2,
     ('hnn', 'mass_spring', 'published energy MSE'): 3.84e-4,
@@ -122,7 +122,7 @@ def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
 
 
 def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str:
-    """Return the page, of results and of what the folder holds on machines and robots."""
+    """Return the page, from results and from the folder's files on machines and robots."""
     table = ResultTable(results)
     return render(
         PAGE, quick=quick, machine=table.names('machine'), commit=table.names('commit'),
@@ -145,7 +145,7 @@ def _summary(results: ResultTable) -> dict[str, int]:
 
 
 def _published_rows(results: ResultTable, table: str) -> list[list[str]]:
-    """Return the published measures, ours beside them."""
+    """Return the published measures with ours."""
     rows = []
     for (name, system, measure), published in PUBLISHED.items():
         values = results.values(name, system, measure)
@@ -207,12 +207,12 @@ def robot_rows(path: Path) -> Iterator[list[str]]:
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file; none where there is none."""
+    """Return the rows of a file, or none if it does not exist."""
     return json.loads(path.read_text(encoding='utf-8')) if path.is_file() else []
 
 
 def _seeds(count: int | None) -> str:
-    """Say how many seeds a mean is of, empty where there are none."""
+    """Return the number of seeds of a mean as text; empty without seeds."""
     return '' if count is None else ' (one seed)' if count == 1 else f' ({count} seeds)'
 
 

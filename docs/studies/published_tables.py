@@ -16,7 +16,7 @@ from studies.published_runs import Plan, run_table
 from studies.results import commit, machine
 from tqdm import tqdm
 
-# Of each machine, from 0 on.
+# Seeds of each machine, from 0 on.
 _SEEDS = 5
 
 

@@ -31,7 +31,7 @@ class ModelDiscrepancy:
     energy : float
         Largest change of the true H along the motion of the learned one [J].
     box : EnergyError or None
-        The error of the learned H all over its box, from its model card, where that says so.
+        Error of the learned H all over its box, from its model card, if it is there.
 
     """
 
@@ -48,11 +48,11 @@ class Floor:
     Parameters
     ----------
     how : str
-        What the reference was computed by.
+        Method of the reference.
     accuracy : float
         How well its path is known; infinity where none is.
     model : ModelDiscrepancy or None
-        What a learned H is off by.
+        Error of a learned H.
 
     """
 
@@ -105,7 +105,7 @@ def true_hamiltonian(hamiltonian: Hamiltonian) -> Hamiltonian | None:
 
 def floor_of(reference: PathReference, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray
              ) -> Floor:
-    """Return what is known by a reference, and what a learned H is off by."""
+    """Return the accuracy of a reference, and the error of a learned H."""
     accuracy = reference.accuracy if reference.verified else math.inf
     truth = true_hamiltonian(hamiltonian)
     if truth is None:

@@ -30,11 +30,11 @@ class Results:
     Parameters
     ----------
     identity : mapping of str to str
-        What must be the same for rows to stand in one table: scene, version, machine, runs.
+        Must be equal for rows of one table: scene, version, machine, runs.
     commits : iterable of str
         Those of the checkouts that measured them.
     floors : mapping of float to Floor
-        What the rows of each horizon [s] were measured against.
+        Reference of the rows of each horizon [s].
     rows : iterable of StudyRow
         In the order of the first measurement.
 
@@ -72,14 +72,14 @@ class Results:
 
     @property
     def card(self) -> dict[str, Any]:
-        """Return what ``read`` takes beside the rows."""
+        """Return the card that ``read`` takes with the rows."""
         return {'identity': self.identity, 'commits': self.commits,
                 'floors': {repr(horizon): floor.as_json()
                            for horizon, floor in self.floors.items()}}
 
     @classmethod
     def read(cls, card: Mapping[str, Any], rows: Iterable[StudyRow]) -> 'Results':
-        """Return what ``card`` says of rows, or raise KeyError, TypeError or ValueError."""
+        """Return the results of a card and rows, or raise KeyError, TypeError or ValueError."""
         return Results(card['identity'], card['commits'], {
             float(horizon): Floor.of_json(entry) for horizon, entry in card['floors'].items()},
             rows)
@@ -127,12 +127,12 @@ class ResultsFolder(Results):
             _writer(file).writerow(row_texts(row))
 
     def keep_floor(self, horizon: float, floor: Floor) -> None:
-        """Keep what the rows of a horizon are measured against."""
+        """Keep the reference of the rows of a horizon."""
         self.floors[horizon] = floor
         self._write_card()
 
     def tidy(self) -> None:
-        """Write the CSV anew, without the rows that others have replaced."""
+        """Rewrite the CSV without the rows that were replaced."""
         temporary = self.folder / f'{CSV}.new'
         write_rows(temporary, self.rows)
         temporary.replace(self.folder / CSV)

@@ -28,7 +28,7 @@ from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
 import numpy as np
 from scipy.signal import lfilter
 
-# What the URDF says of masses [kg], and what is said to begin with.
+# True masses in the URDF [kg], and the wrong ones that the identification starts from.
 _WRONG = (('<mass value="1.2"/>', '<mass value="1.9"/>'),
           ('<mass value="2"/>', '<mass value="1.5"/>'))
 # Standard errors of half an interval of 95 %.

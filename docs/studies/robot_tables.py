@@ -33,7 +33,7 @@ from tqdm import tqdm
 RUNS = 'robot_runs.json'
 # Share of the UR10's samples that is learned from, and how many are left out behind it.
 _LEARNED, _GAP = 0.6, 60
-# Share of what is learned from that the choice is made by.
+# Share of the training data that the choice is made by.
 _CHOICE = 0.25
 _RIGID = 'rigid_body'
 
@@ -136,7 +136,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 def read_runs(file: Path) -> list[dict[str, Any]]:
-    """Read what was measured, nothing where there is no file, or raise ParameterError."""
+    """Read the runs of a file, none if it does not exist, or raise ParameterError."""
     if not file.is_file():
         return []
     try:
@@ -169,7 +169,7 @@ def rows_of(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> Measures:
-    """Identify a robot, and return its measures on test data, or on those of the choice."""
+    """Identify a robot, and return its measures on the test data or on the data of the choice."""
     robot = ROBOTS_MEASURED[name]
     with tempfile.TemporaryDirectory() as folder:
         urdf = ur10
@@ -189,7 +189,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
 
 def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder: Path
                ) -> tuple[MachineConfig, list[Motion]]:
-    """Return the configuration of a robot and its motions, those of the UR10 in two runs."""
+    """Return the configuration of a robot and its motions; the UR10's in two runs."""
     settings = dict(robot.settings)
     if not settings['data'].get('test_runs'):
         file = two_runs(file, folder / 'runs.npz')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure what accuracy costs for bodies that turn, beside peers; write tables and pictures."""
+"""Measure what accuracy costs for bodies that turn, and for peers; write tables and pictures."""
 
 from collections.abc import Iterator, Mapping, Sequence
 import csv
@@ -27,13 +27,13 @@ from studies.references import floor_of, make_reference
 from studies.results import commit, machine, Results
 from studies.turning_peers import turning_peers
 
-# What a body is thrown with: p in space [kg m/s], L in its frame [kg m^2/s]; then it falls.
+# Initial momenta of a thrown body: p in space [kg m/s], L in its frame [kg m^2/s].
 THROWN = (0.8, 0.0, 2.4, 0.012, -0.02, 0.04)
 HORIZON, ROUNDS = 100.0, 3
 # The largest error that the table is made for.
 GOOD = 1e-8
 BEGIN, END = '<!-- turning_costs -->', '<!-- end of turning_costs -->'
-# Step sizes [s] of our methods, and of peers; tolerances of those that choose their own.
+# Step sizes [s] of our methods and of peers; tolerances of adaptive peers.
 _OWN = {'kahan_li8': (0.25, 0.2, 0.16, 0.125, 0.1, 0.0625),
         'suzuki4': (0.05, 0.025, 0.0125, 0.00625),
         'lie_stormer_verlet': (0.02, 0.01, 0.005, 0.0025), 'lie_leapfrog': (0.02, 0.01, 0.005),
@@ -41,7 +41,7 @@ _OWN = {'kahan_li8': (0.25, 0.2, 0.16, 0.125, 0.1, 0.0625),
         'lie_gauss16': (0.125, 0.1)}
 _TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _STEPS = (0.01, 0.005, 0.0025, 0.00125)
-# The rows of long runs, beside those of the scenes.
+# File of the rows of long runs, in the folder of the scenes' rows.
 PAGE, FOLDER, DRIFTS = 'turning-bodies.md', 'accuracy', 'heavy_top_drifts.csv'
 _DRIFT_COLUMNS = ('method', 'setting', 'energy_error_first_tenth', 'energy_error',
                   'vertical_momentum', 'norm', 'milliseconds', 'duration')
@@ -73,7 +73,7 @@ def cases() -> list[Case]:
 
 
 def method_of(name: str) -> Integrator:
-    """Return a method by its name; compositions are those of lie_stormer_verlet."""
+    """Return a method; compositions compose lie_stormer_verlet."""
     composed = name in ('kahan_li8', 'suzuki4')
     return INTEGRATORS[name](base='lie_stormer_verlet') if composed else INTEGRATORS[name]()
 
@@ -106,8 +106,8 @@ def measure(case: Case, horizon: float, rounds: int, quick: bool) -> Results:
     """
     Return the rows of a case.
 
-    Times are those of the processor that the process took, without compilation; all are taken in
-    turns, so that what else the machine does falls on each alike.
+    Times are processor times of this process, without compilation. All runs take turns, so that
+    other load on the machine hits all of them alike.
     """
     reference = make_reference(case.hamiltonian, case.q, case.p, horizon)
     runs = runs_of(case, horizon, quick)
@@ -145,7 +145,7 @@ def states(case: Case, name: str, setting: float, horizon: float, peers: Sequenc
 
 
 def drifts(case: Case, horizon: float) -> Iterator[list[str]]:
-    """Yield what long runs of a top keep: H, L_z and the norm of the quaternion; see DRIFTS."""
+    """Yield the drift of H, L_z and the quaternion's norm in long runs of a top; see DRIFTS."""
     z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
     for name, setting in _LONG.items():
         for _ in states(case, name, setting, _LOOKS * setting, peers):
@@ -165,7 +165,7 @@ def invariants(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     """Return H, the vertical angular momentum and the norm of the quaternion, of a top."""
     q, p = z[:, :4], z[:, 4:]
     norm = np.linalg.norm(q, axis=1)
-    # Of the attitude that a quaternion stands for, whatever its norm.
+    # The energy of the attitude, whatever the norm of its quaternion.
     energy = case.hamiltonian.energy(q / norm[:, None], p)
     return energy, Rotation.from_quat(q).apply(p)[:, 2], norm
 
@@ -193,7 +193,7 @@ def _shown(name: str) -> str:
 
 
 def section(scene: str, results: Results) -> dict[str, Any]:
-    """Return what the template says of a scene."""
+    """Return the template's values of a scene."""
     best = best_rows(results.rows)
     ours, theirs = (next((row for row in best if row.path_error <= GOOD
                           and (' ' in row.method) == is_peer), None) for is_peer in (False, True))
@@ -209,7 +209,7 @@ def section(scene: str, results: Results) -> dict[str, Any]:
 
 
 def page_part(folder: Path) -> str:
-    """Return the part of the page on what accuracy costs, of what a folder holds."""
+    """Return the part of the page on what accuracy costs, from the results in a folder."""
     cards = read_cards(folder)
     sections = [section(case.scene, Results.read(
         cards[case.scene], rows_of(folder, case.scene)))

@@ -3,7 +3,7 @@
 """
 The integrators that a user could take instead for a body that turns, each in its best honest form.
 
-Those of Runge and Kutta take the quaternion for four numbers beside the momenta, with our compiled
+Runge-Kutta methods integrate the quaternion as four numbers with the momenta, by our compiled
 gradient, or in diffrax with the rates written out; MuJoCo has the body on a ball joint or free,
 without contact. jax, diffrax and mujoco are imported when they are asked for.
 """

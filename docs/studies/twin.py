@@ -4,7 +4,7 @@
 Judge a twin on measured runs.
 
 The test runs of a training configuration are replayed to a scene as observations, sample by
-sample, with the measured forces as commands. What the twin reports is told beside the figure of
+sample, with the measured forces as commands. The twin's report is printed with the figure of
 ``evaluate``, whose predictions begin every 0.05 s at smoothed states.
 """
 

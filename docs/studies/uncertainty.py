@@ -5,8 +5,8 @@ Count what the bands of ensembles cover, and how well their spread tells of the 
 
 Pairs of a training configuration and the ensemble that it made. The coverage of the bands is
 counted on motions that neither training nor calibration has seen: of exact data, on new ones; of
-machines on those of ``--runs``. Its standard error is that of a share of which motions are the
-independent units. States outside of the training domain are told from those inside by the
+machines, on ``--runs``. Its standard error takes motions as the independent units. States outside
+of the training domain are distinguished from states inside by the
 deviation over the members of the gradient of H, or of a machine of its acceleration at the same
 q and q'; AUROC is the probability that one outside has the larger one.
 """
@@ -111,7 +111,7 @@ def acceleration_spread(model: str, checkpoint: Checkpoint, q: np.ndarray, p: np
     model : str
         The file of the ensemble.
     checkpoint : Checkpoint
-        What is in it.
+        Its content.
     q, p : np.ndarray, shape (m, d)
         States of the mean. Each member has the same q' there, and no command.
 
@@ -142,7 +142,7 @@ def coverage(covered: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     Parameters
     ----------
     covered : sequence of np.ndarray, shape (k, 2 d)
-        Of each motion, which errors are in the band: those of one motion depend on one another.
+        For each motion, which errors are in the band; errors of one motion are dependent.
 
     Returns
     -------

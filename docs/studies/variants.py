@@ -103,7 +103,7 @@ def applicable(method: MethodLabel, hamiltonian: Hamiltonian) -> bool:
 
 
 def _accuracy(label: str, variant: str) -> tuple[float, int]:
-    """Return the tolerance and the iterations after which an iterate is taken as it is."""
+    """Return the tolerance, and the iterations after which an iterate is taken unconverged."""
     try:
         number = float(variant)
     except ValueError:

@@ -14,7 +14,7 @@ from studies.references import Floor, floor_of, make_reference
 from studies.work_precision_plan import HALVINGS, LONGEST, prepare, Setting, Study
 from tqdm import tqdm
 
-# Of the page on accuracy and cost: learned ones, then those that a formula gives.
+# Scenes of the page on accuracy and cost: learned ones, then exact ones.
 SCENES = ('harmonic_oscillator', 'pendulum', 'double_pendulum', 'learned_kepler',
           'learned_henon_heiles', 'exact_harmonic_oscillator', 'exact_pendulum',
           'exact_double_pendulum', 'kepler', 'henon_heiles')

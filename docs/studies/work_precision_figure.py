@@ -35,12 +35,12 @@ _OTHER = ('#555555', '*')
 _LOST = 100.0
 # A page shows a picture about as wide as this [inch], so texts keep their size on it.
 _DPI, _WIDTH = 125, 8.6
-# Of a group of lines: heights of its titles, its panels, ticks with their label, an entry of its
-# legend [inch]; then of what the whole picture has above and below.
+# Heights within a group of lines: titles, panels, ticks with their label, an entry of the legend;
+# then the margins above and below the whole picture [inch].
 _TITLE, _PANEL, _TICKS, _ENTRY, _TOP, _BOTTOM = 0.55, 3.5, 0.55, 0.19, 0.35, 0.7
 _GROUPS = {'ours': 'Ours, solved to round-off', 'peers': 'Peers',
            'variants': 'Not solved to round-off, or float32'}
-# Marks of their own for what stops early and for what is rounded.
+# Markers for methods that stop early, and for rounded gradients.
 _VARIANT_MARKS = {'float32': '*'}
 _FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
 _EARLY, _PALE = 'h', '#d9d9d9'
@@ -76,7 +76,7 @@ def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
 
 
 def panels_of(rows: Iterable[StudyRow]) -> tuple[Panel, Panel]:
-    """Return the two panels; energies stand in both where no path can be followed."""
+    """Return the two panels; both show energies if no path can be followed."""
     left, right = PANELS
     if any(row.finished and not math.isnan(row.path_error) for row in rows):
         return left, right
@@ -108,7 +108,7 @@ def line_style(name: str) -> dict[str, Any]:
 
 
 def color_of(name: str, other: str) -> str:
-    """Return the colour of a method or a peer; another one of what has none."""
+    """Return the colour of a method or a peer, or another one for unknown names."""
     return {**STYLES, **_PEERS}.get(name.partition('@')[0], (other, ''))[0]
 
 
@@ -197,7 +197,7 @@ def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, floa
 
 
 def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
-    """Return whole decades that hold the errors, but for those of runs that are lost."""
+    """Return whole decades that hold all errors but those of lost runs."""
     usual = values[(values > 0.0) & (values <= _LOST)]
     usual = usual if usual.size else np.array([_EPS, _LOST])
     low = usual.min() if math.isnan(floor) else min(usual.min(), floor / 3.0)
@@ -219,7 +219,7 @@ def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group
             continue
         style = line_style(name)
         ax.plot(*points.T, zorder=4, clip_on=False, **style)
-        # What was lost may have taken longer than all that arrived.
+        # A lost run may have taken longer than all that arrived.
         ax.plot(np.clip(lost, *ax.get_xlim()), [high] * len(lost), color=style['color'],
                 marker='x', markersize=8.0, markeredgewidth=2.0, linestyle='', clip_on=False,
                 zorder=5)

@@ -62,7 +62,7 @@ def picture_name(begin: str, horizon: float) -> str:
 
 
 def conditions(results: Results, horizon: float, picture: str = '') -> dict[str, Any]:
-    """Return what templates say of a horizon: how it was measured, and what was the cheapest."""
+    """Return the template's values of a horizon: how it was measured, and the cheapest rows."""
     rows, floor = results.of(horizon), results.floors[horizon]
     runs = int(results.identity['number of --runs'])
     longest = {} if floor.model is None else _longest_steps(rows, floor.model.path)
@@ -75,7 +75,7 @@ def conditions(results: Results, horizon: float, picture: str = '') -> dict[str,
 
 def drift(results: Results, most: int | None = None) -> dict[str, Any]:
     """
-    Return the energy bands of variants over the horizons, each beside the method itself.
+    Return the energy bands of variants over the horizons, each with the method itself.
 
     Parameters
     ----------

@@ -116,7 +116,7 @@ class CostStudy:
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The motion.
     known : PathSurvey
         Of its path.
     reference : PathReference
@@ -163,7 +163,7 @@ class CostStudy:
         return min(good, key=lambda cost: cost.seconds, default=None)
 
     def recommended(self, error: float) -> Cost | None:
-        """Return what to take for an error: the cheapest that holds it with what is not known."""
+        """Return the cheapest that holds an error, with a margin for what is not known."""
         return self.cheapest(_SEEN * error - self.floor)
 
 
@@ -176,7 +176,7 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The motion.
     horizon : float
         For how long [s]; what cannot be followed for so long is measured for less.
     seconds : float
@@ -198,7 +198,7 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
     """
     end = time.process_time() + seconds
     with warnings.catch_warnings():
-        # Of H in plain Python, at each simulation.
+        # Each simulation of an H in plain Python warns of that.
         warnings.simplefilter('ignore')
         show(0.0, 'the reference')
         known = survey(problem, horizon, horizon, EVERY_SURVEYOR)

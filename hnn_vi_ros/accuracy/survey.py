@@ -111,7 +111,7 @@ def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
     """Return the figures by steps of one size, and the energy's error over its scale."""
     simulation = problem.simulation(method, h)
     states = np.concatenate(list(_states(problem, simulation, horizon)))
-    # Of a rotation p has a column less than q.
+    # A rotation has one column less in p than in q.
     q, p = np.split(states, [problem.q.size], axis=1)
     hamiltonian = simulation.hamiltonian
     every = math.ceil(len(q) / _SAMPLES)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of this room; import nothing of what it works with."""
+"""The command lines of this room; this file imports none of the libraries that the work takes."""
 
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def scene() -> Parser:
         'ros2 run hnn_vi_ros scene --explain double_pendulum',
         'ros2 run hnn_vi_ros scene --compile my_scene.yaml',
         'ros2 run hnn_vi_ros scene --new my_robot.urdf --out my_scene.yaml'])
-    # By itself argparse keeps what excludes each other on one line, however long that is.
+    # argparse would keep a group of exclusive options on one line, however long.
     parser.usage = ('scene [-h] [--version] (--check NAME [NAME ...] | --list | --schema |\n'
                     '             --explain NAME | --compile [NAME ...] |\n'
                     '             --new URDF [--out SCENE])')

@@ -22,7 +22,7 @@ from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 
-# Errors that the table is made for, of which those are shown that are reached and worth it.
+# Candidates for the columns of the table, and how many columns it has at most.
 _ERRORS, _COLUMNS = [10.0 ** -k for k in range(1, 15)], 4
 _CELL = 20
 _FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_simulated_second',
@@ -69,7 +69,7 @@ def _measured(scene: Scene, duration: float, seconds: float, error: float | None
 
 
 def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
-    """Describe how errors were measured, and yield the table and what stands in it not."""
+    """Yield how errors were measured, the table, and the methods that are not in it."""
     what = 'path errors' if not study.no_path else (
         f'energy errors, over {study.known.energy_scale:.3g} J')
     yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and the time they take'

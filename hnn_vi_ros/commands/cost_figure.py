@@ -50,7 +50,7 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     name : str
         Of the scene.
     study : CostStudy
-        What is drawn.
+        The costs.
     error : float or None
         For which what to take is circled.
 
@@ -59,7 +59,7 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     FigureCanvasAgg(figure)
     ax = figure.add_axes((0.08, 0.1, 0.65, 0.74))
     good = [cost for cost in study.costs if study.error(cost) <= study.lost]
-    # Steps so long that their equations take more time than those of shorter ones help nobody.
+    # Left out: steps so long that solving their equations takes more time than shorter steps do.
     kinds = dict.fromkeys(cost.method.kind for cost in good)
     lines = [_draw_line(ax, study, _front(
         study, [cost for cost in good if cost.method.kind == kind], 1.0)) for kind in kinds]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small texts written beside their points, where they hide nothing."""
+"""Labels placed next to their points, where they hide nothing."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -26,10 +26,10 @@ class Label(NamedTuple):
 
 def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray]) -> int:
     """
-    Write texts beside their points.
+    Write texts next to their points.
 
-    Every place beside the point is tried; that is taken where the label covers the fewest points
-    and lines. One that would lie on another label or beyond the axes everywhere is left out.
+    Of all places next to the point, the label takes the one where it covers the fewest points and
+    lines. A label that would overlap another one, or leave the axes, everywhere is left out.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray])
     labels : sequence of Label
         The first ones find a place first.
     lines : sequence of np.ndarray, shape (n, 2)
-        What is drawn.
+        The lines of the figure.
 
     Returns
     -------

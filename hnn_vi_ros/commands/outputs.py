@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
 
-# By option; any where none are named.
+# Suffixes by option; options that are not listed take any.
 _PICTURES = ('.png', '.svg', '.pdf')
 SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
             '--rerun': ('.rrd',)}
@@ -25,7 +25,7 @@ def check_outputs(paths: Mapping[str, Path | None]) -> None:
     Raises
     ------
     ParameterError
-        A file is of no kind that there is, exists already, or its folder does not.
+        A file has another suffix, exists already, or its folder does not exist.
 
     """
     for option, path in paths.items():
@@ -56,7 +56,7 @@ def write_outputs(paths: Mapping[str, Path | None],
     Raises
     ------
     ParameterError
-        One cannot be written, or has nothing to hold.
+        A file cannot be written, or would be empty.
 
     """
     for option, write in writers.items():

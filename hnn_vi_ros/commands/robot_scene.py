@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 # take of a velocity in a step.
 _STEPS, _SHARE = 100, 0.5
 _LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
-# Of dry friction, unless the step asks for more: what the effect has by itself.
+# Speed of dry friction, unless the step needs a larger one: the default of the effect.
 _SPEED = 0.01
 _TEXT = """\
 # A first scene of {robot}, written by `scene --new`; change what you like.
@@ -131,7 +131,7 @@ def resting_state(tree: RigidBodyTree) -> np.ndarray:
         return float(tree.energy(q, zero)) / scale
 
     best = start
-    # Also from beside it: it may stand upright there, where nothing moves it either.
+    # A second start next to it: at zero the robot may stand upright, in balance as well.
     for kick in (0.0, 0.1):
         found = minimize(
             potential, np.clip(start + kick, low, high), method='L-BFGS-B',
@@ -167,7 +167,7 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
     curvature = np.column_stack([tree.hessian_vector(q, zero, unit, zero)[0]
                                  for unit in np.eye(q.size)])
     mass = tree.masses(q[None])[0]
-    # Joints in units of their own inertia: those of an arm and of its gripper differ by far.
+    # In units of each joint's own inertia: an arm and its gripper differ by orders of magnitude.
     size = np.sqrt(np.diag(mass))
     try:
         with np.errstate(all='ignore'):
@@ -240,6 +240,6 @@ def _round(value: float, up: bool) -> float:
 
 
 def _quoted(text: str) -> str:
-    """Return a text as it stands in YAML, also within brackets."""
+    """Return a text quoted for YAML, inside of brackets too."""
     plain = dump_yaml([text]).removeprefix('- ').strip()
     return plain if plain == text and not set(text) & set(',:#[]{}') else json.dumps(text)

@@ -101,7 +101,7 @@ def list_scenes() -> list[str]:
 
 def explain(scene: Scene) -> Iterator[str]:
     """
-    Yield lines on what a scene simulates, its Lyapunov time, and the time of a step.
+    Yield lines on the parts of a scene, its Lyapunov time, and the time of a step.
 
     Raises
     ------

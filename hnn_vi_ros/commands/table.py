@@ -62,7 +62,7 @@ def hnn() -> Parser:
 
 
 def first_line(parser: Parser) -> str:
-    """Return the first sentence of what a command does, as far as a line goes."""
+    """Return the first paragraph of a command's description, as one line."""
     return ' '.join((parser.description or '').partition('\n\n')[0].split())
 
 

@@ -9,7 +9,7 @@ from hnn_vi_ros.errors import ParameterError
 import torch
 
 VALID = 'cpu, cuda, cuda:N'
-# Runs of what is to be captured, before it is: libraries allocate in the first.
+# Runs before the capture: libraries allocate in the first ones.
 _WARM_UP = 3
 
 
@@ -44,7 +44,7 @@ def open_device(name: str) -> torch.device:
 
 
 def description(name: str) -> dict[str, str]:
-    """Return what the last digits of results on a device depend on, beside the sweep."""
+    """Return what the last digits of results depend on: the device and the libraries."""
     device = open_device(name)
     found = {'kind': device.type, 'torch': torch.__version__}
     if device.type == 'cuda':

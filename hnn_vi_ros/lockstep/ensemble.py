@@ -63,7 +63,7 @@ class Recorded(NamedTuple):
 
 class LockstepEnsemble:
     """
-    Many trajectories of one scene, each of which is solved by itself.
+    Many trajectories of one scene, each solved by itself.
 
     A step that the method's own solver does not take is taken by ``Simulation``, for that
     trajectory alone, with all its fallbacks: by Newton's method, by continuation, in sub-steps.
@@ -79,7 +79,7 @@ class LockstepEnsemble:
     Raises
     ------
     UnsupportedSystem
-        An effect, H or the method has no step on a device; says what has.
+        An effect, H or the method has no step on a device.
     ValueError, ParameterError
         There is no such device.
 

@@ -31,7 +31,7 @@ import torch
 
 # Numbers in an array of activations on the processor, which stays in a second-level cache; and the
 # states of a batch there at most, and at least. The last is a multiple of the blocks of 8, 12, 24
-# or 64 columns that BLAS multiplies at once: in what is left over it adds in another order.
+# or 64 columns that BLAS multiplies at once: in the remainder it adds in another order.
 _NUMBERS, _MOST, _LEAST = 80_000, 960, 192
 # Sizes of batches on a GPU; each has a graph of its own.
 _BUCKETS = tuple(2**k for k in range(8, 18))
@@ -203,6 +203,6 @@ class _Batch:
         torch.add(positive, z.abs_().neg_().exp_().log1p_(), out=z)
 
     def _relu(self, z: torch.Tensor, slope: torch.Tensor) -> None:
-        # Of NaN, NaN.
+        # NaN stays NaN.
         torch.where(z > 0.0, self._one, torch.where(z <= 0.0, 0.0 * self._one, z), out=slope)
         torch.clamp_min(z, 0.0, out=z)

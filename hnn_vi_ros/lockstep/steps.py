@@ -33,7 +33,7 @@ class State(NamedTuple):
     counts : torch.Tensor, shape (K, m)
         How many earlier solutions of each of K equations there are.
     earlier : tuple of torch.Tensor, each (..., m)
-        What is kept of them.
+        Their values.
 
     """
 
@@ -44,7 +44,7 @@ class State(NamedTuple):
     earlier: tuple[torch.Tensor, ...]
 
     def of(self, chosen: torch.Tensor) -> 'State':
-        """Return those of some trajectories."""
+        """Return the states of some trajectories."""
         return State(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
                      self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
