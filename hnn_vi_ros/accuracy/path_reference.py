@@ -106,7 +106,8 @@ class PathReference:
     @property
     def horizon(self) -> float:
         """Return how far it goes, or as far as was wanted where it goes nowhere [s]."""
-        return self.instants.gap * (len(self.states) or self.instants.count)
+        instants, count = self.instants, len(self.states) or self.instants.count
+        return instants.base * instants.stride * count / instants.density
 
     @property
     def verified(self) -> bool:

@@ -24,7 +24,7 @@ import numpy as np
 
 # Candidates for the columns of the table, and how many columns it has at most.
 _ERRORS, _COLUMNS = [10.0 ** -k for k in range(1, 15)], 4
-_CELL = 20
+_CELL = 18
 _FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_simulated_second',
            'gradients_per_simulated_second', 'status')
 
@@ -124,8 +124,8 @@ def _recommend(study: CostStudy, error: float) -> int:
               f'{study.error(nearest):.2g}, where no less than {study.floor:.1e} is known; allow '
               'a larger error, a shorter --duration or more --seconds', file=sys.stderr)
         return 1
-    print(f'\nfor an error of {error:g} take this, which errs by {study.error(best):.2g}, at '
-          f'{1e6 * best.seconds:.3g} us for a simulated second:\n')
+    print(f'\nfor an error of {error:g} take this, which errs by {study.error(best):.2g} (energy: '
+          f'{best.energy_error:.1e}), at {1e6 * best.seconds:.3g} us for a simulated second:\n')
     chosen = {'kind': best.method.kind, **best.method.arguments}
     print(dump_yaml({'integrator': chosen, 'step_size': best.step_size}), end='')
     return 0

@@ -214,13 +214,13 @@ def test_learned_pendulum_carries_the_error_of_the_model(tmp_path):
     z = np.array([2.5, 0.0])
     (peer, _) = scipy_peers(hamiltonian)
     errors, energies = [], []
-    for t in range(1, 11):
-        z, _ = peer.solve(z, 1.0, 1e-12)
-        errors.append(np.abs(z - exact_pendulum(2.5, 0.0, t)).max())
+    for k in range(1, 121):
+        z, _ = peer.solve(z, 10.0 / 120, 1e-12)
+        errors.append(np.abs(z - exact_pendulum(2.5, 0.0, 10.0 * k / 120)).max())
         energies.append(abs(truth.energy(z[:1], z[1:]) - truth.energy([2.5], [0.0])))
-    assert float(found[1]) == pytest.approx(max(errors), rel=0.05)
-    # Ten states of a thousand find a part of the largest.
-    assert max(energies) <= 1.05 * float(found[2]) and float(found[2]) < 3e-3
+    # 120 states of 960 find most of the largest, and the page has two digits.
+    assert float(found[1]) == pytest.approx(max(errors), rel=0.1)
+    assert float(found[2]) == pytest.approx(max(energies), rel=0.1)
     assert 'Longest step that is as good as that: gauss8 0.1 s' in text
 
 
