@@ -4,6 +4,7 @@
 
 import io
 import os
+import shutil
 import signal
 import sys
 import time
@@ -85,7 +86,9 @@ class ProgressLine:
         text = f'{share:4.0%}  {what}'
         if self._terminal:
             done = round(_BAR * share)
-            text = f'\r\x1b[K[{"#" * done}{"." * (_BAR - done)}] {text}'
+            text = f'[{"#" * done}{"." * (_BAR - done)}] {text}'
+            # A line that is wrapped would not be cleared as a whole.
+            text = '\r\x1b[K' + text[:shutil.get_terminal_size().columns - 1]
         self._shown = self._terminal
         print(text, end='' if self._terminal else '\n', file=sys.stderr, flush=True)
 
