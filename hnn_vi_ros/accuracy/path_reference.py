@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path that trials are measured against, and how far it can be known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
@@ -173,8 +173,11 @@ def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurv
     if not any(effect.random for effect in problem.effects):
         found = exact_path(problem, instants) or refined_path(
             problem, instants, known, limit, shorten=False)
-    return found or PathReference(
-        instants, np.empty((0, problem.q.size + problem.p.size)), math.inf, '')
+    if found is None:
+        return PathReference(
+            instants, np.empty((0, problem.q.size + problem.p.size)), math.inf, '')
+    # Two paths may agree by chance to the last digit, which is rounded.
+    return replace(found, accuracy=max(found.accuracy, _EPS * np.abs(found.states).max()))
 
 
 def exact_path(problem: InitialValueProblem, instants: Instants) -> PathReference | None:
