@@ -21,14 +21,15 @@ PACKAGE = ROOT / 'hnn_vi_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 TEST_FILES = sorted((ROOT / 'test').rglob('test_*.py'))
 PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.py',
-                *sorted((ROOT / 'launch').glob('*.py')), *sorted((ROOT / 'docs').glob('*.py'))]
+                *sorted((ROOT / 'launch').glob('*.py')), *sorted((ROOT / 'docs').glob('*.py')),
+                *sorted((ROOT / 'docs' / 'studies').glob('*.py'))]
 
 # The rooms and the modules beside them, from the ground up; each imports only what is before it.
 FLOORS = (
     'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
     'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
     'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch',
-    'sweeps', 'envs', 'studies', 'ros', 'commands', 'cli', '__main__', '__init__')
+    'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -45,13 +46,8 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
-    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
-             r'|torch\.py|lockstep/\w+\.py|run/device_ensemble\.py',
-    'triton': r'lockstep/triton_kernels\.py',
-    'torchdiffeq': r'studies/peers\.py',
-    'jax': r'studies/(turning_)?peers\.py',
-    'diffrax': r'studies/(turning_)?peers\.py',
-    'mujoco': r'studies/turning_peers\.py',
+    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|torch\.py'
+             r'|lockstep/\w+\.py|run/device_ensemble\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
@@ -60,12 +56,12 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/\w+\.py|studies/\w+\.py|run/trajectory\w*\.py',
+    'matplotlib': r'learning/\w+\.py|run/trajectory\w*\.py'
+                  r'|commands/(cost_figure|label_placement)\.py',
     'pandas': r'run/trajectory\w*\.py',
-    'PIL': r'studies/work_precision_figure\.py',
     'xarray': r'run/trajectory\w*\.py',
     'shtab': r'commands/completion\.py',
-    'tqdm': r'learning/\w+\.py|studies/\w+\.py',
+    'tqdm': r'learning/\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',
@@ -124,8 +120,8 @@ def test_imports_run_downwards(path):
 def test_tests_stand_in_the_rooms_of_what_they_test():
     folders = {path.relative_to(ROOT / 'test').parts[0] for path in TEST_FILES
                if path.parent != ROOT / 'test'}
-    # Beside them, what is asked of all methods and effects, and the study of the hard cases.
-    assert folders - {'verification', 'hard_cases'} <= set(FLOORS) - {'__init__'}
+    # Beside them, what is asked of all methods and effects, and the studies of docs/studies.
+    assert folders - {'verification', 'studies'} <= set(FLOORS) - {'__init__'}
 
 
 def test_no_module_imports_itself_around_a_circle():
@@ -139,13 +135,13 @@ def test_no_module_imports_itself_around_a_circle():
 
 
 def test_what_a_registry_lists_is_imported_by_it_alone():
-    # A new one is its file and its row; only what is about some of them, as a study is, and not
-    # about any scene, knows those by name.
+    # A new one is its file and its row; only what is about some of them, and not about any scene,
+    # knows those by name.
     listed = {cls.__module__.partition('.')[2] for registry in REGISTRIES.values()
               for cls in registry.values()}
     for path in MODULES:
         own = name_of(path)
-        if not own.startswith(('studies.', 'learning.')) and own not in REGISTRIES:
+        if not own.startswith(('learning.', 'commands.robot_scene')) and own not in REGISTRIES:
             assert not own_imports(path) & listed, f'{own} imports one of them by name'
 
 

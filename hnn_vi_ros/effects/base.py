@@ -125,6 +125,8 @@ class Effect(ABC):
         Whether it can act on several trajectories that step together.
     turns : bool
         Whether it acts on systems that turn as well.
+    random : bool
+        Whether it draws random numbers.
     limits : bool
         Whether its parameters hold limits of joints: their places, positions and signs.
     knots : int
@@ -139,6 +141,7 @@ class Effect(ABC):
     single: ClassVar[bool] = False
     lockstep: ClassVar[bool] = True
     turns: ClassVar[bool] = False
+    random: ClassVar[bool] = False
     limits: ClassVar[bool] = False
     knots: ClassVar[int] = 0
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
@@ -260,8 +263,7 @@ class Force(Effect):
 
     References
     ----------
-    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001,
-    part 3.
+    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001, 3.
 
     """
 

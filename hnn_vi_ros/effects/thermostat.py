@@ -46,7 +46,7 @@ class Thermostat(StepEffect):
 
     """
 
-    acts, single, lockstep = Place.MIDDLE, True, False
+    acts, single, lockstep, random = Place.MIDDLE, True, False, True
     excludes = {Place.MANIFOLD: 'off which its impulses would lead'}
 
     def __init__(self, temperature: float, rate: float | list[float],

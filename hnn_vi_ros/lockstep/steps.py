@@ -34,7 +34,7 @@ class State(NamedTuple):
     counts : torch.Tensor, shape (K, m)
         How many earlier solutions of each of K equations there are.
     earlier : tuple of torch.Tensor, each (..., m)
-        What is kept of them.
+        Their values.
 
     """
 
@@ -45,7 +45,7 @@ class State(NamedTuple):
     earlier: tuple[torch.Tensor, ...]
 
     def of(self, chosen: torch.Tensor) -> 'State':
-        """Return those of some trajectories."""
+        """Return the states of some trajectories."""
         return State(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
                      self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
@@ -56,14 +56,11 @@ class Progress(NamedTuple):
 
     Parameters
     ----------
-    todo : torch.Tensor
-        Steps that are to do.
     most, at : torch.Tensor
         The most gradients of a step, and its number.
 
     """
 
-    todo: torch.Tensor
     most: torch.Tensor
     at: torch.Tensor
 

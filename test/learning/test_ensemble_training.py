@@ -12,9 +12,9 @@ from hnn_vi_ros.learning.ensemble import conformal_factors, resampled
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
-from hnn_vi_ros.studies.uncertainty import auroc, detection, gradient_spread
 import numpy as np
 import pytest
+from studies.uncertainty import auroc, detection, gradient_spread
 
 TINY = OSCILLATOR + """\
 hidden: [8]

@@ -7,12 +7,12 @@ import json
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning import rigid_body
 from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.studies import machine_tables, published_tables, simulated_arm
-from hnn_vi_ros.studies.machine_tables import (
-    CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
-    RUNS, valid_times, WITH_PRIOR)
 import numpy as np
 import pytest
+from studies import machine_tables, published_tables, simulated_arm
+from studies.machine_tables import (
+    CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
+    RUNS, valid_times, WITH_PRIOR)
 
 
 def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Motion:

@@ -8,11 +8,11 @@ from hnn_vi_ros.learning.machine_config import load_machine
 from hnn_vi_ros.learning.machine_training import split_motions
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import smoothed
-from hnn_vi_ros.studies import simulated_arm
-from hnn_vi_ros.studies.simulated_arm import (
-    followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm)
 import numpy as np
 import pytest
+from studies import simulated_arm
+from studies.simulated_arm import (
+    followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm)
 
 
 def test_messages_are_late_lost_and_quantised_and_obey_the_arm(tmp_path, monkeypatch):
