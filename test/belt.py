@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two pendulums on one another, driven by one motor through a belt."""
 
-from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.motions import Motion, smoothed
 import numpy as np
 from scipy.integrate import solve_ivp
 

@@ -45,14 +45,14 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
-    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
+    'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
              r'|torch\.py|lockstep/\w+\.py|run/device_ensemble\.py',
     'triton': r'lockstep/triton_kernels\.py',
     'torchdiffeq': r'studies/peers\.py',
     'jax': r'studies/(turning_)?peers\.py',
     'diffrax': r'studies/(turning_)?peers\.py',
     'mujoco': r'studies/turning_peers\.py',
-    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
+    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'gymnasium': r'envs\.py',
@@ -60,12 +60,12 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/\w+\.py|studies/\w+\.py|run/trajectory\w*\.py',
+    'matplotlib': r'learning/(\w+/)?\w+\.py|studies/\w+\.py|run/trajectory\w*\.py',
     'pandas': r'run/trajectory\w*\.py',
     'PIL': r'studies/work_precision_figure\.py',
     'xarray': r'run/trajectory\w*\.py',
     'shtab': r'commands/completion\.py',
-    'tqdm': r'learning/\w+\.py|studies/\w+\.py',
+    'tqdm': r'learning/(\w+/)?\w+\.py|studies/\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',

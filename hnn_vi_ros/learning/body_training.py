@@ -7,7 +7,7 @@ import math
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.body_config import BodyConfig
-from hnn_vi_ros.learning.body_data import Motions
+from hnn_vi_ros.learning.data.body_data import Motions
 from hnn_vi_ros.learning.families.lie_group import BodyScales, LieGroupNetwork
 from hnn_vi_ros.learning.lie_steps import LieSteps, Node
 from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN

@@ -9,7 +9,7 @@ from hnn_vi_ros.effects.base import Effect, EffectState, Force
 from hnn_vi_ros.effects.commands import Commanded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.models.energy_error import rows_of_each
 import numpy as np
 from scipy.optimize import nnls

@@ -25,15 +25,15 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
 from hnn_vi_ros.learning import arguments as command_lines, body_train
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.motion_sources import guessed, read_motions
+from hnn_vi_ros.learning.data.motions import Motion, steps_between
 from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.evaluation import (
     constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
     variance_of)
 from hnn_vi_ros.learning.machine_config import load_machine, Trajectory
-from hnn_vi_ros.learning.motion_arrays import ArraysData
-from hnn_vi_ros.learning.motion_bags import BagMotions
-from hnn_vi_ros.learning.motion_sources import guessed, read_motions
-from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.learning.plain_network import predicted_by
 from hnn_vi_ros.learning.rigid_body import best_rigid_body
 from hnn_vi_ros.models.checkpoint import load_checkpoint

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.run.twin import VALID
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

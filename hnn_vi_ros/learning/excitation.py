@@ -5,8 +5,8 @@
 from typing import Literal
 
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
 import numpy as np
 from pydantic import Field

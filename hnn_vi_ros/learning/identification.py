@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.motions import low_pass, Motion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.learning.machine_config import Inverse, MachineConfig, Trajectory
 from hnn_vi_ros.learning.machine_losses import (
     acceleration_errors, samples_of, window_errors, Windows)
 from hnn_vi_ros.learning.machine_training import windows_of
-from hnn_vi_ros.learning.motions import low_pass, Motion
 from hnn_vi_ros.learning.rigid_body import fit_errors, spread
 from hnn_vi_ros.learning.unknowns import Unknowns
 from hnn_vi_ros.learning.window_steps import Solutions

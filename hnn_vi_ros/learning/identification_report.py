@@ -5,8 +5,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np

@@ -19,6 +19,10 @@ from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, Unsuppo
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.motion_sources import guessed, MotionSource, read_motions
+from hnn_vi_ros.learning.data.motions import steps_between
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
 from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
@@ -26,10 +30,6 @@ from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.identify_windows import Windows
-from hnn_vi_ros.learning.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
-from hnn_vi_ros.learning.motion_bags import BagMotions
-from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.motions import steps_between
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 

@@ -13,11 +13,11 @@ from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.motion_logs import LogMotions
 from hnn_vi_ros.learning.excitation import ExcitationData
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.motion_arrays import ArraysData
-from hnn_vi_ros.learning.motion_bags import BagMotions
-from hnn_vi_ros.learning.motion_logs import LogMotions
 from hnn_vi_ros.learning.window_steps import MethodName
 from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, Kind

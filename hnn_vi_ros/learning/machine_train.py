@@ -13,6 +13,8 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.learning.data.motion_sources import read_motions
+from hnn_vi_ros.learning.data.motions import Motion, run_of
 from hnn_vi_ros.learning.energy_account import balance
 from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation_of, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
@@ -27,8 +29,6 @@ from hnn_vi_ros.learning.machine_ensemble import (
     calibrated_machine, check_machines, combined_machines, ensemble_text, kept_and_held,
     resampled_blocks)
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
 from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body

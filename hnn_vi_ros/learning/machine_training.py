@@ -15,6 +15,7 @@ from functools import partial
 import math
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.motions import Motion, run_of
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
 from hnn_vi_ros.learning.machine_config import (
@@ -22,7 +23,6 @@ from hnn_vi_ros.learning.machine_config import (
 from hnn_vi_ros.learning.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, force_loss, Network, Samples, samples_of,
     window_loss, Windows)
-from hnn_vi_ros.learning.motions import Motion, run_of
 from hnn_vi_ros.learning.window_steps import Solutions
 import numpy as np
 import torch

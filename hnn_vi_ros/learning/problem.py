@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.config import TrainingConfig
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.exact_data import ExactData
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.exact_data import ExactData
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.losses import Batch, LOSSES, mean_square, nonlinearity
 from hnn_vi_ros.models.families import FAMILIES

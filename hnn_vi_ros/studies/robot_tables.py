@@ -17,13 +17,13 @@ import tempfile
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.learning.data.motion_sources import read_motions
+from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.identification_report import force_errors
 from hnn_vi_ros.learning.machine_config import MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, learn
 from hnn_vi_ros.learning.machine_training import split_motions
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.studies.machine_tables import CASES, dfki_errors, predicted
 from hnn_vi_ros.studies.published_page import ROBOTS

@@ -9,9 +9,9 @@ from pathlib import Path
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.files.yaml_file import load_yaml
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
+from hnn_vi_ros.learning.data.measured_log import read_log
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_archive
 from hnn_vi_ros.learning.identify import _arrays
-from hnn_vi_ros.learning.measured_log import read_log
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_archive
 from hnn_vi_ros.run.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.sweeps.axes import FileAxis

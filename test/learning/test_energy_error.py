@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.energy_account import friction_work
 from hnn_vi_ros.learning.families.base import EnergyFamily
 from hnn_vi_ros.learning.train import main, model_work

@@ -10,8 +10,8 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.choices import HNNChoice
 from hnn_vi_ros.learning.config import load_config
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.exact_data import sample_exact
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.problem import TrainingProblem

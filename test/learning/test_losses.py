@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.choices import (
     DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import Scales, Trainable
 from hnn_vi_ros.learning.families.dgnet import DGNet
 from hnn_vi_ros.learning.families.vin import VIN

@@ -9,6 +9,8 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.motions import Motion, smoothed
 from hnn_vi_ros.learning.evaluation import constant_velocity, score
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
@@ -18,8 +20,6 @@ from hnn_vi_ros.learning.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian

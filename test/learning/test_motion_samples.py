@@ -3,13 +3,13 @@
 """Samples whose times or numbers are wrong cost no more than themselves, and all are told of."""
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData
+from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.motion_logs import LogMotions, read_log_motions
+from hnn_vi_ros.learning.data.motion_samples import increasing, unexplained, unwound
+from hnn_vi_ros.learning.data.motion_sources import read_motions
+from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, MotionData
 from hnn_vi_ros.learning.machine_training import scales_of
-from hnn_vi_ros.learning.motion_arrays import ArraysData
-from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
-from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.motion_samples import increasing, unexplained, unwound
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, MotionData
 import numpy as np
 import pytest
 from test_bag_data import array, write

@@ -8,11 +8,11 @@ import signal
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.config import load_config, TrainingConfig
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.interruption import Interrupted, Keeper
 from hnn_vi_ros.learning.loop import INTERVAL, Loop
 from hnn_vi_ros.learning.problem import TrainingProblem
-from hnn_vi_ros.learning.sources import make_dataset
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

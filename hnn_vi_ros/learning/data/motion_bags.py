@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.bag_signals import ARRAY, SignalReader
-from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
+from hnn_vi_ros.learning.data.bag_signals import ARRAY, SignalReader
+from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
 

@@ -11,7 +11,7 @@ import zlib
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.regular_file import regular
-from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
+from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
 

@@ -9,7 +9,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.dataset import Dataset, MIN_ROWS
+from hnn_vi_ros.learning.data.dataset import Dataset, MIN_ROWS
 from hnn_vi_ros.models.model_card import Box, Interval
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator

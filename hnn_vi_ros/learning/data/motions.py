@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.motion_samples import (
+from hnn_vi_ros.learning.data.motion_samples import (
     clock_resets, increasing, MOST, unexplained, unwound)
 import numpy as np
 from pydantic import Field

@@ -7,10 +7,10 @@ import os
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
-from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.motion_logs import LogMotions, read_log_motions
+from hnn_vi_ros.learning.data.motions import Motion
 
 MotionSource = ArraysData | BagMotions | LogMotions
 # Of files that are no bag and no log.

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.dataset import Names
-from hnn_vi_ros.learning.measured_log import parse_log, read_log
-from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
+from hnn_vi_ros.learning.data.dataset import Names
+from hnn_vi_ros.learning.data.measured_log import parse_log, read_log
+from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field, model_validator
 

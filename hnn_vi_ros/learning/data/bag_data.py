@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 from hnn_vi_ros.bags.state_message import MOMENTUM, RATE
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.bag_signals import JOINT_STATE, Signal, SignalReader
-from hnn_vi_ros.learning.dataset import (
+from hnn_vi_ros.learning.data.bag_signals import JOINT_STATE, Signal, SignalReader
+from hnn_vi_ros.learning.data.dataset import (
     Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
-from hnn_vi_ros.learning.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
+from hnn_vi_ros.learning.data.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline

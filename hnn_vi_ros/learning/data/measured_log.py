@@ -11,9 +11,9 @@ from typing import Literal, Protocol
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.dataset import (
+from hnn_vi_ros.learning.data.dataset import (
     Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
-from hnn_vi_ros.learning.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
+from hnn_vi_ros.learning.data.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
 import numpy as np
 from pydantic import Field, model_validator
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.bag_data import BagData, read_bags
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
-from hnn_vi_ros.learning.measured_log import MeasuredData, read_measured_log
+from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.measured_log import MeasuredData, read_measured_log
 from pydantic import Field
 
 Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]

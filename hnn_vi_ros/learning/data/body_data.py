@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.motion_arrays import read_archive
+from hnn_vi_ros.learning.data.motion_arrays import read_archive
 from hnn_vi_ros.models.attitude_features import turn_matrices
 import numpy as np
 from pydantic import Field
