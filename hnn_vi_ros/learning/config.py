@@ -8,8 +8,8 @@ from typing import Annotated
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
-from hnn_vi_ros.learning.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
 from hnn_vi_ros.learning.data.sources import dimension, Source
+from hnn_vi_ros.learning.families.choices import FamilyChoice, HNNChoice, LossChoice, VectorField
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import CoordinateCard
 from pydantic import Field, model_validator

@@ -16,7 +16,7 @@ from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.motion_arrays import ArraysData
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
 from hnn_vi_ros.learning.data.motion_logs import LogMotions
-from hnn_vi_ros.learning.excitation import ExcitationData
+from hnn_vi_ros.learning.families.excitation import ExcitationData
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.window_steps import MethodName
 from hnn_vi_ros.models.exact_prior import exact_systems

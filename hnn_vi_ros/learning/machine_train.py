@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.data.motions import Motion, run_of
 from hnn_vi_ros.learning.energy_account import balance
 from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation_of, verdict
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
-from hnn_vi_ros.learning.excitation import excited_motions
+from hnn_vi_ros.learning.families.excitation import excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.identification import identify
 from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors

@@ -20,7 +20,7 @@ import time
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.motions import Motion
-from hnn_vi_ros.learning.excitation import ExcitationData, excited_motions
+from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.identification import identify
 from hnn_vi_ros.learning.machine_config import MachineConfig

@@ -8,11 +8,11 @@ from helpers import python_step, random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.choices import HNNChoice
 from hnn_vi_ros.learning.config import load_config
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
+from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.problem import TrainingProblem
 from hnn_vi_ros.learning.steps import SCHEMES, step

@@ -9,10 +9,10 @@ from helpers import random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.choices import (
-    DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import Scales, Trainable
+from hnn_vi_ros.learning.families.choices import (
+    DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
 from hnn_vi_ros.learning.families.dgnet import DGNet
 from hnn_vi_ros.learning.families.vin import VIN
 from hnn_vi_ros.learning.losses import LOSSES

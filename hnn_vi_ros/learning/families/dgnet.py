@@ -4,9 +4,9 @@
 
 from typing import Any
 
-from hnn_vi_ros.learning.choices import DGNetChoice
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import DGNetChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

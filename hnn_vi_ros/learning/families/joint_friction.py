@@ -5,9 +5,9 @@
 from collections.abc import Sequence
 import math
 
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.seen import Seen
 from hnn_vi_ros.learning.families.structure import MotionScales, Structure
-from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.mechanical_card import CoulombTerm, FrictionCard, StribeckTerm
 import numpy as np
 import torch

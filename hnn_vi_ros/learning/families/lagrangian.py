@@ -4,10 +4,10 @@
 
 from typing import Any
 
-from hnn_vi_ros.learning.choices import LagrangianChoice
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import gradient, Scales, Trainable
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import LagrangianChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

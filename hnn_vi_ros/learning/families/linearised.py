@@ -15,8 +15,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.seen import Seen
-from hnn_vi_ros.learning.network import Perceptron
 import torch
 
 

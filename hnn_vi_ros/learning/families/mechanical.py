@@ -8,11 +8,11 @@ import math
 from hnn_vi_ros.learning.families.exact_prior import ExactPrior
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
 from hnn_vi_ros.learning.families.linearised import Linearised, linearised
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.planar_chain import PlanarChain
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.learning.families.seen import Seen
 from hnn_vi_ros.learning.families.structure import MotionScales, Structure
-from hnn_vi_ros.learning.network import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
 from hnn_vi_ros.models.planar_chain import CHAINS

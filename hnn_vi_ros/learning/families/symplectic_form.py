@@ -5,9 +5,9 @@
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.choices import SymplecticFormChoice
 from hnn_vi_ros.learning.families.base import gradient, Scales, Trainable
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import SymplecticFormChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
 import numpy as np
