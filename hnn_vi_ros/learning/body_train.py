@@ -9,12 +9,12 @@ from pathlib import Path
 import time
 
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.learning.body_config import BodyConfig, load_body
-from hnn_vi_ros.learning.body_training import (
-    fit, joined, network_of, published_loss, window_errors)
 from hnn_vi_ros.learning.data.body_data import Motions, read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.learning.keeping import kept
+from hnn_vi_ros.learning.fit.body_config import BodyConfig, load_body
+from hnn_vi_ros.learning.fit.body_training import (
+    fit, joined, network_of, published_loss, window_errors)
+from hnn_vi_ros.learning.fit.keeping import kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.version import __version__

@@ -11,9 +11,9 @@ import warnings
 
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.mechanical_card import MOST_MEMBERS

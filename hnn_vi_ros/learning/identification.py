@@ -17,13 +17,13 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import low_pass, Motion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.machine_config import Inverse, MachineConfig, Trajectory
-from hnn_vi_ros.learning.machine_losses import (
+from hnn_vi_ros.learning.fit.machine_config import Inverse, MachineConfig, Trajectory
+from hnn_vi_ros.learning.fit.machine_losses import (
     acceleration_errors, samples_of, window_errors, Windows)
-from hnn_vi_ros.learning.machine_training import windows_of
+from hnn_vi_ros.learning.fit.machine_training import windows_of
+from hnn_vi_ros.learning.fit.window_steps import Solutions
 from hnn_vi_ros.learning.rigid_body import fit_errors, spread
 from hnn_vi_ros.learning.unknowns import Unknowns
-from hnn_vi_ros.learning.window_steps import Solutions
 from hnn_vi_ros.models.rigid_body_card import BaseParameter, EACH, Identification
 import numpy as np
 from scipy.linalg import qr

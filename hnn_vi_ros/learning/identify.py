@@ -154,7 +154,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.machine_config import load_machine
+        from hnn_vi_ros.learning.fit.machine_config import load_machine
         return options.config, load_machine(options.config).data
     data = guessed(options.data[0])
     path = split_runs(options.data[0])[0]

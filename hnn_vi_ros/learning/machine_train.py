@@ -20,15 +20,15 @@ from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation
 from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.excitation import excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.keeping import kept, members_kept
+from hnn_vi_ros.learning.fit.machine_config import (
+    Forward, load_machine, MachineConfig, MachineExcitation, RigidBodyChoice, Trajectory)
+from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.identification import identify
 from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
-from hnn_vi_ros.learning.keeping import kept, members_kept
-from hnn_vi_ros.learning.machine_config import (
-    Forward, load_machine, MachineConfig, MachineExcitation, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.machine_ensemble import (
     calibrated_machine, check_machines, combined_machines, ensemble_text, kept_and_held,
     resampled_blocks)
-from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
 from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body

@@ -8,7 +8,7 @@ from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.evaluation import Predict
 from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.structure import MotionScales
-from hnn_vi_ros.learning.machine_losses import Network, runge_kutta
+from hnn_vi_ros.learning.fit.machine_losses import Network, runge_kutta
 from hnn_vi_ros.models.mechanical_card import Kind
 import numpy as np
 import torch

@@ -7,9 +7,9 @@ import platform
 from typing import NamedTuple
 
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.learning.config import TrainingConfig
-from hnn_vi_ros.learning.loop import LossHistory
-from hnn_vi_ros.learning.problem import Comparison
+from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.fit.loop import LossHistory
+from hnn_vi_ros.learning.fit.problem import Comparison
 from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.viewer.rerun_curves import write_curves

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning.body_config import load_body
 from hnn_vi_ros.learning.body_train import INTERVALS
-from hnn_vi_ros.learning.body_training import joined, published_loss
-from hnn_vi_ros.learning.config import find_config
 from hnn_vi_ros.learning.data.body_data import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.fit.body_config import load_body
+from hnn_vi_ros.learning.fit.body_training import joined, published_loss
+from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian

@@ -142,8 +142,8 @@ def train_on_differences(training: Training, orbits: Orbits, seed: int, friction
 def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, Any],
            loss: dict[str, Any], block: float | None = None) -> Model:
     # Imported late: torch takes seconds, which a mistake should not wait for.
-    from hnn_vi_ros.learning.config import TrainingConfig
     from hnn_vi_ros.learning.data.sources import make_dataset
+    from hnn_vi_ros.learning.fit.config import TrainingConfig
     from hnn_vi_ros.learning.train import train
     names = COORDINATES[(table.shape[1] - 2) // 4]
     momenta = [f'p_{name}' for name in names]

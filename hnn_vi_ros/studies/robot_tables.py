@@ -20,10 +20,10 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.data.motion_sources import read_motions
 from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.machine_config import MachineConfig
+from hnn_vi_ros.learning.fit.machine_training import split_motions
 from hnn_vi_ros.learning.identification_report import force_errors
-from hnn_vi_ros.learning.machine_config import MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, learn
-from hnn_vi_ros.learning.machine_training import split_motions
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.studies.machine_tables import CASES, dfki_errors, predicted
 from hnn_vi_ros.studies.published_page import ROBOTS
@@ -227,7 +227,7 @@ def _joints(urdf: Path) -> Any:
 
 def _choice(train: list[Motion]) -> tuple[list[Motion], list[Motion]]:
     """Split what is learned from: the last quarter of each run is what the choice is made by."""
-    from hnn_vi_ros.learning.machine_training import part_of
+    from hnn_vi_ros.learning.fit.machine_training import part_of
     ends = [round((1.0 - _CHOICE) * len(motion.t)) for motion in train]
     pairs = list(zip(train, ends, strict=True))
     return ([part_of(motion, slice(None, end)) for motion, end in pairs],

@@ -10,12 +10,12 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning import body_training
-from hnn_vi_ros.learning.body_config import BodyStage, load_body
-from hnn_vi_ros.learning.body_training import fit, joined, network_of, published_loss
 from hnn_vi_ros.learning.data.body_data import read_bodies
 from hnn_vi_ros.learning.evaluate import main as evaluate
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.fit import body_training
+from hnn_vi_ros.learning.fit.body_config import BodyStage, load_body
+from hnn_vi_ros.learning.fit.body_training import fit, joined, network_of, published_loss
 from hnn_vi_ros.learning.train import main as train
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import load_checkpoint

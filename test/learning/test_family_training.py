@@ -8,14 +8,14 @@ from helpers import python_step, random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.config import load_config
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
-from hnn_vi_ros.learning.problem import TrainingProblem
-from hnn_vi_ros.learning.steps import SCHEMES, step
+from hnn_vi_ros.learning.fit.config import load_config
+from hnn_vi_ros.learning.fit.problem import TrainingProblem
+from hnn_vi_ros.learning.fit.steps import SCHEMES, step
 from hnn_vi_ros.learning.train import describe, judged, main
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -9,14 +9,14 @@ import time
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.learning.body_config import load_body
-from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.families.perceptron import Perceptron
-from hnn_vi_ros.learning.losses import mean_square, nonlinearity
-from hnn_vi_ros.learning.machine_config import load_machine
+from hnn_vi_ros.learning.fit.body_config import load_body
+from hnn_vi_ros.learning.fit.config import find_config, load_config
+from hnn_vi_ros.learning.fit.losses import mean_square, nonlinearity
+from hnn_vi_ros.learning.fit.machine_config import load_machine
 from hnn_vi_ros.learning.machine_train import own_family
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint

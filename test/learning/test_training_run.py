@@ -7,12 +7,12 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning.config import load_config, TrainingConfig
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.sources import make_dataset
-from hnn_vi_ros.learning.interruption import Interrupted, Keeper
-from hnn_vi_ros.learning.loop import INTERVAL, Loop
-from hnn_vi_ros.learning.problem import TrainingProblem
+from hnn_vi_ros.learning.fit.config import load_config, TrainingConfig
+from hnn_vi_ros.learning.fit.interruption import Interrupted, Keeper
+from hnn_vi_ros.learning.fit.loop import INTERVAL, Loop
+from hnn_vi_ros.learning.fit.problem import TrainingProblem
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -5,11 +5,11 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData
 from hnn_vi_ros.learning.families.base import Scales
-from hnn_vi_ros.learning.losses import Batch, LOSSES, mean_square, nonlinearity
+from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.fit.losses import Batch, LOSSES, mean_square, nonlinearity
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import Units
 import numpy as np

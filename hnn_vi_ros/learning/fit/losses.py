@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import Trainable
-from hnn_vi_ros.learning.steps import step
+from hnn_vi_ros.learning.fit.steps import step
 import numpy as np
 import torch
 

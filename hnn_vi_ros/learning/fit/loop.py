@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.config import TrainingConfig
-from hnn_vi_ros.learning.problem import TrainingProblem
+from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.fit.problem import TrainingProblem
 import torch
 from tqdm import tqdm
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.learning.data.body_data import BodyArrays, BodyWindows
-from hnn_vi_ros.learning.lie_steps import MethodName, RetractionName
+from hnn_vi_ros.learning.fit.lie_steps import MethodName, RetractionName
 from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
 from hnn_vi_ros.models.model_card import CoordinateCard
 from pydantic import Field, model_validator

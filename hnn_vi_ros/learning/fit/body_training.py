@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import math
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.body_config import BodyConfig
 from hnn_vi_ros.learning.data.body_data import Motions
 from hnn_vi_ros.learning.families.lie_group import BodyScales, LieGroupNetwork
-from hnn_vi_ros.learning.lie_steps import LieSteps, Node
-from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
+from hnn_vi_ros.learning.fit.body_config import BodyConfig
+from hnn_vi_ros.learning.fit.lie_steps import LieSteps, Node
+from hnn_vi_ros.learning.fit.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
 import numpy as np
 import torch
 from tqdm import tqdm

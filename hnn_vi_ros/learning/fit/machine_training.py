@@ -17,13 +17,13 @@ import math
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import Motion, run_of
 from hnn_vi_ros.learning.families.structure import MotionScales
-from hnn_vi_ros.learning.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
-from hnn_vi_ros.learning.machine_config import (
+from hnn_vi_ros.learning.fit.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
+from hnn_vi_ros.learning.fit.machine_config import (
     Discrete, Forward, Inverse, MachineConfig, Stage, Trajectory)
-from hnn_vi_ros.learning.machine_losses import (
+from hnn_vi_ros.learning.fit.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, force_loss, Network, Samples, samples_of,
     window_loss, Windows)
-from hnn_vi_ros.learning.window_steps import Solutions
+from hnn_vi_ros.learning.fit.window_steps import Solutions
 import numpy as np
 import torch
 from tqdm import tqdm

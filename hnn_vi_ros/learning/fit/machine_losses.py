@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.families.structure import MotionScales
-from hnn_vi_ros.learning.window_steps import MethodName, simulated, Solutions
+from hnn_vi_ros.learning.fit.window_steps import MethodName, simulated, Solutions
 import numpy as np
 import torch
 

@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.data.motion_bags import BagMotions
 from hnn_vi_ros.learning.data.motion_logs import LogMotions
 from hnn_vi_ros.learning.families.excitation import ExcitationData
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.window_steps import MethodName
+from hnn_vi_ros.learning.fit.window_steps import MethodName
 from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, Kind
 from hnn_vi_ros.models.model_card import CoordinateCard

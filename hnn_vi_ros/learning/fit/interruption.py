@@ -14,9 +14,9 @@ import time
 
 from hnn_vi_ros.errors import Interrupted, ParameterError
 from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.loop import Loop
+from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.fit.loop import Loop
 import numpy as np
 import torch
 
