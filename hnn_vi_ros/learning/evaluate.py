@@ -34,8 +34,8 @@ from hnn_vi_ros.learning.evaluation import (
     constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
     variance_of)
 from hnn_vi_ros.learning.fit.machine_config import load_machine, Trajectory
+from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.plain_network import predicted_by
-from hnn_vi_ros.learning.rigid_body import best_rigid_body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene import load_scene

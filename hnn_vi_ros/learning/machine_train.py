@@ -24,14 +24,14 @@ from hnn_vi_ros.learning.fit.keeping import kept, members_kept
 from hnn_vi_ros.learning.fit.machine_config import (
     Forward, load_machine, MachineConfig, MachineExcitation, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motions
-from hnn_vi_ros.learning.identification import identify
-from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
+from hnn_vi_ros.learning.inertias.identification import identify
+from hnn_vi_ros.learning.inertias.identification_report import identified_text, with_force_errors
+from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body, fit_rigid_body
 from hnn_vi_ros.learning.machine_ensemble import (
     calibrated_machine, check_machines, combined_machines, ensemble_text, kept_and_held,
     resampled_blocks)
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
-from hnn_vi_ros.learning.rigid_body import best_rigid_body, fit_rigid_body
 from hnn_vi_ros.models.checkpoint import Checkpoint, complete_checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member

@@ -24,7 +24,7 @@ from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_moti
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.machine_config import MachineConfig
 from hnn_vi_ros.learning.fit.machine_training import scales_of
-from hnn_vi_ros.learning.identification import identify
+from hnn_vi_ros.learning.inertias.identification import identify
 from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
 import numpy as np
 from scipy.signal import lfilter

@@ -5,8 +5,8 @@
 import json
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning import rigid_body
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
+from hnn_vi_ros.learning.inertias import rigid_body
 from hnn_vi_ros.studies import machine_tables, published_tables, simulated_arm
 from hnn_vi_ros.studies.machine_tables import (
     CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,

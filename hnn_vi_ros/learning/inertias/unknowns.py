@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.rigid_body import inverse_softplus, LEAST
+from hnn_vi_ros.learning.inertias.rigid_body import inverse_softplus, LEAST
 from hnn_vi_ros.models.rigid_body_card import INERTIAL
 import numpy as np
 import torch

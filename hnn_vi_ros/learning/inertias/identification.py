@@ -22,8 +22,8 @@ from hnn_vi_ros.learning.fit.machine_losses import (
     acceleration_errors, samples_of, window_errors, Windows)
 from hnn_vi_ros.learning.fit.machine_training import windows_of
 from hnn_vi_ros.learning.fit.window_steps import Solutions
-from hnn_vi_ros.learning.rigid_body import fit_errors, spread
-from hnn_vi_ros.learning.unknowns import Unknowns
+from hnn_vi_ros.learning.inertias.rigid_body import fit_errors, spread
+from hnn_vi_ros.learning.inertias.unknowns import Unknowns
 from hnn_vi_ros.models.rigid_body_card import BaseParameter, EACH, Identification
 import numpy as np
 from scipy.linalg import qr
