@@ -29,13 +29,13 @@ from hnn_vi_ros.learning.data.motion_arrays import ArraysData
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
 from hnn_vi_ros.learning.data.motion_sources import guessed, read_motions
 from hnn_vi_ros.learning.data.motions import Motion, steps_between
-from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccounted
-from hnn_vi_ros.learning.evaluation import (
-    constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
-    variance_of)
 from hnn_vi_ros.learning.fit.machine_config import load_machine, Trajectory
 from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
-from hnn_vi_ros.learning.plain_network import predicted_by
+from hnn_vi_ros.learning.judging.energy_account import balance, energy_mismatch, unaccounted
+from hnn_vi_ros.learning.judging.evaluation import (
+    constant_velocity, Fan, fans_of, linear_model, score, score_fans, Scores, simulated, table,
+    variance_of)
+from hnn_vi_ros.learning.judging.plain_network import predicted_by
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.scene import load_scene
@@ -112,7 +112,7 @@ def _write(arguments: Namespace, scores: dict[str, Scores], text: str, fans: Seq
             json.dumps(as_json(scores), indent=2, allow_nan=False) + '\n', encoding='utf-8')
     if arguments.out is not None:
         # Imported here: numbers alone need no libraries that draw.
-        from hnn_vi_ros.learning.prediction_report import write_evaluation
+        from hnn_vi_ros.learning.judging.prediction_report import write_evaluation
         # It may hold the numbers by now: --json may name a file in it.
         arguments.out.mkdir(parents=True, exist_ok=True)
         write_evaluation(arguments.out, Path(arguments.model).stem, text, fans,

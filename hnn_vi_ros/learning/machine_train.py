@@ -15,9 +15,7 @@ from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motion_sources import read_motions
 from hnn_vi_ros.learning.data.motions import Motion, run_of
-from hnn_vi_ros.learning.energy_account import balance
 from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation_of, verdict
-from hnn_vi_ros.learning.evaluation import linear_model, score, table
 from hnn_vi_ros.learning.families.excitation import excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.keeping import kept, members_kept
@@ -27,11 +25,13 @@ from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motio
 from hnn_vi_ros.learning.inertias.identification import identify
 from hnn_vi_ros.learning.inertias.identification_report import identified_text, with_force_errors
 from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body, fit_rigid_body
-from hnn_vi_ros.learning.machine_ensemble import (
+from hnn_vi_ros.learning.judging.energy_account import balance
+from hnn_vi_ros.learning.judging.evaluation import linear_model, score, table
+from hnn_vi_ros.learning.judging.machine_ensemble import (
     calibrated_machine, check_machines, combined_machines, ensemble_text, kept_and_held,
     resampled_blocks)
-from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
-from hnn_vi_ros.learning.prediction_report import draw_predictions, shown
+from hnn_vi_ros.learning.judging.plain_network import PlainNetwork, predicted_by
+from hnn_vi_ros.learning.judging.prediction_report import draw_predictions, shown
 from hnn_vi_ros.models.checkpoint import Checkpoint, complete_checkpoint, save_checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member

@@ -23,16 +23,16 @@ from hnn_vi_ros.learning import body_train, machine_train
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.data.sources import make_dataset
-from hnn_vi_ros.learning.energy_account import friction_work, integrated
-from hnn_vi_ros.learning.ensemble import (
-    band_text, calibrated, check_ensemble, combined, held_out, resampled)
 from hnn_vi_ros.learning.families.base import EnergyFamily, Trainable
 from hnn_vi_ros.learning.fit.config import find_config, load_config, TrainingConfig
 from hnn_vi_ros.learning.fit.interruption import Keeper
 from hnn_vi_ros.learning.fit.keeping import kept, member_files, members_kept
 from hnn_vi_ros.learning.fit.loop import Loop, LossHistory
 from hnn_vi_ros.learning.fit.problem import TrainingProblem
-from hnn_vi_ros.learning.report import Outputs, write_report
+from hnn_vi_ros.learning.judging.energy_account import friction_work, integrated
+from hnn_vi_ros.learning.judging.ensemble import (
+    band_text, calibrated, check_ensemble, combined, held_out, resampled)
+from hnn_vi_ros.learning.judging.report import Outputs, write_report
 from hnn_vi_ros.models.checkpoint import Checkpoint, complete_checkpoint
 from hnn_vi_ros.models.energy_error import energy_error, energy_spread, EnergyError
 from hnn_vi_ros.models.ensemble import load_member

@@ -17,12 +17,12 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motion_sources import read_motions
 from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.evaluate import simulation_of
-from hnn_vi_ros.learning.evaluation import Predict, score, simulated, variance_of
 from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.fit.machine_config import load_machine, MachineConfig
 from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motions
+from hnn_vi_ros.learning.judging.evaluation import Predict, score, simulated, variance_of
+from hnn_vi_ros.learning.judging.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.machine_train import describe, fix_scale, learn
-from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.studies.simulated_arm import followed_times, LEAST, MEAN, write_arm

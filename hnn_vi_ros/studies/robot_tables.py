@@ -236,7 +236,7 @@ def _choice(train: list[Motion]) -> tuple[list[Motion], list[Motion]]:
 
 def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
                  test: list[Motion]) -> list[float]:
-    from hnn_vi_ros.learning.evaluation import score
+    from hnn_vi_ros.learning.judging.evaluation import score
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'

@@ -12,7 +12,7 @@ from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import Motion
-from hnn_vi_ros.learning.evaluation import Predict, variance_of
+from hnn_vi_ros.learning.judging.evaluation import Predict, variance_of
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline

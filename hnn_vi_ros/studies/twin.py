@@ -17,10 +17,10 @@ from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.learning.data.motion_sources import read_motions
 from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.evaluate import parts_of, simulation_of
-from hnn_vi_ros.learning.evaluation import score, simulated, variance_of
 from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.fit.machine_config import load_machine
 from hnn_vi_ros.learning.fit.machine_training import split_motions
+from hnn_vi_ros.learning.judging.evaluation import score, simulated, variance_of
 from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.twin import Twin
 from hnn_vi_ros.scene import load_scene, Scene

@@ -21,10 +21,10 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.motion_sources import read_motions
-from hnn_vi_ros.learning.ensemble import held_exact, scores_of
 from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.fit.machine_config import load_machine
-from hnn_vi_ros.learning.machine_ensemble import machine_scores
+from hnn_vi_ros.learning.judging.ensemble import held_exact, scores_of
+from hnn_vi_ros.learning.judging.machine_ensemble import machine_scores
 from hnn_vi_ros.learning.machine_train import own_family
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.confined import load_learned

@@ -16,8 +16,9 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
-from hnn_vi_ros.learning.evaluation import constant_velocity, Fan, linear_model, momentum, score
-from hnn_vi_ros.learning.prediction_report import shown
+from hnn_vi_ros.learning.judging.evaluation import (
+    constant_velocity, Fan, linear_model, momentum, score)
+from hnn_vi_ros.learning.judging.prediction_report import shown
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -12,11 +12,12 @@ from ensembles import OSCILLATOR
 from helpers import random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingError, StepFailure
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.learning import ensemble as ensembles, machine_train, train as training
+from hnn_vi_ros.learning import machine_train, train as training
 from hnn_vi_ros.learning.evaluate import numbers
-from hnn_vi_ros.learning.evaluation import Scores
 from hnn_vi_ros.learning.fit import keeping
 from hnn_vi_ros.learning.fit.keeping import kept
+from hnn_vi_ros.learning.judging import ensemble as ensembles
+from hnn_vi_ros.learning.judging.evaluation import Scores
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import complete_checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.model_card import Box, PredictionError

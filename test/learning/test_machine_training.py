@@ -11,7 +11,6 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
-from hnn_vi_ros.learning.evaluation import constant_velocity, score
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.fit.machine_config import combination, MachineConfig
@@ -19,8 +18,9 @@ from hnn_vi_ros.learning.fit.machine_losses import (
     acceleration_loss, balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
 from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motions
 from hnn_vi_ros.learning.identify import _arrays
+from hnn_vi_ros.learning.judging.evaluation import constant_velocity, score
+from hnn_vi_ros.learning.judging.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.learning.machine_train import describe, fix_scale
-from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation

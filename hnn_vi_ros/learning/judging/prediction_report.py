@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from hnn_vi_ros.learning.evaluation import Fan
+from hnn_vi_ros.learning.judging.evaluation import Fan
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_predictions import PredictedRun, write_predictions
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -5,10 +5,10 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.learning.data.motions import Motion
-from hnn_vi_ros.learning.evaluation import Predict
 from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.fit.machine_losses import Network, runge_kutta
+from hnn_vi_ros.learning.judging.evaluation import Predict
 from hnn_vi_ros.models.mechanical_card import Kind
 import numpy as np
 import torch

@@ -11,10 +11,10 @@ import warnings
 from hnn_vi_ros.errors import AlarmWarning, DataError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.motions import MIN_SAMPLES, Motion
-from hnn_vi_ros.learning.ensemble import (
-    band_text, check_count, conformal_factors, with_calibration)
 from hnn_vi_ros.learning.fit.machine_config import MachineConfig, Trajectory
 from hnn_vi_ros.learning.fit.machine_training import part_of
+from hnn_vi_ros.learning.judging.ensemble import (
+    band_text, check_count, conformal_factors, with_calibration)
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical_card import mean_card
 from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
