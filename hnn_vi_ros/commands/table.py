@@ -16,7 +16,7 @@ EXECUTABLES = {
     'hard_cases': 'hnn_vi_ros.studies.hard_cases',
     'hover': 'hnn_vi_ros.ros.hover_node',
     'identify': 'hnn_vi_ros.learning.identify',
-    'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
+    'import_checkpoint': 'hnn_vi_ros.learning.imports.import_checkpoint',
     'listener': 'hnn_vi_ros.ros.listener_node',
     'paper_figures': 'hnn_vi_ros.studies.paper_figures',
     'published_tables': 'hnn_vi_ros.studies.published_tables',
@@ -48,7 +48,8 @@ def module_of(name: str, argv: Sequence[str]) -> str:
 
 def parser_of(name: str) -> Parser:
     """Return the parser of a command, without the libraries that its work takes."""
-    arguments = import_module(f'{COMMANDS[name].rpartition(".")[0]}.arguments')
+    room = COMMANDS[name].split('.')[1]
+    arguments = import_module(f'hnn_vi_ros.{room}.arguments')
     return getattr(arguments, name)()
 
 

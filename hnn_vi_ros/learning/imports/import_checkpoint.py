@@ -24,8 +24,8 @@ from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.import_body import BODIES, body_networks
-from hnn_vi_ros.learning.state_dict import read_layers, read_networks
+from hnn_vi_ros.learning.imports.import_body import BODIES, body_networks
+from hnn_vi_ros.learning.imports.state_dict import read_layers, read_networks
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.networks.activations import ACTIVATIONS
