@@ -3,6 +3,7 @@
 """Training of each family by each of its losses, small; and the gradient through the steps."""
 
 from pathlib import Path
+from typing import get_args
 
 from helpers import python_step, random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError
@@ -11,11 +12,11 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
-from hnn_vi_ros.learning.families.choices import HNNChoice
+from hnn_vi_ros.learning.families.choices import HNNChoice, Steps
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.fit.config import load_config
 from hnn_vi_ros.learning.fit.problem import TrainingProblem
-from hnn_vi_ros.learning.fit.steps import SCHEMES, step
+from hnn_vi_ros.learning.fit.steps import step
 from hnn_vi_ros.learning.train import describe, judged, main
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -23,6 +24,8 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 import torch
+
+SCHEMES = get_args(Steps.model_fields['integrator'].annotation)
 
 DATA = """
 coordinates: [{{name: x, q_unit: m, p_unit: kg m/s}}]

@@ -12,7 +12,7 @@ recorded, and has the derivatives of the solution (the implicit function theorem
 from collections.abc import Callable
 from typing import Literal, NamedTuple, Protocol
 
-from hnn_vi_ros.learning.fit.window_steps import newton
+from hnn_vi_ros.learning.families.newton import newton
 import torch
 
 MethodName = Literal['lie_leapfrog', 'lie_variational_euler']

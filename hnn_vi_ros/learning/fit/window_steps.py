@@ -16,19 +16,17 @@ the equations hold, with their derivatives by x, c and w held, is recorded and h
 of the solution by all else (the implicit function theorem).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Literal, NamedTuple, Protocol
 
 from hnn_vi_ros.learning.families.linearised import Linearised
+from hnn_vi_ros.learning.families.newton import ENOUGH, newton
 from hnn_vi_ros.learning.families.structure import MotionScales
+from hnn_vi_ros.learning.fit.steps import nodes
 import torch
 
 MethodName = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
-# Newton's method ends where it changes velocities by less than this share of the usual ones: what
-# is left is the square of it. Step by step it begins with steps by the matrix of the step before,
-# which cost a third. Jumps of friction take more steps, of which some are halved there.
-_ENOUGH, _CHEAP, _MOST = 1e-6, 2, 40
 # Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the
 # first guesses are worse, and more memory is taken. And steps after which each is taken alone.
 _AT_ONCE, _PATIENCE = 4096, 12
@@ -57,7 +55,7 @@ class Method(NamedTuple):
     ----------
     before : float
         The first x is q + before h v.
-    nodes : tuple of tuple of float
+    nodes : list of tuple of float
         a, b, g and e of the nodes of a step.
     after : float
         A step ends at q = y + after h w and at p = c, the next ones, of its last node.
@@ -65,15 +63,25 @@ class Method(NamedTuple):
     """
 
     before: float
-    nodes: tuple[tuple[float, float, float, float], ...]
+    nodes: list[tuple[float, float, float, float]]
     after: float
 
 
+def _method(integrator: str) -> Method:
+    """Return a method by its nodes; one that begins with a known velocity takes it once."""
+    found = [(node.a, node.b, node.u - node.a, node.w - node.b) for node in nodes(integrator)]
+    (a, b, before, force), *others = found
+    after = found[-1][2]
+    if a or b or force:
+        return Method(0.0, found, after)
+    # The first node is the last one of the step before: both velocities are H_p there.
+    *inner, (a, b, g, e) = others
+    return Method(before, [*inner, (a, b, g + before, e)], after)
+
+
 METHODS: dict[MethodName, Method] = {
-    'implicit_midpoint': Method(0.0, ((0.5, 0.5, 0.5, 0.5),), 0.5),
-    'variational_euler': Method(1.0, ((0.0, 1.0, 1.0, 0.0),), 0.0),
-    'generalized_leapfrog': Method(
-        0.0, ((0.0, 0.5, 0.5, 0.0), (0.5, 0.0, 0.0, 0.5)), 0.0)}
+    name: _method(name) for name in ('implicit_midpoint', 'variational_euler',
+                                     'generalized_leapfrog')}
 
 
 class States(NamedTuple):
@@ -270,7 +278,7 @@ def _solved(machine: Machine, chain: Chain) -> tuple[Found, torch.Tensor]:
             found = at._replace(w=w)
         else:
             found.update(left, at._replace(w=w[:, left]))
-        left = left[~(dw.abs() <= _ENOUGH * unit).all(dim=2).all(dim=0)]
+        left = left[~(dw.abs() <= ENOUGH * unit).all(dim=2).all(dim=0)]
         if not len(left):
             break
     assert found is not None
@@ -313,66 +321,3 @@ def _residual(machine: Machine, x: torch.Tensor, c: torch.Tensor, force: torch.T
               a: torch.Tensor, b: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
     p, rate = machine.momenta(x + a * w, w)
     return p - b * (rate + force) - c
-
-
-def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor,
-           matrix: torch.Tensor | None, unit: torch.Tensor, residual_unit: torch.Tensor
-           ) -> tuple[torch.Tensor, torch.Tensor]:
-    """
-    Return the roots of equations, shape (N, d), and their matrices, by Newton's method.
-
-    Parameters
-    ----------
-    residual : callable
-        Of shape (N, d), at unknowns of that shape, row by row.
-    guess : torch.Tensor, shape (N, d)
-        Where to begin.
-    matrix : torch.Tensor, shape (N, d, d), optional
-        About the derivative of the residual, for the first steps.
-    unit, residual_unit : torch.Tensor, shape (d,)
-        Usual sizes of the unknowns, and of the residual.
-
-    Returns
-    -------
-    tuple of torch.Tensor
-        Roots, not a number where there is none, and the derivatives of the residual at them.
-
-    """
-    best = w = guess
-    least = torch.full(guess.shape[:1], torch.inf, dtype=guess.dtype)
-    share, step = torch.ones_like(least), torch.zeros_like(guess)
-    for k in range(_MOST):
-        cheap = matrix is not None and k < _CHEAP
-        value, slopes = (_value(residual, w), matrix) if cheap else _with_slopes(residual, w)
-        size = (value / residual_unit).square().sum(dim=1)
-        # A step is halved that makes it worse, or no number.
-        better = size < least
-        least, share = torch.where(better, size, least), torch.where(better, 1.0, 0.5 * share)
-        best = torch.where(better[:, None], w, best)
-        step = torch.where(better[:, None], _solve(slopes, value), step)
-        w = best - share[:, None] * step
-        # Also where rounding is all that is left, and no step makes it better.
-        done = (step.abs() <= _ENOUGH * unit).all(dim=1)
-        if not cheap and done.all():
-            break
-    return torch.where(done[:, None], w, torch.nan), slopes
-
-
-def _value(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor) -> torch.Tensor:
-    with torch.no_grad():
-        return residual(w)
-
-
-def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor
-                 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return r, shape (N, d), and r_w, shape (N, d, d), by one backward pass for all rows."""
-    with torch.enable_grad():
-        w = w.detach().requires_grad_()
-        value = residual(w)
-        units = torch.eye(w.shape[1], dtype=w.dtype)[:, None, :].expand(-1, len(w), -1)
-        (rows,) = torch.autograd.grad(value, w, units, is_grads_batched=True)
-    return value.detach(), rows.transpose(0, 1)
-
-
-def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-    return torch.linalg.solve_ex(matrix, right[:, :, None])[0][:, :, 0]
