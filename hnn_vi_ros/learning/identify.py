@@ -21,8 +21,8 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
-from hnn_vi_ros.learning.data.motion_sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.data.motions import steps_between
+from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
 from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
@@ -154,7 +154,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.fit.machine_config import load_machine
+        from hnn_vi_ros.learning.fit.config import load_machine
         return options.config, load_machine(options.config).data
     data = guessed(options.data[0])
     path = split_runs(options.data[0])[0]

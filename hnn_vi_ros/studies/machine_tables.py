@@ -14,15 +14,15 @@ from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.motion_sources import read_motions
-from hnn_vi_ros.learning.data.motions import Motion
-from hnn_vi_ros.learning.evaluate import simulation_of
-from hnn_vi_ros.learning.fit.config import find_config
-from hnn_vi_ros.learning.fit.machine_config import load_machine, MachineConfig
-from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motions
-from hnn_vi_ros.learning.judging.evaluation import Predict, score, simulated, variance_of
-from hnn_vi_ros.learning.judging.plain_network import PlainNetwork, predicted_by
-from hnn_vi_ros.learning.machine_train import describe, fix_scale, learn
+from hnn_vi_ros.learning.data.motions import Motion, split_motions
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.families.plain_network import PlainNetwork
+from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
+from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
+from hnn_vi_ros.learning.judging.evaluation import (
+    Predict, predicted_by, score, simulated, variance_of)
+from hnn_vi_ros.learning.judging.prediction import simulation_of
+from hnn_vi_ros.learning.tasks.machine import describe, fix_scale, learn
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.studies.simulated_arm import followed_times, LEAST, MEAN, write_arm
@@ -302,7 +302,7 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
     if model == PLAIN:
         plain = PlainNetwork([coordinate.kind for coordinate in config.coordinates],
                              config.hidden, scales_of(motions.train), seed)
-        fit(plain, config, motions.train)
+        MachineProblem(plain, config, motions.train).fit()
         return case.measure(predicted_by(plain), motions.test, data)
     if rigid:
         family = config.family.model_copy(update={

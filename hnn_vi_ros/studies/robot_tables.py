@@ -17,13 +17,12 @@ import tempfile
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning.data.motion_sources import read_motions
-from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.data.motions import Motion, split_motions
+from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.machine_config import MachineConfig
-from hnn_vi_ros.learning.fit.machine_training import split_motions
+from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.inertias.identification_report import force_errors
-from hnn_vi_ros.learning.machine_train import describe, learn
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.studies.machine_tables import CASES, dfki_errors, predicted
 from hnn_vi_ros.studies.published_page import ROBOTS

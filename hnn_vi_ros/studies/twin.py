@@ -14,13 +14,11 @@ from pathlib import Path
 import sys
 
 from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.learning.data.motion_sources import read_motions
-from hnn_vi_ros.learning.data.motions import Motion
-from hnn_vi_ros.learning.evaluate import parts_of, simulation_of
-from hnn_vi_ros.learning.fit.config import find_config
-from hnn_vi_ros.learning.fit.machine_config import load_machine
-from hnn_vi_ros.learning.fit.machine_training import split_motions
+from hnn_vi_ros.learning.data.motions import Motion, split_motions
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.learning.judging.evaluation import score, simulated, variance_of
+from hnn_vi_ros.learning.judging.prediction import parts_of, simulation_of
 from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.twin import Twin
 from hnn_vi_ros.scene import load_scene, Scene

@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
 from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, Fan, linear_model, momentum, score)
-from hnn_vi_ros.learning.judging.prediction_report import shown
+from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

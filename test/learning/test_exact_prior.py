@@ -9,8 +9,8 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
 from hnn_vi_ros.learning.families.exact_prior import ExactPrior
-from hnn_vi_ros.learning.fit.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, learn
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import check_prior

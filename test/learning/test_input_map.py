@@ -15,9 +15,9 @@ from hnn_vi_ros.learning.data.motion_logs import LogMotions
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.fit.machine_config import MachineConfig
-from hnn_vi_ros.learning.fit.machine_training import scales_of
-from hnn_vi_ros.learning.machine_train import describe, learn
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import scales_of
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard

@@ -15,7 +15,7 @@ from hnn_vi_ros.learning.families.choices import (
     DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
 from hnn_vi_ros.learning.families.dgnet import DGNet
 from hnn_vi_ros.learning.families.vin import VIN
-from hnn_vi_ros.learning.fit.losses import LOSSES
+from hnn_vi_ros.learning.fit.field import LOSSES
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.models.variational import VariationalHamiltonian

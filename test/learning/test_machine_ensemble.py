@@ -10,8 +10,8 @@ from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import evaluate
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
-from hnn_vi_ros.learning.fit.machine_config import MachineConfig
-from hnn_vi_ros.learning.judging.machine_ensemble import kept_and_held, resampled_blocks
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.judging.ensemble import kept_and_held, resampled_blocks
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 import numpy as np

@@ -10,17 +10,18 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.data.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.motions import Motion, smoothed, split_motions
+from hnn_vi_ros.learning.families.choices import combination
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.plain_network import PlainNetwork
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.fit.machine_config import combination, MachineConfig
-from hnn_vi_ros.learning.fit.machine_losses import (
-    acceleration_loss, balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
-from hnn_vi_ros.learning.fit.machine_training import fit, scales_of, split_motions
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import (
+    acceleration_loss, balanced_step, discrete_loss, MachineProblem, mean_forces, runge_kutta,
+    samples_of, scales_of)
 from hnn_vi_ros.learning.identify import _arrays
-from hnn_vi_ros.learning.judging.evaluation import constant_velocity, score
-from hnn_vi_ros.learning.judging.plain_network import PlainNetwork, predicted_by
-from hnn_vi_ros.learning.machine_train import describe, fix_scale
+from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
+from hnn_vi_ros.learning.tasks.machine import describe, fix_scale
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -163,7 +164,7 @@ def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
     scales = scales_of(train)
     network = MechanicalNetwork(config.structure(), config.hidden, scales, config.seed)
-    losses = fit(network, config, train)
+    losses = MachineProblem(network, config, train).fit()
     assert losses.keys() == ({'forward', 'windows_0.2'} if loss['kind'] == 'trajectory' else
                              {loss['kind'], f'{loss["kind"]}_lbfgs'})
     learned = score(predicted_by(network), test, [0.5], 0.25, 1.0)
@@ -192,7 +193,7 @@ def test_lbfgs_on_accelerations_takes_as_many_steps_as_it_is_given(kind, option,
             'loss': {'kind': kind, 'steps' if kind == 'forward' else 'forward_steps': 50,
                      option: steps, **at_end}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
-        losses = fit(network, config, motions)
+        losses = MachineProblem(network, config, motions).fit()
         assert ('forward_lbfgs' in losses) == (steps > 0)
         samples = samples_of(motions, None)
         with torch.no_grad():
@@ -215,7 +216,7 @@ def test_what_lbfgs_is_judged_by_is_held_back_from_adam():
         network = MechanicalNetwork(config.structure(), [4], scales_of(motions), 0)
         asked, whole = [], network.accelerations
         network.accelerations = lambda q, *others: (asked.append(q.detach()), whole(q, *others))[1]
-        losses = fit(network, config, motions)
+        losses = MachineProblem(network, config, motions).fit()
         assert 'forward_lbfgs' in losses and np.isfinite([*losses.values()]).all()
         q = torch.tensor(motions[0].q_smooth)
         by_adam = torch.unique(torch.cat(asked[:20]))
@@ -254,7 +255,7 @@ def test_friction_that_depends_on_the_angle_is_learned():
         'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}})
     train = [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)]
     network = MechanicalNetwork(config.structure(), config.hidden, scales_of(train), config.seed)
-    fit(network, config, train)
+    MachineProblem(network, config, train).fit()
     q = torch.linspace(-2.0, 2.0, 9, dtype=torch.float64)[:, None]
     with torch.no_grad():
         friction = network.friction(q, torch.ones_like(q)).numpy()
@@ -455,7 +456,7 @@ def test_plain_network_learns_what_it_is_compared_by():
     before = network.accelerations(q, v, tau)
     # To rounding.
     assert (network.accelerations(q + 2.0 * np.pi, v, tau) - before).abs().max() < 1e-12
-    fit(network, config, train)
+    MachineProblem(network, config, train).fit()
     found, still = (score(what, test, [0.5], 0.25, 1.0).horizons[0.5]
                     for what in (predicted_by(network), constant_velocity))
     assert found < 0.2 * still
@@ -470,7 +471,7 @@ def test_stage_may_have_a_rate_of_its_own():
             'windows': [{'duration': 0.02, 'steps': 2, 'learning_rate': rate}]}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
         first = torch.nn.utils.parameters_to_vector(network.parameters()).detach().clone()
-        fit(network, config, motions)
+        MachineProblem(network, config, motions).fit()
         after = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
         moved.append(float((after - first).abs().max()))
     # Adam moves no number by more than about its rate in a step: first one of 0.01, then two of

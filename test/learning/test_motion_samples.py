@@ -7,9 +7,9 @@ from hnn_vi_ros.learning.data.motion_arrays import ArraysData
 from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.data.motion_logs import LogMotions, read_log_motions
 from hnn_vi_ros.learning.data.motion_samples import increasing, unexplained, unwound
-from hnn_vi_ros.learning.data.motion_sources import read_motions
 from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, MotionData
-from hnn_vi_ros.learning.fit.machine_training import scales_of
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.machine import scales_of
 import numpy as np
 import pytest
 from test_bag_data import array, write

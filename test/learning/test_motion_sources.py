@@ -9,8 +9,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.data.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.data.motion_sources import guessed, read_motions
-from hnn_vi_ros.learning.fit.machine_config import MachineConfig
+from hnn_vi_ros.learning.data.sources import guessed, read_motions
+from hnn_vi_ros.learning.fit.config import MachineConfig
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message

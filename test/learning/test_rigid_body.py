@@ -8,11 +8,12 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.motions import Motion, smoothed
+from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.machine_config import MachineConfig, Trajectory
+from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
-from hnn_vi_ros.learning.machine_train import learn
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest

@@ -6,8 +6,7 @@ import json
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.learning.fit.config import find_config
-from hnn_vi_ros.learning.fit.machine_config import load_machine
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.studies.machine_tables import CASES, NETWORKS
 import numpy as np

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated arm: that its messages are those of a robot, and how long one is followed."""
 
-from hnn_vi_ros.learning.data.motion_sources import read_motions
-from hnn_vi_ros.learning.data.motions import smoothed
-from hnn_vi_ros.learning.fit.config import find_config
-from hnn_vi_ros.learning.fit.machine_config import load_machine
-from hnn_vi_ros.learning.fit.machine_training import split_motions
+from hnn_vi_ros.learning.data.motions import smoothed, split_motions
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.learning.judging.energy_account import balance
 from hnn_vi_ros.studies import simulated_arm
 from hnn_vi_ros.studies.simulated_arm import (

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of a body that turns, from arrays in an .npz file, as tensors."""
+"""BodyMotions of a body that turns, from arrays in an .npz file, as tensors."""
 
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -59,7 +59,7 @@ class BodyWindows(StrictModel):
 BodyData = BodyArrays | BodyWindows
 
 
-class Motions(NamedTuple):
+class BodyMotions(NamedTuple):
     """
     M motions of T instants, one after another in the last but one axis of each.
 
@@ -79,7 +79,7 @@ class Motions(NamedTuple):
     u: torch.Tensor
     interval: float
 
-    def windows(self, count: int) -> 'Motions':
+    def windows(self, count: int) -> 'BodyMotions':
         """Return all windows of ``count`` intervals, overlapping, as motions."""
         length = len(self.R)
         if count >= length:
@@ -87,10 +87,11 @@ class Motions(NamedTuple):
                             f'{length - 1}; lower windows')
         parts = (torch.cat([part[i:length - count + i][:, None] for i in range(count + 1)], dim=1)
                  for part in self[:4])
-        return Motions(*(part.transpose(0, 1).flatten(1, 2) for part in parts), self.interval)
+        return BodyMotions(*(part.transpose(0, 1).flatten(1, 2) for part in parts), self.interval)
 
 
-def read_bodies(path: Path, data: BodyData, kind: str) -> tuple[list[Motions], list[Motions], str]:
+def read_bodies(path: Path, data: BodyData, kind: str
+                ) -> tuple[list[BodyMotions], list[BodyMotions], str]:
     """
     Read motions to learn from, and to judge by.
 
@@ -105,7 +106,7 @@ def read_bodies(path: Path, data: BodyData, kind: str) -> tuple[list[Motions], l
 
     Returns
     -------
-    list of Motions, list of Motions and str
+    list of BodyMotions, list of BodyMotions and str
         The two, and what they are, for the model card.
 
     Raises
@@ -124,7 +125,7 @@ def read_bodies(path: Path, data: BodyData, kind: str) -> tuple[list[Motions], l
 
 
 def _of_windows(path: Path, arrays: dict[str, np.ndarray], key: str, data: BodyWindows, kind: str
-                ) -> Motions:
+                ) -> BodyMotions:
     table = _array(path, arrays, key)
     if table.ndim < 2 or data.time_axis >= table.ndim - 1:
         raise DataError(f'{path}: {key} has shape {table.shape}, expected an axis '
@@ -141,7 +142,7 @@ def _of_windows(path: Path, arrays: dict[str, np.ndarray], key: str, data: BodyW
 
 
 def _of_runs(path: Path, arrays: dict[str, np.ndarray], data: BodyArrays, kind: str
-             ) -> tuple[list[Motions], list[Motions]]:
+             ) -> tuple[list[BodyMotions], list[BodyMotions]]:
     runs = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == data.time]
     if not runs:
         raise DataError(f'{path}: no key {data.time}, nor any RUN/{data.time}; it has '
@@ -156,15 +157,15 @@ def _of_runs(path: Path, arrays: dict[str, np.ndarray], data: BodyArrays, kind: 
             (test if run in data.test_runs else train).append(motion)
         else:
             end = 4 * len(motion.R) // 5
-            train.append(Motions(*(part[:end] for part in motion[:4]), motion.interval))
-            test.append(Motions(*(part[end:] for part in motion[:4]), motion.interval))
+            train.append(BodyMotions(*(part[:end] for part in motion[:4]), motion.interval))
+            test.append(BodyMotions(*(part[end:] for part in motion[:4]), motion.interval))
     if not train:
         raise DataError(f'{path}: data.test_runs leave nothing to learn from')
     return train, test
 
 
 def _of_run(path: Path, arrays: dict[str, np.ndarray], data: BodyArrays, kind: str, run: str
-            ) -> Motions:
+            ) -> BodyMotions:
     t = _array(path, arrays, run + data.time)
     q, v = _array(path, arrays, run + data.q), _array(path, arrays, run + data.v)
     u = np.empty((t.size, 0)) if data.tau is None else _array(path, arrays, run + data.tau)
@@ -194,7 +195,7 @@ def _array(path: Path, arrays: dict[str, np.ndarray], key: str) -> np.ndarray:
 
 
 def _motions(name: str, x: np.ndarray, attitude: np.ndarray, v: np.ndarray, u: np.ndarray,
-             interval: float) -> Motions:
+             interval: float) -> BodyMotions:
     if attitude.shape[-1] == 4:
         R = turn_matrices(attitude.reshape(-1, 4))[0]
     else:
@@ -211,4 +212,4 @@ def _motions(name: str, x: np.ndarray, attitude: np.ndarray, v: np.ndarray, u: n
     left, _, right = np.linalg.svd(R[off])
     R[off] = left @ right
     R = R.reshape(*attitude.shape[:-1], 3, 3)
-    return Motions(*map(torch.tensor, (x, R, v, u)), interval)
+    return BodyMotions(*map(torch.tensor, (x, R, v, u)), interval)

@@ -83,9 +83,14 @@ class Dataset:
         return self
 
     @property
+    def motion(self) -> np.ndarray:
+        """Return the number of the motion that each row is of, shape (N,)."""
+        return self.block if self.trajectory is None else self.trajectory
+
+    @property
     def box(self) -> Box:
         """Bounds of all states."""
-        return Box(q=_bounds(self.q), p=_bounds(self.p))
+        return Box.of(self.q, self.p)
 
     def split(self, fraction: float, seed: int) -> tuple['Dataset', 'Dataset']:
         """Split off about this fraction of the blocks, at least one, at random by the seed."""
@@ -123,9 +128,8 @@ class Dataset:
         """
         found = []
         if self.t is not None:
-            numbers = self.block if self.trajectory is None else self.trajectory
-            for number in np.unique(numbers):
-                rows = np.flatnonzero(numbers == number)
+            for number in np.unique(self.motion):
+                rows = np.flatnonzero(self.motion == number)
                 first = self.t[rows]
                 near = UNEVENNESS * np.median(np.diff(first)) if len(rows) > 1 else 0.0
                 times = first[:, None] + step_size * np.arange(count)
@@ -139,10 +143,6 @@ class Dataset:
                             f'{step_size:g} s, as the loss needs; give data sampled at times of '
                             'which step_size is a multiple, such as exact data with a trajectory')
         return windows
-
-
-def _bounds(values: np.ndarray) -> list[list[float]]:
-    return np.stack([values.min(axis=0), values.max(axis=0)], axis=-1).tolist()
 
 
 def mass_matrix(mass: Mass | None, d: int) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from hashlib import sha256
 import os
 from pathlib import Path
+from typing import Literal
 import zipfile
 import zlib
 
@@ -23,6 +24,7 @@ NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, zipfile.BadZip
 class ArraysData(MotionData):
     """Arrays of an .npz file: of one run, or of several, each with its name before the key."""
 
+    kind: Literal['arrays'] = 'arrays'
     path: str = Field('', description='the file; or given on the command line')
     runs: list[str] = Field([], description=(
         'the runs to take, RUN of the keys RUN/t, RUN/q, ...; none for all'))

@@ -18,6 +18,7 @@ EFFORT, NONE = 'effort', 'none'
 class BagMotions(MotionData):
     """Joint states in bags, each bag a run; joints in any order, and others beside them."""
 
+    kind: Literal['bag'] = 'bag'
     paths: list[str] = Field([], description='bags: folders or files; or given by --data')
     joints: list[str] = Field([], description=(
         'names of the joints, one a coordinate; none: those of the coordinates'))

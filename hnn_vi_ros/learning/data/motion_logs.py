@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 class LogMotions(MotionData):
     """Columns of a text file, of one run or of several that a column numbers."""
 
+    kind: Literal['log'] = 'log'
     path: str = Field('', description='the log; or given by --data')
     delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] = 'whitespace'
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')

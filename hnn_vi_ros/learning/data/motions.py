@@ -50,6 +50,8 @@ class MotionData(StrictModel):
     inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
         'what forces do between samples: go over into each other, or each is held until the '
         'next; default: held for topics of commands, else interpolated'))
+    test_runs: list[str] = Field([], description=(
+        'runs to judge the model by; none: the last fifth of each run in time'))
 
 
 class MeasuredRun(NamedTuple):
@@ -159,7 +161,7 @@ class Motion:
         return float(self.t[1] - self.t[0])
 
 
-def as_motions(runs: Sequence[MeasuredRun], data: MotionData, name: str, digest: str
+def as_motions(runs: Sequence[MeasuredRun], data: MotionData, name: str, digest: str = ''
                ) -> tuple[list[Motion], str]:
     """Return runs as motions at even times, and what they are and lack, for the model card."""
     bad = Bad()
@@ -173,7 +175,8 @@ def as_motions(runs: Sequence[MeasuredRun], data: MotionData, name: str, digest:
                         'the interval of most runs; give runs that last longer')
     counts = f'; {bad}' if str(bad) else ''
     samples = sum(len(motion.t) for motion in motions)
-    return motions, f'{name} ({samples} samples, sha256 {digest}{counts})'
+    known = f', sha256 {digest}' if digest else ''
+    return motions, f'{name} ({samples} samples{known}{counts})'
 
 
 class _Pieces(NamedTuple):
@@ -340,3 +343,20 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
 def steps_between(spacing: float, step_size: float) -> int:
     """Return how many steps of about a size [s], or less, make the interval of samples [s]."""
     return max(1, math.ceil(spacing / step_size - _CLOCK))
+
+
+def split_motions(motions: Sequence[Motion], test_runs: Sequence[str]
+                  ) -> tuple[list[Motion], list[Motion]]:
+    """Return what to learn from, and what to judge by: runs, or the last fifth of each."""
+    if test_runs:
+        return ([motion for motion in motions if run_of(motion) not in test_runs],
+                [motion for motion in motions if run_of(motion) in test_runs])
+    ends = [4 * len(motion.t) // 5 for motion in motions]
+    return ([part_of(motion, slice(None, end)) for motion, end in zip(motions, ends, strict=True)],
+            [part_of(motion, slice(end, None)) for motion, end in zip(motions, ends, strict=True)])
+
+
+def part_of(motion: Motion, rows: slice) -> Motion:
+    """Return some samples of a motion."""
+    return replace(motion, **{name: values[rows] for name, values in vars(motion).items()
+                              if isinstance(values, np.ndarray)})

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sources of training data, by their kind."""
+"""Training data from wherever a configuration or a command line says that they are."""
 
 from collections.abc import Sequence
 import os
@@ -12,9 +12,17 @@ from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
 from hnn_vi_ros.learning.data.measured_log import MeasuredData, read_measured_log
+from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.motion_logs import LogMotions, read_log_motions
+from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
+import numpy as np
 from pydantic import Field
 
 Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]
+MotionSource = ArraysData | BagMotions | LogMotions
+# Of files that are no bag and no log.
+_ARRAYS = '.npz'
 
 
 def dimension(data: Source) -> int:
@@ -24,9 +32,9 @@ def dimension(data: Source) -> int:
     return len(data.box.q if isinstance(data, ExactData) else data.q)
 
 
-def make_dataset(data: Source, seed: int, config: Path, given: Sequence[str] = ()) -> Dataset:
+def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = ()) -> Dataset:
     """
-    Sample or read the data of a training configuration.
+    Sample or read states and their rates of change.
 
     Parameters
     ----------
@@ -34,11 +42,11 @@ def make_dataset(data: Source, seed: int, config: Path, given: Sequence[str] = (
         What to learn from.
     seed : int
         Of samples.
-    config : Path
-        The file of the configuration; a relative ``data.path`` is looked up beside it, then in
-        the working directory, and so are ``data.paths``.
+    source : Path
+        The file of the configuration; relative paths of the data are looked up beside it, then in
+        the working directory.
     given : sequence of str
-        Files in place of ``data.path`` or ``data.paths``.
+        Files in place of those of the data.
 
     Raises
     ------
@@ -48,24 +56,103 @@ def make_dataset(data: Source, seed: int, config: Path, given: Sequence[str] = (
     """
     if isinstance(data, ExactData):
         if given:
-            raise DataError(f'{config}: its data is exact, so --data {given[0]} has no use; '
+            raise DataError(f'{source}: its data is exact, so --data {given[0]} has no use; '
                             'leave it')
         return sample_exact(data, seed)
     if isinstance(data, BagData):
-        if not (given or data.paths):
-            raise DataError(f'{config}: data.paths is empty; pass bags with --data BAG ...')
-        return read_bags([Path(path) for path in given] or [
-            _beside(config, path) for path in data.paths], data)
+        return read_bags(bags_of(source, data.paths, given), data)
+    hint = f', which is {data.source}' if data.source else ''
+    return read_measured_log(one_file(source, data.path, given, hint), data)
+
+
+def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: Sequence[str] = ()
+                 ) -> tuple[list[Motion], str]:
+    """
+    Read measured motions.
+
+    Parameters
+    ----------
+    source, given
+        See make_dataset; ``FILE:RUN,RUN`` for some runs of arrays.
+    data : ArraysData, BagMotions or LogMotions
+        Their format.
+    names : sequence of str
+        Of the coordinates.
+
+    Returns
+    -------
+    list of Motion and str
+        The motions, which share one interval, and a description of them.
+
+    Raises
+    ------
+    DataError
+        They cannot be read.
+
+    """
+    if isinstance(data, BagMotions):
+        return read_bag_motions(bags_of(source, data.paths, given), data, names)
+    file = one_file(source, data.path, given)
+    if isinstance(data, LogMotions):
+        return read_log_motions(file, data)
+    path, runs = split_runs(str(file)) if given else (file, [])
+    return read_arrays(path, data, len(names), runs)
+
+
+def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[Motion], str]:
+    """
+    Return states and rates as measured motions, with commands for forces.
+
+    Raises
+    ------
+    DataError
+        They have no times, or no motion has enough samples in a row.
+
+    """
+    if dataset.t is None:
+        raise DataError(f'{dataset.description}: no motions, but single states; give data with '
+                        'times, such as exact data with a trajectory')
+    runs = []
+    for number in np.unique(dataset.motion):
+        rows = dataset.rows(dataset.motion == number)
+        assert rows.t is not None, 'checked above'
+        runs.append(MeasuredRun(
+            str(number), f'{dataset.description}: motion {number}', rows.t, rows.q, rows.dq_dt,
+            rows.commands, held=rows.commands is not None))
+    return as_motions(runs, data, dataset.description)
+
+
+def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> Path:
+    """Return the one file of some data: that given, or that of a configuration; or DataError."""
     if len(given) > 1:
-        raise DataError(f'{config}: its data is one measured log, but --data has {len(given)} '
-                        'files; join them, and number them in a column data.trial')
-    if not (given or data.path):
-        source = f', which is {data.source}' if data.source else ''
-        raise DataError(f'{config}: data.path is empty; pass the log with --data FILE{source}')
-    return read_measured_log(Path(given[0]) if given else _beside(config, data.path), data)
+        raise DataError(f'{source}: its data are one file, but --data has {len(given)}; join '
+                        'them')
+    if not (given or path):
+        raise DataError(f'{source}: data.path is empty; pass the file with --data FILE{hint}')
+    return Path(given[0]) if given else _beside(source, path)
 
 
-def _beside(config: Path, path: str) -> Path:
+def bags_of(source: Path, paths: Sequence[str], given: Sequence[str]) -> list[Path]:
+    """Return the bags of some data: those given, or those of a configuration; or DataError."""
+    if not (given or paths):
+        raise DataError(f'{source}: data.paths is empty; pass bags with --data BAG ...')
+    return [Path(path) for path in given] or [_beside(source, path) for path in paths]
+
+
+def _beside(source: Path, path: str) -> Path:
     """Return a file beside the configuration if it is there, else as it is named."""
-    beside = config.parent / path
+    beside = source.parent / path
     return beside if os.path.exists(beside) else Path(path)
+
+
+def guessed(path: str) -> ArraysData | BagMotions:
+    """Return the format of a file that nothing else is said of: arrays or a bag; or DataError."""
+    file, _ = split_runs(path)
+    if file.suffix == _ARRAYS:
+        return ArraysData()
+    if file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml'):
+        return BagMotions()
+    if not os.path.exists(file):
+        raise DataError(f'{file}: no such file; give a bag, or an .npz file of arrays')
+    raise DataError(f'{file}: expected a bag, or an .npz file of arrays; of a text file, name the '
+                    'columns in the data of a training configuration, and give that with --config')

@@ -22,7 +22,7 @@ _ROOM, _UNLIMITED = 0.4, 1.5
 class ExcitationData(MotionData):
     """Each joint of the URDF along a sum of sines; forces by its H, its damping and friction."""
 
-    kind: Literal['excitation']
+    kind: Literal['excitation'] = 'excitation'
     runs: int = Field(5, ge=1, le=1000)
     duration: float = Field(10.0, gt=0.0, le=1000.0, description='of each run [s]')
     interval: float = Field(0.005, gt=0.0, description='from one sample to the next [s]')

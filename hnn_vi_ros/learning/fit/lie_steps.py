@@ -10,13 +10,12 @@ recorded, and has the derivatives of the solution (the implicit function theorem
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
+from hnn_vi_ros.learning.families.choices import LieMethod, RetractionName
 from hnn_vi_ros.learning.families.newton import newton
 import torch
 
-MethodName = Literal['lie_leapfrog', 'lie_variational_euler']
-RetractionName = Literal['cayley', 'exponential']
 # |x|^2 / 4 below which coefficients are those at it: what they are multiplied by is |x|^2.
 _LEAST = 1e-8
 # x cross, row by row, of x along each axis.
@@ -118,7 +117,7 @@ class LieSteps:
 
     """
 
-    def __init__(self, body: Body, method: MethodName, retraction: RetractionName,
+    def __init__(self, body: Body, method: LieMethod, retraction: RetractionName,
                  step_size: float):
         self._body, self._h = body, step_size
         self._tau = RETRACTIONS[retraction]

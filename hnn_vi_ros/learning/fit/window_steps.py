@@ -18,15 +18,15 @@ of the solution by all else (the implicit function theorem).
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
+from hnn_vi_ros.learning.families.choices import WindowMethod
 from hnn_vi_ros.learning.families.linearised import Linearised
 from hnn_vi_ros.learning.families.newton import ENOUGH, newton
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.fit.steps import nodes
 import torch
 
-MethodName = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
 # Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the
 # first guesses are worse, and more memory is taken. And steps after which each is taken alone.
 _AT_ONCE, _PATIENCE = 4096, 12
@@ -79,7 +79,7 @@ def _method(integrator: str) -> Method:
     return Method(before, [*inner, (a, b, g + before, e)], after)
 
 
-METHODS: dict[MethodName, Method] = {
+METHODS: dict[WindowMethod, Method] = {
     name: _method(name) for name in ('implicit_midpoint', 'variational_euler',
                                      'generalized_leapfrog')}
 
@@ -202,7 +202,7 @@ class Solutions:
         return found
 
 
-def simulated(machine: Machine, method: MethodName, q: torch.Tensor, v: torch.Tensor,
+def simulated(machine: Machine, method: WindowMethod, q: torch.Tensor, v: torch.Tensor,
               forces: torch.Tensor, h: float, guess: torch.Tensor | None = None,
               solutions: Solutions | None = None) -> States:
     """

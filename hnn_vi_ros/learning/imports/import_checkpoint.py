@@ -23,7 +23,7 @@ import shlex
 from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
-from hnn_vi_ros.learning.fit.config import find_config, load_config
+from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.imports.import_body import BODIES, body_networks
 from hnn_vi_ros.learning.imports.state_dict import read_layers, read_networks
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
@@ -185,6 +185,9 @@ def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, comma
     else:
         config = find_config(arguments.box_of)
         loaded = load_config(config)
+        if not isinstance(loaded, FieldConfig):
+            raise ParameterError(f'--box-of {arguments.box_of}: its data hold no momenta; give '
+                                 '--box')
         box = make_dataset(loaded.data, loaded.seed, config).box
     try:
         return ModelCard(

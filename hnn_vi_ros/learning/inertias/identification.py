@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import low_pass, Motion
+from hnn_vi_ros.learning.families.choices import Inverse, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.fit.machine_config import Inverse, MachineConfig, Trajectory
-from hnn_vi_ros.learning.fit.machine_losses import (
-    acceleration_errors, samples_of, window_errors, Windows)
-from hnn_vi_ros.learning.fit.machine_training import windows_of
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import (
+    acceleration_errors, samples_of, window_errors, Windows, windows_of)
 from hnn_vi_ros.learning.fit.window_steps import Solutions
 from hnn_vi_ros.learning.inertias.rigid_body import fit_errors, spread
 from hnn_vi_ros.learning.inertias.unknowns import Unknowns

@@ -11,12 +11,11 @@ form of the Levenberg-Marquardt method.
 from collections.abc import Callable, Sequence
 
 from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.fit.machine_config import Trajectory
-from hnn_vi_ros.learning.fit.machine_losses import (
-    acceleration_errors, Samples, samples_of, window_errors, Windows)
-from hnn_vi_ros.learning.fit.machine_training import scales_of, windows_of
+from hnn_vi_ros.learning.fit.machine import (
+    acceleration_errors, Samples, samples_of, scales_of, window_errors, Windows, windows_of)
 from hnn_vi_ros.learning.fit.window_steps import Solutions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.planar_chain import CHAINS

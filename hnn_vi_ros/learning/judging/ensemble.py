@@ -2,60 +2,51 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles: resampled data, members in one model, and what their spread tells of errors."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError
+from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
-from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.data.motions import MIN_SAMPLES, Motion, part_of
+from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.mechanical_card import MOST_MEMBERS
-from hnn_vi_ros.models.model_card import averaged_families, EnsembleCard
+from hnn_vi_ros.models.mechanical_card import mean_card, MOST_MEMBERS
+from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
+from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.ensemble import simulate_many
+from hnn_vi_ros.run.members import Members
 from hnn_vi_ros.run.spread import deviation, member_scenes
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation.build import build
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-# Motions by which the factor is found, and as many by which it is checked.
-_MOTIONS = 500
-# Samples after the first one of each, and steps from one to the next.
-_SAMPLES, _STEPS = 20, 2
+# Of measured data, the share that no member is trained on; the spread is calibrated on it.
+HELD_OUT = 0.2
+# Blocks of time that motions of machines are cut into, and the fewest that can be resampled.
+_BLOCKS, _FEWEST_BLOCKS = 20, 5
+# Fewer simulations than this tell nothing of 90 %.
+_FEWEST = 20
+# Of a field: motions by which the factors are found, and as many by which they are checked;
+# samples after the first one of each, and steps from one to the next.
+_MOTIONS, _SAMPLES, _STEPS = 500, 20, 2
 # Steps of the exact motions from one sample to the next, and how far out of the training domain
 # they are followed, in its half-widths: some systems have no bound.
 _FINE, _OUTMOST = 50, 1.5
-# Fewer motions than this tell nothing of 90 %.
-_FEWEST = 20
-# Of measured data, the share that no member is trained on.
-_HELD_OUT = 0.2
-
-
-class Held(NamedTuple):
-    """
-    Motions that training has not seen.
-
-    Parameters
-    ----------
-    t : np.ndarray, shape (K + 1,)
-        Times from 0 on [s].
-    q, p : np.ndarray, shape (K + 1, M, d)
-        What they are.
-    inside : np.ndarray of bool, shape (K + 1, M)
-        Up to where each stays in the training domain.
-
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    p: np.ndarray
-    inside: np.ndarray
+# Of a machine: the longest duration of simulations and the time between their starts [s], their
+# instants, and how many there are at most.
+_HORIZON, _EVERY, _INSTANTS, _MOST = 0.5, 0.05, 20, 200
+# Commands hold to the end of the simulation [s].
+_FOREVER = 1e9
 
 
 def check_count(count: int) -> None:
@@ -64,13 +55,9 @@ def check_count(count: int) -> None:
         raise ParameterError(f'--ensemble {count}: expected 2 to {MOST_MEMBERS} members')
 
 
-def check_ensemble(config: TrainingConfig, count: int) -> None:
-    """Raise ParameterError if no ensemble of so many can be trained by a configuration."""
-    check_count(count)
-    if not FAMILIES[config.family.kind].averaged:
-        raise ParameterError(
-            f'--ensemble: models of the family {config.family.kind} have momenta or forces of '
-            f'their own, whose mean means nothing; families: {", ".join(averaged_families())}')
+def _drawn(count: int, seed: int) -> np.ndarray:
+    """Return as many numbers of blocks, drawn with replacement: a block bootstrap."""
+    return np.random.default_rng([seed, 1]).choice(count, count)
 
 
 def resampled(dataset: Dataset, seed: int) -> Dataset:
@@ -80,53 +67,109 @@ def resampled(dataset: Dataset, seed: int) -> Dataset:
     Copies of a block stay one block, which a split keeps together, and are motions of their own.
     """
     blocks = np.unique(dataset.block)
-    drawn = np.random.default_rng([seed, 1]).choice(blocks, len(blocks))
     order = np.argsort(dataset.block, kind='stable')
-    first = np.searchsorted(dataset.block[order], drawn)
-    behind = np.searchsorted(dataset.block[order], drawn, side='right')
+    drawn = blocks[_drawn(len(blocks), seed)]
+    first, behind = (np.searchsorted(dataset.block[order], drawn, side=side)
+                     for side in ('left', 'right'))
     rows = [order[a:b] for a, b in zip(first, behind, strict=True)]
-    chosen = np.concatenate(rows)
-    copy = np.repeat(np.arange(len(rows)), [len(part) for part in rows])
-    motions = dataset.block if dataset.trajectory is None else dataset.trajectory
-    _, trajectory = np.unique(np.column_stack([copy, motions[chosen]]), axis=0,
+    chosen, copy = np.concatenate(rows), np.repeat(np.arange(len(rows)), [*map(len, rows)])
+    _, trajectory = np.unique(np.column_stack([copy, dataset.motion[chosen]]), axis=0,
                               return_inverse=True)
     return replace(dataset.rows(chosen), trajectory=trajectory.ravel()).checked()
 
 
-def combined(members: Sequence[Checkpoint], dataset: Dataset, name: str) -> Checkpoint:
-    """Return members as one model, whose box is that of all data; its losses are their means."""
-    cards = [member.card for member in members]
-    losses = {key: float(np.mean([card.losses[key] for card in cards])) for key in cards[0].losses}
-    card = cards[0].model_copy(update={
-        'name': name, 'box': dataset.box, 'losses': losses, 'energy_error': None,
-        'ensemble': EnsembleCard(members=cards)})
-    return Checkpoint(card, {}, members=tuple(members))
+def resampled_blocks(blocks: Sequence[Motion], seed: int) -> list[Motion]:
+    """Return a block bootstrap of motions, in their order."""
+    return [blocks[k] for k in sorted(_drawn(len(blocks), seed))]
 
 
-def held_out(config: TrainingConfig, dataset: Dataset) -> tuple[Dataset, Dataset | None]:
-    """Return what to train on, and what not to, by which the spread is calibrated."""
+def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | None]:
+    """Return data to train on, and data to calibrate by; None where those are drawn anew."""
     if isinstance(config.data, ExactData) or dataset.t is None:
         return dataset, None
-    return dataset.split(_HELD_OUT, config.seed)
+    return dataset.split(HELD_OUT, config.seed)
 
 
-def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | None) -> Checkpoint:
+def kept_and_held(motions: Sequence[Motion], config: MachineConfig
+                  ) -> tuple[list[Motion], list[Motion]]:
+    """
+    Return blocks of motions to train members on, and a fifth of the blocks, for calibration.
+
+    A block is a motion, or a part of one that lasts about a twentieth of all of them, but not
+    less than 1 s or twice the longest window of the loss.
+
+    Raises
+    ------
+    DataError
+        There are not even five blocks.
+
+    """
+    loss = config.loss_of(all(motion.accelerations for motion in motions))
+    stages = loss.windows if isinstance(loss, Trajectory) else []
+    least = 2.0 * max([_HORIZON, *(stage.duration for stage in stages)])
+    lengths = [len(motion.t) * motion.spacing for motion in motions]
+    length = max(least, sum(lengths) / _BLOCKS, MIN_SAMPLES * motions[0].spacing)
+    blocks = [part_of(motion, slice(rows[0], rows[-1] + 1))
+              for motion, time in zip(motions, lengths, strict=True)
+              for rows in np.array_split(
+                  np.arange(len(motion.t)), max(1, int(time / length * (1.0 + 1e-12))))]
+    if len(blocks) < _FEWEST_BLOCKS:
+        raise DataError(f'--ensemble: the motions to learn from make {len(blocks)} blocks of '
+                        f'{length:.3g} s, expected at least {_FEWEST_BLOCKS}; record for longer, '
+                        'or train one model')
+    order = np.random.default_rng(config.seed).permutation(len(blocks))
+    held = round(HELD_OUT * len(blocks))
+    return [blocks[k] for k in sorted(order[held:])], [blocks[k] for k in sorted(order[:held])]
+
+
+def combined(members: Sequence[Checkpoint], name: str, box: Box | None = None) -> Checkpoint:
+    """Return members as one model, of means of their losses; its box is given, or their mean."""
+    cards = [member.card for member in members]
+    losses = {key: float(np.mean([card.losses[key] for card in cards if key in card.losses]))
+              for key in cards[0].losses}
+    mechanical = [card.mechanical for card in cards if card.mechanical is not None]
+    return Checkpoint(cards[0].model_copy(update={
+        'name': name, 'losses': losses, 'energy_error': None,
+        'mechanical': mean_card(mechanical) if mechanical else None,
+        'box': box or Box(q=cards[0].box.q,
+                          p=np.mean([card.box.p for card in cards], axis=0).tolist()),
+        'ensemble': EnsembleCard(members=cards)}), {}, members=tuple(members))
+
+
+class Calibration(NamedTuple):
+    """
+    Scores of an ensemble on motions that no member has seen.
+
+    A score is abs(x - mean) / deviation of a coordinate or momentum at an instant.
+
+    Parameters
+    ----------
+    scores, others : np.ndarray, shape (n, 2 d)
+        Those that factors are found by, and those that they are checked by.
+    source : str
+        Where they come from, for the model card.
+
+    """
+
+    scores: np.ndarray
+    others: np.ndarray
+    source: str
+
+
+def calibrated(checkpoint: Checkpoint, find: Callable[[], Calibration]) -> Checkpoint:
     """
     Return an ensemble whose card tells by what its spread is multiplied (split conformal).
 
-    With the score s = abs(x - mean) / deviation of a coordinate or momentum at each instant of
-    held-out motions, its factor is the least of them that the share ``level`` does not exceed.
-    They are found on one half of the motions; on the other the share is counted that the bands
-    cover. Where that cannot be done there are no factors, and the card says why.
+    The factor of a coordinate or momentum is the least of its scores that the share ``level``
+    of them does not exceed; on the other scores the share is counted that the bands cover. Where
+    that cannot be done there are no factors, and the card says why.
 
     Parameters
     ----------
     checkpoint : Checkpoint
         The ensemble.
-    config : TrainingConfig
-        How it was trained.
-    test : Dataset or None
-        Measured data that training has not seen; exact data are drawn anew.
+    find : callable
+        Returns the scores.
 
     References
     ----------
@@ -134,39 +177,18 @@ def calibrated(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | N
     Inference for Regression, JASA 2018.
 
     """
-    return with_calibration(checkpoint, lambda: _calibration(checkpoint, config, test))
-
-
-def with_calibration(checkpoint: Checkpoint, find: Callable[[], dict[str, object]]) -> Checkpoint:
-    """Return an ensemble with what is found of its spread on its card, or why nothing is."""
+    ensemble = checkpoint.card.ensemble
+    assert ensemble is not None, 'an ensemble has its card'
     try:
         found = find()
+        factors = conformal_factors(found.scores, ensemble.level)
+        update = {'factors': factors, 'coverage': float((found.others <= factors).mean()),
+                  'calibration': found.source}
     except HnnViRosError as problem:
         # What was trained is a model all the same, and says so.
-        found = {'calibration': f'none: {problem}'[:1000]}
-    assert checkpoint.card.ensemble is not None, 'an ensemble has its card'
-    ensemble = checkpoint.card.ensemble.model_copy(update=found)
-    return replace(checkpoint, card=checkpoint.card.model_copy(update={'ensemble': ensemble}))
-
-
-def _calibration(checkpoint: Checkpoint, config: TrainingConfig, test: Dataset | None
-                 ) -> dict[str, object]:
-    if isinstance(config.data, ExactData):
-        held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2)
-    else:
-        held = None if test is None else _held_measured(checkpoint, test)
-    count = 0 if held is None else held.q.shape[1]
-    if held is None or count < _FEWEST:
-        raise DataError(f'{count} held-out motions of H alone, expected at least {_FEWEST}')
-    scores = scores_of(checkpoint, held)
-    level = checkpoint.card.ensemble.level
-    order = np.random.default_rng(config.seed).permutation(count)
-    first, second = np.split(order, [count // 2])
-    factors = conformal_factors(scores[:, first][held.inside[1:, first]], level)
-    covered = float((scores[:, second][held.inside[1:, second]] <= factors).mean())
-    return {'factors': factors, 'coverage': covered, 'calibration': (
-        f'{len(first)} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
-        f'{len(second)} others')}
+        update = {'calibration': f'none: {problem}'[:1000]}
+    return replace(checkpoint, card=checkpoint.card.model_copy(update={
+        'ensemble': ensemble.model_copy(update=update)}))
 
 
 def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
@@ -189,36 +211,108 @@ def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
     return found
 
 
-def band_text(ensemble: EnsembleCard) -> str:
-    """Say by what the spread of a calibrated ensemble is multiplied, and what that covers."""
-    assert ensemble.factors is not None, 'it was calibrated'
-    assert ensemble.coverage is not None, 'with the factors'
+def ensemble_text(card: ModelCard) -> str:
+    """Return one sentence on what the spread of an ensemble tells; '' of one model."""
+    ensemble = card.ensemble
+    if ensemble is None:
+        return ''
+    count = f'{len(ensemble.members)} members, whose mean is judged'
+    if ensemble.factors is None or ensemble.coverage is None:
+        return f'{count}; their spread was not calibrated ({ensemble.calibration})'
     factors = ', '.join(f'{factor:.3g}' for factor in ensemble.factors)
-    return (f'bands of {100.0 * ensemble.level:g} %: {factors} times the spread of q and p, which '
-            f'covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+    return (f'{count}; bands of {100.0 * ensemble.level:g} %: {factors} times the spread of q and '
+            f'p, which covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+
+
+@contextmanager
+def drafted(checkpoint: Checkpoint) -> Iterator[str]:
+    """Write a model to a temporary file, from which scenes and effects read it."""
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter('ignore', AlarmWarning)
+        draft = Path(folder) / 'draft.safetensors'
+        save_checkpoint(draft, checkpoint)
+        yield str(draft)
+
+
+def _scores(error: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Return abs(error) / spread, infinite where that is not a number."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        scores = np.abs(error) / spread
+    return np.where(np.isnan(scores) | np.isinf(spread), np.inf, scores)
+
+
+class Held(NamedTuple):
+    """
+    Motions of a field that training has not seen.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (K + 1,)
+        Times from 0 on [s].
+    q, p : np.ndarray, shape (K + 1, M, d)
+        Their states.
+    inside : np.ndarray of bool, shape (K + 1, M)
+        Up to where each stays in the training domain.
+
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    inside: np.ndarray
+
+
+def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset | None
+                      ) -> Calibration:
+    """
+    Return the scores of held-out motions of H alone, one half of them for either use.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    config : FieldConfig
+        How it was trained.
+    test : Dataset or None
+        Measured data that training has not seen; exact data are drawn anew.
+
+    Raises
+    ------
+    DataError
+        There are too few.
+
+    """
+    if isinstance(config.data, ExactData):
+        held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2)
+    else:
+        held = None if test is None else _held_measured(checkpoint, test)
+    count = 0 if held is None else held.q.shape[1]
+    if held is None or count < _FEWEST:
+        raise DataError(f'{count} held-out motions of H alone, expected at least {_FEWEST}')
+    scores = scores_of(checkpoint, held)
+    halves = np.split(np.random.default_rng(config.seed).permutation(count), [count // 2])
+    first, second = (scores[:, half][held.inside[1:, half]] for half in halves)
+    return Calibration(first, second, (
+        f'{len(halves[0])} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
+        f'{len(halves[1])} others'))
 
 
 def scores_of(checkpoint: Checkpoint, held: Held) -> np.ndarray:
     """Return abs(x - mean) / deviation, shape (K, M, 2 d), behind the first instant."""
     mean, *members = simulate_held(checkpoint, held)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        scores = np.abs(np.concatenate([held.q, held.p], axis=-1) - mean) / deviation(members)
-    return np.where(np.isnan(scores), np.inf, scores)[1:]
+    return _scores(np.concatenate([held.q, held.p], axis=-1) - mean, deviation(members))[1:]
 
 
 def simulate_held(checkpoint: Checkpoint, held: Held) -> list[np.ndarray]:
-    """Return what the mean and each member do from the same states on, (K + 1, M, 2 d) each."""
-    names = [len(checkpoint.members), held.t[-1]]
-    with TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter('ignore', AlarmWarning)
-        draft = Path(folder) / 'draft.safetensors'
-        save_checkpoint(draft, checkpoint)
+    """Return motions of the mean and of each member from the same states, (K + 1, M, 2 d) each."""
+    with drafted(checkpoint) as draft:
         scene = Scene.build(
-            hamiltonian={'kind': 'learned', 'model': str(draft), 'confine': False},
+            hamiltonian={'kind': 'learned', 'model': draft, 'confine': False},
             integrator='gauss8', step_size=held.t[1] / _STEPS,
             initial_state=(held.q[0, 0], held.p[0, 0]), name=checkpoint.card.name)
-        found = [simulate_many(one, held.q[0], held.p[0], float(names[1]), samples=len(held.t) - 1)
-                 for one in (scene, *member_scenes(scene, names[0]))]
+        found = [simulate_many(one, held.q[0], held.p[0], float(held.t[-1]),
+                               samples=len(held.t) - 1)
+                 for one in (scene, *member_scenes(scene, len(checkpoint.members)))]
     return [np.concatenate([one.q, one.p], axis=-1) for one in found]
 
 
@@ -229,10 +323,11 @@ def horizon(dataset: Dataset) -> float:
     return float(2.0 * np.pi * (half / rates).max())
 
 
-def held_exact(checkpoint: Checkpoint, config: TrainingConfig, count: int, seed: int
+def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: int
                ) -> Held | None:
     """Return motions of an exact system from new states of the box; None if they are driven."""
     data = config.data
+    assert isinstance(data, ExactData), 'asked of such data alone'
     if data.commands is not None or data.damping or data.velocities:
         return None  # no motion of H alone
     drawn = data.model_copy(update={
@@ -246,9 +341,8 @@ def held_exact(checkpoint: Checkpoint, config: TrainingConfig, count: int, seed:
 def _follow(hamiltonian: Hamiltonian, z: np.ndarray, t: np.ndarray, checkpoint: Checkpoint
             ) -> np.ndarray:
     """Return the exact motions at even times, (K + 1, M, 2 d), held where they are far outside."""
-    box, d = checkpoint.card.box, z.shape[1] // 2
-    low, high = np.concatenate([box.q, box.p]).T
-    h, found = t[1] / _FINE, [z]
+    low, high = checkpoint.card.box.bounds
+    h, found, d = t[1] / _FINE, [z], z.shape[1] // 2
 
     def rates(z: np.ndarray) -> np.ndarray:
         dH_dq, dH_dp = hamiltonian.gradient(z[:, :d], z[:, d:])
@@ -266,24 +360,144 @@ def _follow(hamiltonian: Hamiltonian, z: np.ndarray, t: np.ndarray, checkpoint: 
 
 
 def _held_measured(checkpoint: Checkpoint, test: Dataset) -> Held | None:
-    """Return what was measured from the first state of each held-out block on."""
+    """Return the measured motions from the first state of each held-out block on."""
     blocks = [test.rows(test.block == block) for block in np.unique(test.block)]
-    blocks = [rows for rows in blocks if len(rows.q) > 1 and (np.diff(rows.t) > 0.0).all()]
+    blocks = [rows for rows in blocks
+              if rows.t is not None and len(rows.t) > 1 and (np.diff(rows.t) > 0.0).all()]
     if not blocks:
         return None
-    lengths = np.array([rows.t[-1] - rows.t[0] for rows in blocks])
-    T = min(horizon(test), float(np.median(lengths)))
+    times = [rows.t - rows.t[0] for rows in blocks if rows.t is not None]
+    T = min(horizon(test), float(np.median([time[-1] for time in times])))
     t = np.linspace(0.0, T, _SAMPLES + 1)
     q, p = (np.stack([
-        CubicHermiteSpline(rows.t - rows.t[0], getattr(rows, name), getattr(rows, rate))(t)
-        for rows, length in zip(blocks, lengths, strict=True) if length >= T], axis=1)
+        CubicHermiteSpline(time, getattr(rows, name), getattr(rows, rate))(t)
+        for rows, time in zip(blocks, times, strict=True) if time[-1] >= T], axis=1)
         for name, rate in (('q', 'dq_dt'), ('p', 'dp_dt')))
     return _within(checkpoint, t, q, p)
 
 
 def _within(checkpoint: Checkpoint, t: np.ndarray, q: np.ndarray, p: np.ndarray) -> Held:
-    box = checkpoint.card.box
-    low, high = np.concatenate([box.q, box.p]).T
+    low, high = checkpoint.card.box.bounds
     z = np.concatenate([q, p], axis=-1)
     inside = ((low <= z) & (z <= high)).all(axis=-1)
     return Held(t, q, p, np.logical_and.accumulate(inside, axis=0))
+
+
+def machine_calibration(checkpoint: Checkpoint, held: Sequence[Motion], test: Sequence[Motion]
+                        ) -> Calibration:
+    """
+    Return the scores of simulations of a machine from measured states.
+
+    Those of the second half of each count: at first, noise of the states outweighs how members
+    differ. Momenta are M(q) v of the mean.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    held, test : sequence of Motion
+        Blocks that no member has seen, and the motions that the model is judged by.
+
+    Raises
+    ------
+    DataError
+        There are too few simulations in the training domain.
+
+    """
+    first, second = ([scores for motion in machine_scores(checkpoint, motions)
+                      for scores in motion] for motions in (held, test))
+    if min(len(first), len(second)) < _FEWEST:
+        raise DataError(
+            f'{len(first)} and {len(second)} simulations in the training domain, of what was '
+            f'held out and of the test, expected at least {_FEWEST}')
+    return Calibration(np.concatenate(first), np.concatenate(second), (
+        f'{len(first)} simulations of {_duration(held):.3g} s from states of what was held out, '
+        f'and coverage on {len(second)} of the test motions'))
+
+
+def _duration(motions: Sequence[Motion]) -> float:
+    return min(_HORIZON, max(float(motion.t[-1] - motion.t[0]) for motion in motions))
+
+
+def machine_scores(checkpoint: Checkpoint, motions: Sequence[Motion], most: int | None = _MOST
+                   ) -> list[list[np.ndarray]]:
+    """
+    Return abs(x - mean) / deviation of simulations from measured states, with measured forces.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    motions : sequence of Motion
+        What was measured.
+    most : int, optional
+        How many simulations at most; None: all.
+
+    Returns
+    -------
+    list of list of np.ndarray, shape (instants, 2 d)
+        For each motion, of the second half of each simulation that stays in the training domain
+        until then, up to where it leaves that.
+
+    """
+    spacing = motions[0].spacing
+    every = max(1, round(_duration(motions) / (_INSTANTS * spacing)))
+    count = max(every, round(_duration(motions) / spacing) // every * every)
+    apart = max(1, round(_EVERY / spacing))
+    starts = [(k, start) for k, motion in enumerate(motions)
+              for start in range(0, len(motion.t) - count, apart)]
+    starts = [starts[k] for k in np.unique(
+        np.linspace(0, len(starts) - 1, min(most or len(starts), len(starts))).astype(int))]
+    found: list[list[np.ndarray]] = [[] for _ in motions]
+    ensemble = checkpoint.card.ensemble
+    assert ensemble is not None, 'asked of ensembles alone'
+    card = checkpoint.card.model_copy(update={
+        'ensemble': EnsembleCard(members=ensemble.members)})  # without factors
+    with drafted(replace(checkpoint, card=card)) as draft:
+        driven = any(motion.tau.any() for motion in motions)
+        scene = _scene(draft, card, spacing, driven)
+        members = Members(scene)
+        simulation = Accompanied(build(scene), [members])
+        for k, start in starts:
+            scores = _machine_scores(simulation, members, card.box, motions[k],
+                                     start + np.arange(0, count + 1, every))
+            if len(scores):
+                found[k].append(scores)
+    return found
+
+
+def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
+    effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
+    if driven:
+        assert card.mechanical is not None, 'the family has one'
+        where: dict[str, object] = {'coordinates': [one.name for one in card.coordinates]} \
+            if card.mechanical.input_map is None else {'model': model}
+        effects.append({'kind': 'external_force', 'timeout': _FOREVER, **where})
+    zero = [0.0] * len(card.coordinates)
+    return Scene.build(
+        hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
+        integrator='implicit_midpoint', step_size=spacing,
+        initial_state=(np.mean(card.box.q, axis=1).tolist(), zero), name=card.name)
+
+
+def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: Motion,
+                    rows: np.ndarray) -> np.ndarray:
+    """Return the scores of one simulation at some samples, shape (instants, 2 d)."""
+    q, v = motion.q_smooth[rows], motion.v_smooth[rows]
+    measured = np.hstack([q, momentum(simulation.hamiltonian, q, v, np.zeros_like(v))])
+    low, high = box.bounds
+    inside = np.logical_and.accumulate(((low <= measured) & (measured <= high)).all(axis=1))
+    tau, found = motion.forces, []
+    try:
+        simulation.restart(*np.split(measured[0], 2))
+        for at in range(1, int(inside.sum())):
+            for k in range(rows[at - 1], rows[at]):
+                if simulation.takes_commands:
+                    simulation.set_command(tau[k])
+                simulation.advance(1)
+            found.append(_scores(measured[at] - np.concatenate([simulation.q, simulation.p]),
+                                 members.spread))
+    except StepFailure:
+        # Of the mean: no band covers what it does not predict.
+        found += [np.full(measured.shape[1], np.inf)] * (int(inside.sum()) - 1 - len(found))
+    return np.array(found)[max(0, (len(rows) - 1) // 2 - 1):]

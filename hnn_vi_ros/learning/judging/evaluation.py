@@ -4,14 +4,17 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.run.twin import VALID
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+import torch
 
 
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
@@ -154,6 +157,22 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
     return predict
 
 
+def predicted_by(network: Network) -> Predict:
+    """Return what a network of torch predicts, by the Runge-Kutta method of order 4."""
+    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+        tau = torch.tensor(motion.forces)
+        q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
+        rows, found = torch.tensor(starts), [q]
+        with torch.no_grad():
+            for k in range(count):
+                # Beyond the end of the motion nothing is judged.
+                held = tau[torch.clamp(rows + k, max=len(tau) - 1)]
+                q, v = runge_kutta(network.accelerations, q, v, held, motion.spacing)
+                found.append(q)
+        return torch.stack(found, dim=1).numpy()
+    return predict
+
+
 def variance_of(motions: Sequence[Motion]) -> np.ndarray:
     """
     Return the variance of each coordinate over motions, shape (d,).
@@ -272,3 +291,31 @@ def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
         lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
                      f'| {mismatch or "-"} | {found.failed} |')
     return '\n'.join(lines)
+
+
+def verdict(scores: dict[str, Scores]) -> str:
+    """Return one plain sentence."""
+    said = [f'{"at least " if found.censored >= 0.5 else ""}{found.valid_prediction_time:.2g} s'
+            for found in scores.values()]
+    others = ', '.join(f'{name} {text}' for name, text in zip(
+        [*scores][1:], said[1:], strict=True))
+    return f'The model follows the machine for {said[0]} (median); {others}.'
+
+
+def as_json(scores: dict[str, Scores]) -> dict[str, Any]:
+    """Return what ``--json`` writes: the model's numbers, and the others' as its baselines."""
+    model, *others = (numbers(found) for found in scores.values())
+    return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
+
+
+def numbers(scores: Scores) -> dict[str, Any]:
+    """Return scores for JSON, which has no infinity: None for an error that has no bound."""
+    def known(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+    return {'horizons': {f'{horizon:.15g}': [known(value) for value in rms.tolist()]
+                         for horizon, rms in scores.horizons.items()},
+            'valid_prediction_time': scores.valid_prediction_time,
+            'censored': scores.censored, 'failed': scores.failed,
+            'energy_mismatch': scores.energy_mismatch and {
+                f'{horizon:.15g}': known(value)
+                for horizon, value in scores.energy_mismatch.items()}}

@@ -1,87 +1,153 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Report of a training run, beside its model: pictures, curves, and a page about it."""
+"""Reports of training and of evaluation: a page, pictures, and recordings for rerun."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 import platform
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.fit.field import Comparison
 from hnn_vi_ros.learning.fit.loop import LossHistory
-from hnn_vi_ros.learning.fit.problem import Comparison
+from hnn_vi_ros.learning.judging.evaluation import Fan
+from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_curves import write_curves
+from hnn_vi_ros.viewer.rerun_predictions import PredictedRun, write_predictions
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
 import torch
 
-_MOST_ROWS = 4  # of coordinates in the picture of the field
-_MOST_ARROWS, _MOST_POINTS = 150, 2000
+# The picture of the field: most rows of coordinates, arrows and points.
+_MOST_ROWS, _MOST_ARROWS, _MOST_POINTS = 4, 150, 2000
+# The files of an evaluation.
+REPORT, PICTURE, RECORDING = 'report.md', 'predictions.png', 'predictions.rrd'
+# Predictions begin four times while one lasts: denser ones hide one another.
+_OVERLAP = 4
+# Those of a run in a recording, and how many times as long as one the picture is.
+_MOST, _WINDOW = 80, 12.0
+# These colours are told apart by people who see no red or no green as well (Okabe, Ito).
+_COLORS = '#d55e00', '#0072b2', '#009e73', '#cc79a7'
+_INK = '#333333'
+# Room above and below what was measured, in its range; predictions may leave it.
+_ROOM = 0.25
 
 
 class Outputs(NamedTuple):
-    """The files of a run, all beside the model."""
+    """The files of a training run, all beside the model."""
 
     model: Path
     losses: Path
     curves: Path
-    field: Path
+    picture: Path
     report: Path
 
     @classmethod
-    def beside(cls, model: Path) -> 'Outputs':
-        """Return the files of a model."""
+    def beside(cls, model: Path, picture: str) -> 'Outputs':
+        """Return the files of a model, whose picture is of this name."""
         return cls(model, *(model.with_suffix(suffix) for suffix in (
-            '.loss.png', '.loss.rrd', '.field.png', '.report.md')))
+            '.loss.png', '.loss.rrd', f'.{picture}.png', '.report.md')))
 
 
-def write_report(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: LossHistory,
-                 comparison: Comparison, seconds: float, device: str) -> None:
+class Judged(NamedTuple):
     """
-    Write the pictures, the curves and the page of a run.
+    Result of judging a trained model.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The model, with the result on its card.
+    text : str
+        The result in words, to be printed.
+    page : str
+        The same for the report: Markdown.
+    draw : callable, optional
+        ``draw(path)`` writes the picture.
+
+    """
+
+    checkpoint: Checkpoint
+    text: str
+    page: str
+    draw: Callable[[Path], None] | None = None
+
+
+def page(title: str, *parts: str) -> str:
+    """Return a page of Markdown, of those of the parts that there are."""
+    return '\n\n'.join([f'# {title}', *filter(None, parts)]) + '\n'
+
+
+def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, history: LossHistory,
+                 seconds: float, device: str) -> None:
+    """
+    Write the pictures, the curves and the page of a training run.
 
     Parameters
     ----------
     outputs : Outputs
         Where to.
     config : TrainingConfig
-        How was trained.
-    card : ModelCard
+        How the model was trained.
+    judged : Judged
         What came of it.
     history : LossHistory
         How the losses fell.
-    comparison : Comparison
-        What the model says of held-out data, beside what they are.
     seconds : float
         Wall time of the training.
     device : str
         Where it ran.
 
     """
-    plot_history(history, card.name, outputs.losses)
-    write_curves(outputs.curves, card.name, {
-        'training': (history.train_step, history.train),
-        'validation': (history.validation_step, history.validation)})
-    plot_field(comparison, card, outputs.field)
-    outputs.report.write_text(
-        _page(outputs, config, card, history, comparison, seconds, device), encoding='utf-8')
+    card, pictures = judged.checkpoint.card, list[str]()
+    if judged.draw is not None:
+        judged.draw(outputs.picture)
+        pictures += [f'![{outputs.picture.name}]({outputs.picture.name})']
+    if history.train:
+        plot_history(history, card.name, outputs.losses)
+        write_curves(outputs.curves, card.name, {
+            'training': (history.train_step, history.train),
+            'validation': (history.validation_step, history.validation)})
+        pictures += [f'![Losses]({outputs.losses.name})',
+                     f'The losses as curves: `rerun {outputs.curves.name}`.']
+    facts: dict[str, Any] = {
+        'family': card.family, 'data': card.dataset, 'seed': card.seed,
+        'steps': history.train_step[-1] if history.train else 0, 'best step': history.best_step,
+        'wall time': f'{seconds:.1f} s on {device}, {platform.machine()}, torch '
+        f'{torch.__version__}', 'command': f'`{card.training_command}`',
+        **{key: f'{value:.4g}' for key, value in card.losses.items()}}
+    if card.energy_error is not None:
+        error = card.energy_error
+        facts |= {
+            f'energy error, {name} [J]': f'{value:.3g} ({interval_text(interval)}), against the '
+            f'{error.compared_with} at {error.states} states, which vary by {error.spread:.3g}'
+            for name, value, interval in (('RMS', error.rms, error.rms_interval),
+                                          ('largest', error.sup, error.sup_interval))}
+    table = '\n'.join(['| | |', '|---|---|', *(
+        f'| {key} | {value} |' for key, value in facts.items())])
+    settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
+    outputs.report.write_text(page(
+        card.name, config.description, table, judged.page, *pictures,
+        f'## Configuration\n\n```yaml\n{settings}```'), encoding='utf-8')
 
 
 def plot_history(history: LossHistory, name: str, path: Path) -> None:
-    """Write the loss curves as a PNG."""
+    """Write the loss curves as a PNG, with a line where each stage begins."""
     figure = Figure(figsize=(7.0, 4.5), layout='constrained')
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.semilogy(history.train_step, history.train, label='training, with every term')
-    axes.semilogy(history.validation_step, history.validation, '--', label='validation')
-    axes.axvline(history.adam_steps, color='0.6', linewidth=0.8)
-    axes.annotate('L-BFGS', (history.adam_steps, 0.97), (4, 0), va='top', color='0.4',
-                  xycoords=('data', 'axes fraction'), textcoords='offset points')
-    axes.set(title=name, xlabel='step (Adam, then L-BFGS)',
-             ylabel='loss [-]: squared field error / mean squared field')
+    if history.validation:
+        axes.semilogy(history.validation_step, history.validation, '--', label='validation')
+    for stage, step in history.begins.items():
+        axes.axvline(step, color='0.6', linewidth=0.8)
+        axes.annotate(stage, (step, 0.97), (4, 0), va='top', color='0.4',
+                      xycoords=('data', 'axes fraction'), textcoords='offset points')
+    axes.set(title=name, xlabel='step', ylabel='loss [-], in units of the data')
     axes.legend()
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
@@ -103,7 +169,7 @@ def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _draw_arrows(axes, comparison: Comparison, card: ModelCard, i: int) -> None:
+def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
     d, coordinate = len(card.coordinates), card.coordinates[i]
     # A loss over several steps has the first of them first.
     states = comparison.states[:_MOST_ARROWS]
@@ -124,7 +190,7 @@ def _draw_arrows(axes, comparison: Comparison, card: ModelCard, i: int) -> None:
     axes.legend(loc='upper right', framealpha=0.6)
 
 
-def _draw_residuals(axes, comparison: Comparison, card: ModelCard, i: int) -> None:
+def _draw_residuals(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
     d = len(card.coordinates)
     for k, part in enumerate(comparison.parts):
         unit = comparison.units[k * d + i]
@@ -139,25 +205,80 @@ def _draw_residuals(axes, comparison: Comparison, card: ModelCard, i: int) -> No
     axes.grid(alpha=0.3)
 
 
-def _page(outputs: Outputs, config: TrainingConfig, card: ModelCard, history: LossHistory,
-          comparison: Comparison, seconds: float, device: str) -> str:
-    facts = {
-        'family': card.family, 'data': card.dataset, 'seed': card.seed,
-        'loss': config.loss.kind, 'steps': history.train_step[-1],
-        'best step': history.best_step, 'wall time': f'{seconds:.1f} s on {device}, '
-        f'{platform.machine()}, torch {torch.__version__}',
-        'command': f'`{card.training_command}`',
-        **{key: f'{value:.4g}' for key, value in card.losses.items()}}
-    if card.energy_error is not None:
-        error = card.energy_error
-        facts |= {
-            f'energy error, {name} [J]': f'{value:.3g} ({interval_text(interval)}), against the '
-            f'{error.compared_with} at {error.states} states, which vary by {error.spread:.3g}'
-            for name, value, interval in (('RMS', error.rms, error.rms_interval),
-                                          ('largest', error.sup, error.sup_interval))}
-    rows = '\n'.join(f'| {key} | {value} |' for key, value in facts.items())
-    settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
-    return (f'# {card.name}\n\n{config.description}\n\n| | |\n|---|---|\n{rows}\n\n'
-            f'![Losses]({outputs.losses.name})\n\n![Field]({outputs.field.name})\n\n'
-            f'The losses as curves: `rerun {outputs.curves.name}`.\n\n'
-            f'## Configuration\n\n```yaml\n{settings}```\n')
+def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], horizon: float,
+                     coordinates: Sequence[Coordinate]) -> None:
+    """
+    Write the page, the picture and the recording of an evaluation.
+
+    Parameters
+    ----------
+    folder : Path
+        An empty one.
+    name : str
+        Of what was judged.
+    text : str
+        What is known of it: Markdown.
+    fans : sequence of Fan
+        Its predictions.
+    horizon : float
+        How much of each is shown [s].
+    coordinates : sequence of Coordinate
+        d of them.
+
+    """
+    runs = shown(fans, horizon)
+    draw_predictions(folder / PICTURE, name, coordinates, runs)
+    write_predictions(folder / RECORDING, name, coordinates, runs)
+    (folder / REPORT).write_text(
+        page(name, text, f'![Predictions over the measurement]({PICTURE})',
+             f'All runs: `rerun {RECORDING}`.'), encoding='utf-8')
+
+
+def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
+    """Return as many predictions, of one horizon [s] each, as can be told apart."""
+    runs = []
+    for motion, starts, q in fans:
+        last = round(horizon / motion.spacing)
+        # Of a long run only some: at even distances, all over it.
+        apart = max(last / _OVERLAP, len(motion.t) / _MOST)
+        keep = np.unique(np.searchsorted(starts, np.arange(0.0, starts[-1] + 1.0, apart)))
+        predicted = []
+        for row in keep[keep < len(starts)]:
+            t, path = motion.t[starts[row]:][:last + 1], q[row, :last + 1]
+            # A simulation that failed, or that left all bounds, is drawn for as long as it ran.
+            end = min(len(t), int(np.isfinite(path).all(axis=1).cumprod().sum()))
+            predicted.append((t[:end], path[:end]))
+        runs.append(PredictedRun(motion.name, motion.t, motion.q, predicted))
+    return runs
+
+
+def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
+                     runs: Sequence[PredictedRun]) -> None:
+    """Write a picture of the predictions over the middle of the longest run."""
+    run = max(runs, key=lambda candidate: candidate.t[-1] - candidate.t[0])
+    length = max((t[-1] - t[0] for t, _ in run.predicted), default=0.0)
+    middle, half = 0.5 * (run.t[0] + run.t[-1]), 0.5 * _WINDOW * length
+    window = max(middle - half, run.t[0]), min(middle + half, run.t[-1])
+    inside = (run.t >= window[0]) & (run.t <= window[1])
+    predicted = [(t, q) for t, q in run.predicted if t[0] >= window[0] and t[-1] <= window[1]]
+    d = len(coordinates)
+    figure = Figure(figsize=(11.0, 1.2 + max(2.0, 6.0 / d) * d), layout='constrained')
+    FigureCanvasAgg(figure)
+    figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}')
+    grid = figure.subplots(d, 1, sharex=True, squeeze=False)[:, 0]
+    for i, (axes, coordinate) in enumerate(zip(grid, coordinates, strict=True)):
+        measured = run.q[inside, i]
+        axes.plot(run.t[inside], measured, color=_INK, linewidth=2.2, label='measured')
+        for k, (t, q) in enumerate(predicted):
+            color = _COLORS[k % len(_COLORS)]
+            axes.plot(t, q[:, i], color=color, linewidth=0.9,
+                      label='predicted, from each dot' if k == 0 else None)
+            axes.plot(t[:1], q[:1, i], '.', color=color, markersize=4.0)
+        low, high = measured.min(), measured.max()
+        room = _ROOM * (high - low) or 1.0
+        axes.set(xlim=window, ylim=(low - room, high + room),
+                 ylabel=f'{coordinate.name} [{coordinate.q_unit}]')
+        axes.grid(alpha=0.3)
+    grid[0].legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    grid[-1].set_xlabel('t [s]')
+    figure.savefig(path, dpi=130)

@@ -4,11 +4,8 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.learning.data.motions import Motion
 from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.structure import MotionScales
-from hnn_vi_ros.learning.fit.machine_losses import Network, runge_kutta
-from hnn_vi_ros.learning.judging.evaluation import Predict
 from hnn_vi_ros.models.mechanical_card import Kind
 import numpy as np
 import torch
@@ -18,7 +15,7 @@ class PlainNetwork(torch.nn.Module):
     """
     dv/dt = N(q, v, tau), a perceptron in float64: a neural ordinary differential equation.
 
-    Coordinates that turn over are seen by their sine and cosine.
+    The inputs are the sine and cosine of coordinates that turn over.
 
     Parameters
     ----------
@@ -58,19 +55,3 @@ class PlainNetwork(torch.nn.Module):
         angles = q[:, self._turning]
         return self.perceptron(torch.cat([
             torch.sin(angles), torch.cos(angles), q[:, self._others], v, tau], dim=1))
-
-
-def predicted_by(network: Network) -> Predict:
-    """Return what a network of torch predicts, by the Runge-Kutta method of order 4."""
-    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
-        tau = torch.tensor(motion.forces)
-        q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
-        rows, found = torch.tensor(starts), [q]
-        with torch.no_grad():
-            for k in range(count):
-                # Beyond the end of the motion nothing is judged.
-                held = tau[torch.clamp(rows + k, max=len(tau) - 1)]
-                q, v = runge_kutta(network.accelerations, q, v, held, motion.spacing)
-                found.append(q)
-        return torch.stack(found, dim=1).numpy()
-    return predict

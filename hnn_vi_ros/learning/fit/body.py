@@ -2,28 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the network of a body that turns to windows of its motions, by steps on the group."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import math
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.body_data import Motions
+from hnn_vi_ros.learning.data.body_data import BodyMotions
+from hnn_vi_ros.learning.families.choices import BodyStage
 from hnn_vi_ros.learning.families.lie_group import BodyScales, LieGroupNetwork
-from hnn_vi_ros.learning.fit.body_config import BodyConfig
+from hnn_vi_ros.learning.fit.config import BodyConfig
 from hnn_vi_ros.learning.fit.lie_steps import LieSteps, Node
-from hnn_vi_ros.learning.fit.loop import INTERVAL, LBFGS_SCALE, LEAST_GAIN
+from hnn_vi_ros.learning.fit.loop import Problem, Stage
 import numpy as np
 import torch
-from tqdm import tqdm
 
-# Pairs that L-BFGS remembers; and half of the range of what only rounding changes.
-_PAIRS, _LEAST = 50, 1e-12
-# What stands for a loss that is not finite.
-_TOO_FAR = 1e30
+# Half of the range of what only rounding changes.
+_LEAST = 1e-12
 
 
-def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwork:
+def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNetwork:
     """Return the network of a configuration, with the scales of motions, or raise DataError."""
-    k = 3 if config.coordinates[0].kind == 'rotation' else 6
+    k = 3 if config.kind == 'rotation' else 6
     x, R, v, u = (torch.cat([part.flatten(0, 1) for part in parts]).numpy()
                   for parts in zip(*(motion[:4] for motion in motions), strict=True))
     seen = np.hstack([x, R.reshape(-1, 9)])
@@ -61,22 +59,22 @@ def network_of(config: BodyConfig, motions: Sequence[Motions]) -> LieGroupNetwor
     scales = BodyScales(
         0.5 * (seen.max(axis=0) + seen.min(axis=0)), np.where(half > _LEAST, half, 0.0), velocity,
         inertia * velocity, inertia * acceleration, first, size)
-    card = config.card((1.0 / np.sqrt(inertia)).tolist(), driven)
+    card = config.family.card(config.kind, (1.0 / np.sqrt(inertia)).tolist(), driven)
     return LieGroupNetwork(card, config.hidden, scales, config.seed)
 
 
-def _accelerations(motion: Motions) -> tuple[np.ndarray, np.ndarray]:
+def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
     """Return attitudes and velocities, and the mean accelerations until the next instant."""
     states = torch.cat([motion.R[:-1].flatten(2), motion.v[:-1]], dim=2)
     rates = (motion.v[1:] - motion.v[:-1]) / motion.interval
     return states.flatten(0, 1).numpy(), rates.flatten(0, 1).numpy()
 
 
-def _inputs(motions: Sequence[Motions]) -> np.ndarray:
+def _inputs(motions: Sequence[BodyMotions]) -> np.ndarray:
     return torch.cat([motion.u[:-1].flatten(0, 1) for motion in motions]).numpy()
 
 
-def simulated(network: LieGroupNetwork, config: BodyConfig, windows: Motions) -> list[tuple[
+def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> list[tuple[
         torch.Tensor, torch.Tensor, torch.Tensor]]:
     """Return x, R and v, each (M, ...), at every instant but the first, with the inputs held."""
     h = windows.interval / config.substeps
@@ -92,7 +90,7 @@ def simulated(network: LieGroupNetwork, config: BodyConfig, windows: Motions) ->
     return found
 
 
-def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: Motions
+def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
                   ) -> dict[str, torch.Tensor]:
     """Return mean squared errors: of places, attitudes (angles), velocities, turning."""
     parts: dict[str, list[torch.Tensor]] = {
@@ -108,7 +106,7 @@ def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: Motions
     return {name: torch.stack(values).mean() for name, values in parts.items() if values}
 
 
-def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: Motions) -> float:
+def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> float:
     """
     Return the loss by which models of this kind were published, in SI units.
 
@@ -125,7 +123,7 @@ def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: Motion
     return sum(errors.values())
 
 
-def _loss(network: LieGroupNetwork, config: BodyConfig, windows: Motions) -> torch.Tensor:
+def body_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> torch.Tensor:
     """Return the mean squared errors in units of the usual velocities."""
     errors, unit = window_errors(network, config, windows), network.velocity_unit.square()
     turning, total = unit[-1], []
@@ -137,104 +135,68 @@ def _loss(network: LieGroupNetwork, config: BodyConfig, windows: Motions) -> tor
     return torch.stack(total).sum()
 
 
-def fit(network: LieGroupNetwork, config: BodyConfig, motions: Sequence[Motions]
-        ) -> dict[str, float]:
-    """
-    Fit a network to windows of motions: by Adam on batches, by L-BFGS on a part.
-
-    Returns
-    -------
-    dict
-        The last loss of each part of each stage.
-
-    Raises
-    ------
-    DataError
-        The motions are shorter than a window, or the loss is not finite any more.
-
-    """
-    losses, generator = {}, torch.Generator().manual_seed(config.seed)
-    for stage in config.windows:
-        whole = joined([motion.windows(stage.intervals) for motion in motions])
-        if stage.adam_steps:
-            losses[f'adam_{stage.intervals}'] = _adam(
-                network, config, whole, stage.adam_steps, generator)
-        if stage.lbfgs_steps:
-            rows = torch.randperm(whole.R.shape[1], generator=generator)[:stage.lbfgs_windows]
-            losses[f'lbfgs_{stage.intervals}'] = _lbfgs(
-                network, config, _taken(whole, rows), stage.lbfgs_steps)
-    return losses
-
-
-def joined(windows: Sequence[Motions]) -> Motions:
+def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
     """Return windows of one length and interval as one."""
     first = windows[0]
     for other in windows:
         if abs(other.interval - first.interval) > 0.01 * first.interval:
             raise DataError(f'motions are sampled every {first.interval:.4g} s and every '
                             f'{other.interval:.4g} s; take them one by one')
-    return Motions(*(torch.cat(parts, dim=1) for parts in zip(
+    return BodyMotions(*(torch.cat(parts, dim=1) for parts in zip(
         *(other[:4] for other in windows), strict=True)), first.interval)
 
 
-def _taken(windows: Motions, rows: torch.Tensor) -> Motions:
-    return Motions(*(part[:, rows] for part in windows[:4]), windows.interval)
+def _taken(windows: BodyMotions, rows: torch.Tensor) -> BodyMotions:
+    return BodyMotions(*(part[:, rows] for part in windows[:4]), windows.interval)
 
 
-def _parameters(network: LieGroupNetwork) -> list[torch.nn.Parameter]:
-    return [parameter for parameter in network.parameters() if parameter.requires_grad]
+class BodyProblem(Problem):
+    """
+    A network, and the stages that fit it to windows of motions: Adam on batches, L-BFGS on a part.
 
+    Parameters
+    ----------
+    network : LieGroupNetwork
+        Changed by a fit.
+    config : BodyConfig
+        Windows, learning rate and seed.
+    motions : sequence of BodyMotions
+        What to learn from.
 
-def _adam(network: LieGroupNetwork, config: BodyConfig, windows: Motions, steps: int,
-          generator: torch.Generator) -> float:
-    parameters = _parameters(network)
-    adam = torch.optim.Adam(parameters, lr=config.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
-    values = []
-    for step in tqdm(range(steps), desc='Adam', unit='step', disable=None):
-        rows = torch.randint(windows.R.shape[1], (config.batch,), generator=generator)
-        adam.zero_grad()
-        value = _loss(network, config, _taken(windows, rows))
-        value.backward()
-        values.append(float(value.detach()))
-        if not math.isfinite(values[-1]):
-            raise DataError(f'the loss is {values[-1]} after {step} steps; lower learning_rate, '
-                            'take more substeps, and look for outliers in the data')
-        torch.nn.utils.clip_grad_norm_(parameters, 1.0)
-        adam.step()
-        schedule.step()
-    return float(np.mean(values[-max(1, steps // 10):]))
+    Raises
+    ------
+    DataError
+        The motions are shorter than a window.
 
+    """
 
-def _lbfgs(network: LieGroupNetwork, config: BodyConfig, windows: Motions, steps: int) -> float:
-    parameters = _parameters(network)
-    lbfgs = torch.optim.LBFGS(
-        parameters, max_iter=INTERVAL, max_eval=2 * INTERVAL, history_size=_PAIRS,
-        tolerance_grad=0.0, tolerance_change=0.0, line_search_fn='strong_wolfe')
+    def __init__(self, network: LieGroupNetwork, config: BodyConfig,
+                 motions: Sequence[BodyMotions]):
+        super().__init__(network, (), torch.Generator().manual_seed(config.seed))
+        self._config, self._motions = config, motions
+        self.stages = [one for stage in config.windows for one in self._stages(stage)]
 
-    def closure() -> torch.Tensor:
-        lbfgs.zero_grad()
-        value = LBFGS_SCALE * _loss(network, config, windows)
-        if not value.isfinite():
-            # A step that no solution follows is one too far, which the line search shortens: by a
-            # value alone, for what is not a number would be all that is left of the parameters.
-            for parameter in parameters:
-                parameter.grad = torch.zeros_like(parameter)
-            return torch.full_like(value, _TOO_FAR)
-        value.backward()
-        return value
+    def _stages(self, stage: BodyStage) -> Iterator[Stage]:
+        whole = joined([motion.windows(stage.intervals) for motion in self._motions])
+        count, chosen = whole.R.shape[1], whole
 
-    before = after = float(closure().detach()) / LBFGS_SCALE
-    if before == _TOO_FAR / LBFGS_SCALE:
-        raise DataError('L-BFGS begins where the loss is not finite: no step has a solution '
-                        'there; take more substeps, or adam_steps before, and look for outliers '
-                        'in the data')
-    with tqdm(total=steps, desc='L-BFGS', unit='step', disable=None) as progress:
-        for _ in range(0, steps, INTERVAL):
-            lbfgs.step(closure)
-            progress.update(INTERVAL)
-            after = float(closure().detach()) / LBFGS_SCALE
-            if not before - after >= LEAST_GAIN * after:
-                break
-            before = after
-    return after
+        def batch() -> torch.Tensor:
+            rows = torch.randint(count, (self._config.batch,), generator=self.generator)
+            return body_loss(self.module, self._config, _taken(whole, rows))
+
+        def choose() -> None:
+            nonlocal chosen
+            rows = torch.randperm(count, generator=self.generator)
+            chosen = _taken(whole, rows[:stage.lbfgs_windows])
+
+        if stage.adam_steps:
+            yield Stage(f'adam_{stage.intervals}', batch, stage.adam_steps,
+                        self._config.learning_rate, clip=True, remedy=(
+                            'lower learning_rate, take more substeps, and look for outliers in '
+                            'the data'))
+        if stage.lbfgs_steps:
+            yield Stage(f'lbfgs_{stage.intervals}',
+                        lambda: body_loss(self.module, self._config, chosen), stage.lbfgs_steps,
+                        evaluations=2, begin=choose, remedy=(
+                            'no step has a solution there: take more substeps, or adam_steps '
+                            'before, and look for outliers in the data'))
