@@ -16,9 +16,9 @@ from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData
+from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
-from hnn_vi_ros.learning.data.motions import Motion, MotionData
+from hnn_vi_ros.learning.data.runs import Run, RunData
 from hnn_vi_ros.learning.data.sources import guessed, make_dataset, motions_of, read_motions
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
 from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
@@ -133,7 +133,7 @@ def _write(arguments: Namespace, scores: dict[str, Scores], text: str, fans: Seq
 
 
 def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
-                effects: Sequence[Effect], motions: Sequence[Motion], step_size: float | None
+                effects: Sequence[Effect], motions: Sequence[Run], step_size: float | None
                 ) -> Simulation:
     """Return the simulation of the command line, or raise DataError."""
     try:
@@ -157,7 +157,7 @@ def _left_out(effects: Sequence[Effect]) -> str:
 
 
 def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
-             ) -> tuple[list[Motion], str]:
+             ) -> tuple[list[Run], str]:
     """Return measured motions, read as the options or a training configuration say."""
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
@@ -170,7 +170,7 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
         if isinstance(config, FieldConfig):
             _check_format(arguments, config.data)
             return motions_of(make_dataset(config.data, config.seed, source, given),
-                              MotionData.model_validate(changes))
+                              RunData.model_validate(changes))
         if isinstance(config, BodyConfig):
             raise DataError(f'{source}: its data are motions of a body that turns, and '
                             f'{arguments.model} is of another family')

@@ -19,9 +19,9 @@ from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, Unsuppo
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
+from hnn_vi_ros.learning.data.arrays import ArraysData, NOT_ARRAYS, split_runs
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
-from hnn_vi_ros.learning.data.motions import steps_between
+from hnn_vi_ros.learning.data.runs import steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
 from hnn_vi_ros.learning.identify_input import check_times

@@ -13,7 +13,7 @@ from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.errors import HnnViRosError, StateError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.learning.data.motions import Motion, steps_between
+from hnn_vi_ros.learning.data.runs import Motion, steps_between
 from hnn_vi_ros.learning.identify_input import command_names, impulse
 from hnn_vi_ros.learning.identify_numbers import DELAY, FreeScene
 from hnn_vi_ros.learning.measured_force import MeasuredForce

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 
-from hnn_vi_ros.learning.data.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.runs import Motion, smoothed
 from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
 from hnn_vi_ros.learning.identify_statistics import estimates_of

@@ -14,8 +14,8 @@ import sys
 import tempfile
 import time
 
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData
-from hnn_vi_ros.learning.data.motions import Motion, split_motions
+from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning.data.runs import Motion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
@@ -147,7 +147,7 @@ def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[Motion], list
         file = _relative(file, folder / 'relative.npz')
     motions, _ = read_motions(file, ArraysData.model_validate(case.data), names,
                               [str(file)])
-    return split_motions(motions, case.test)
+    return train_and_test(motions, case.test)
 
 
 def _relative(file: Path, out: Path) -> Path:

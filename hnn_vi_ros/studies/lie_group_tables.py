@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning.data.body_data import read_bodies
+from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
 from hnn_vi_ros.learning.fit.body import joined, published_loss
 from hnn_vi_ros.learning.fit.config import find_config, load_config

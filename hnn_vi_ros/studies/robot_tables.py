@@ -17,7 +17,7 @@ import tempfile
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning.data.motions import Motion, split_motions
+from hnn_vi_ros.learning.data.runs import Run, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -76,20 +76,20 @@ class Robot:
 
     file: str
     settings: dict[str, Any]
-    measure: Callable[[MechanicalNetwork, MachineConfig, list[Motion], list[Motion], Path],
+    measure: Callable[[MechanicalNetwork, MachineConfig, list[Run], list[Run], Path],
                       Measures]
     chosen_by: str
     references: Measures
 
 
-def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
-            test: list[Motion], data: Path) -> Measures:
+def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
+            test: list[Run], data: Path) -> Measures:
     """Return the squared error of the force of each joint over its variance."""
     return {_FORCES: force_errors(network, test)[0]}
 
 
-def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
-           test: list[Motion], data: Path) -> Measures:
+def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
+           test: list[Run], data: Path) -> Measures:
     """Return errors of free simulations, as of the other models of this machine."""
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:
@@ -184,7 +184,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
             urdf.write_text(DFKI_URDF, encoding='utf-8')
         assert urdf is not None
         config, motions = read_robot(robot, MODELS[model], urdf, data / robot.file, Path(folder))
-        train, test = split_motions(motions, config.data.test_runs)
+        train, test = train_and_test(motions, config.data.test_runs)
         if use == 'choice':
             train, test = _choice(train)
         network, _ = learn(config, train)
@@ -194,7 +194,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
 
 
 def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder: Path
-               ) -> tuple[MachineConfig, list[Motion]]:
+               ) -> tuple[MachineConfig, list[Run]]:
     """Return the configuration of a robot and its motions, those of the UR10 in two runs."""
     settings = dict(robot.settings)
     if not settings['data'].get('test_runs'):
@@ -224,7 +224,7 @@ def _joints(urdf: Path) -> Any:
     return RigidBodyTree(str(urdf)).joints
 
 
-def _choice(train: list[Motion]) -> tuple[list[Motion], list[Motion]]:
+def _choice(train: list[Run]) -> tuple[list[Run], list[Run]]:
     """Split what is learned from: the last quarter of each run is what the choice is made by."""
     from hnn_vi_ros.learning.fit.machine_training import part_of
     ends = [round((1.0 - _CHOICE) * len(motion.t)) for motion in train]
@@ -233,8 +233,8 @@ def _choice(train: list[Motion]) -> tuple[list[Motion], list[Motion]]:
             [part_of(motion, slice(end + _GAP, None)) for motion, end in pairs])
 
 
-def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
-                 test: list[Motion]) -> list[float]:
+def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
+                 test: list[Run]) -> list[float]:
     from hnn_vi_ros.learning.judging.evaluation import score
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:

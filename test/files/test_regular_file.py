@@ -9,8 +9,8 @@ from pathlib import Path
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.files.yaml_file import load_yaml
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
-from hnn_vi_ros.learning.data.measured_log import read_log
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_archive
+from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
+from hnn_vi_ros.learning.data.text import read_log
 from hnn_vi_ros.learning.identify import _arrays
 from hnn_vi_ros.run.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
@@ -31,7 +31,7 @@ def robot_of_a_scene(path: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     'urdf': read_urdf, 'robot of a scene': robot_of_a_scene, 'log': read_log,
     'scene': load_scene, 'yaml': lambda path: load_yaml(path, Scene, DataError),
-    'arrays': read_archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
+    'arrays': Archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
     'axis': lambda path: FileAxis(
         FileChoice(kind='file', path=path.name), path.parent, 'axis')}
 

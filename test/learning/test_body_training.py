@@ -10,7 +10,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning.data.body_data import read_bodies
+from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.evaluate import main as evaluate
 from hnn_vi_ros.learning.families.choices import BodyStage
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork

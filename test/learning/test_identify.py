@@ -10,7 +10,7 @@ import shutil
 import hnn_vi_ros
 from hnn_vi_ros.cli import _call
 from hnn_vi_ros.files.resources import shipped_file
-from hnn_vi_ros.learning.data.motions import Motion, smoothed, steps_between
+from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
 from hnn_vi_ros.learning.identify import main
 from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene

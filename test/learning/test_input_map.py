@@ -10,9 +10,9 @@ from hnn_vi_ros.errors import DataError, ModelError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.data.motion_logs import LogMotions
-from hnn_vi_ros.learning.data.motions import smoothed
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
+from hnn_vi_ros.learning.data.runs import smoothed
+from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.fit.config import MachineConfig

@@ -9,8 +9,8 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.data.motions import Motion, smoothed, split_motions
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.runs import Run, smoothed, train_and_test
 from hnn_vi_ros.learning.families.choices import combination
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.plain_network import PlainNetwork
@@ -38,7 +38,7 @@ CONFIG = {
 }
 
 
-def random_motions(d: int, seed: int = 0) -> list[Motion]:
+def random_motions(d: int, seed: int = 0) -> list[Run]:
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(60)
     rates = rng.uniform(1.0, 5.0, (3, d))
@@ -129,7 +129,7 @@ def test_runge_kutta_converges_with_order_4():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
 
 
-def driven_pendulum(seed: int, seconds: float = 12.0) -> Motion:
+def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
     """Return a pendulum with Coulomb friction under random forces, every 10 ms."""
     simulation = Simulation(
         HAMILTONIANS['pendulum'](), INTEGRATORS['implicit_midpoint'](), 0.01, [0.5], [0.0],
@@ -229,7 +229,7 @@ def eccentric(q: np.ndarray) -> np.ndarray:
     return 0.3 + 0.2 * np.cos(q)
 
 
-def motion_of_an_eccentric_pendulum(seed: int) -> Motion:
+def motion_of_an_eccentric_pendulum(seed: int) -> Run:
     rng = np.random.default_rng(seed)
     h, n = 0.01, 800
     amplitude, phase = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
@@ -430,7 +430,7 @@ def test_late_samples_are_put_on_even_times(tmp_path):
 
 def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():
     motions = random_motions(1) + random_motions(1, 1)
-    train, test = split_motions(motions, [])
+    train, test = train_and_test(motions, [])
     assert [len(motion.t) for motion in (*train, *test)] == [48, 48, 12, 12]
     assert test[0].t[0] == motions[0].t[48]
 

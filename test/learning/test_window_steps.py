@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.families.linearised import Linearised
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
@@ -34,7 +34,7 @@ STRUCTURES = {
 }
 
 
-def motion_of(d: int) -> Motion:
+def motion_of(d: int) -> Run:
     rates = np.random.default_rng(0).uniform(1.0, 5.0, (2, d))
     t = H * np.arange(60)[:, None]
     return smoothed('random', t[:, 0], np.sin(rates[0] * t), rates[0] * np.cos(rates[0] * t),

@@ -12,8 +12,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.data.bag_signals import JOINT_STATE, Signal, SignalReader
 from hnn_vi_ros.learning.data.dataset import (
-    Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
-from hnn_vi_ros.learning.data.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
+    Block, Dataset, Derivatives, differentiate, Mass, mass_matrix, Names, SavitzkyGolay,
+    time_blocks, UNEVENNESS)
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline
@@ -66,7 +66,7 @@ class BagData(StrictModel):
     spacing: float | None = Field(None, gt=0.0, description=(
         'interval to resample at [s]; default: none if all messages come evenly and together, '
         'else the mean interval of the positions'))
-    derivatives: SavitzkyGolay | SmoothingSpline | None = Field(
+    derivatives: Derivatives | None = Field(
         None, discriminator='kind', description=(
             'how what is not recorded is estimated; default: savitzky_golay, of degree 4 in a '
             'window of nine rows'))
@@ -264,13 +264,13 @@ def _rows(reader: SignalReader, data: BagData, t: np.ndarray, states: dict[str, 
     return {name: values[margin:len(t) - margin] for name, values in states.items()}
 
 
-def _method(reader: SignalReader, t: np.ndarray, data: BagData) -> tuple[object, int]:
+def _method(reader: SignalReader, t: np.ndarray, data: BagData) -> tuple[Derivatives, int]:
     """Return how to differentiate, and its window in rows, an odd number; 0 without one."""
     spacing = (t[-1] - t[0]) / (len(t) - 1)
     method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
     if not isinstance(method, SavitzkyGolay):
         return method, 0
-    window = 2 * round(0.5 * (min(method.window / spacing, 1e9) - 1.0)) + 1
+    window = method.rows(spacing)
     if not method.degree + 2 <= window <= len(t) - _LEAST:
         raise DataError(f'{reader.path}: derivatives.window of {method.window:g} s holds {window} '
                         f'of {len(t)} rows, expected {method.degree + 2} to {len(t) - _LEAST}')

@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.bag_signals import ARRAY, SignalReader
-from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 import numpy as np
 from pydantic import Field
 
 EFFORT, NONE = 'effort', 'none'
 
 
-class BagMotions(MotionData):
+class BagMotions(RunData):
     """Joint states in bags, each bag a run; joints in any order, and others beside them."""
 
     kind: Literal['bag'] = 'bag'
@@ -38,7 +38,7 @@ class BagMotions(MotionData):
 
 
 def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[str]
-                     ) -> tuple[list[Motion], str]:
+                     ) -> tuple[list[Run], str]:
     """
     Read runs from bags, each named by its folder or file, and put each on even times.
 
@@ -53,7 +53,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
 
     Returns
     -------
-    list of Motion and str
+    list of Run and str
         The runs, and what they are and lack, for the model card.
 
     Raises
@@ -71,7 +71,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
         reader, forces = _reader(path, joints, data)
         runs.append(_run(path.name if path.is_dir() else path.stem, reader, forces, data, joints))
         digests.append(reader.digest[:16])
-    return as_motions(runs, data, ', '.join(run.name for run in runs), ' '.join(digests))
+    return even_runs(runs, data, ', '.join(run.name for run in runs), ' '.join(digests))
 
 
 def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[SignalReader, str]:

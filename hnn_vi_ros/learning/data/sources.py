@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
-from hnn_vi_ros.learning.data.measured_log import MeasuredData, read_measured_log
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
-from hnn_vi_ros.learning.data.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.learning.data.text import (
+    LogMotions, MeasuredData, read_log_motions, read_measured_log)
 import numpy as np
 from pydantic import Field
 
@@ -66,7 +66,7 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
 
 
 def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: Sequence[str] = ()
-                 ) -> tuple[list[Motion], str]:
+                 ) -> tuple[list[Run], str]:
     """
     Read measured motions.
 
@@ -81,7 +81,7 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
 
     Returns
     -------
-    list of Motion and str
+    list of Run and str
         The motions, which share one interval, and a description of them.
 
     Raises
@@ -99,7 +99,7 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
     return read_arrays(path, data, len(names), runs)
 
 
-def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[Motion], str]:
+def motions_of(dataset: Dataset, data: RunData) -> tuple[list[Run], str]:
     """
     Return states and rates as measured motions, with commands for forces.
 
@@ -119,7 +119,7 @@ def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[Motion], str]:
         runs.append(MeasuredRun(
             str(number), f'{dataset.description}: motion {number}', rows.t, rows.q, rows.dq_dt,
             rows.commands, held=rows.commands is not None))
-    return as_motions(runs, data, dataset.description)
+    return even_runs(runs, data, dataset.description)
 
 
 def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> Path:

@@ -5,7 +5,7 @@
 from typing import Literal
 
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.learning.data.motions import as_motions, MeasuredRun, Motion, MotionData
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
 import numpy as np
@@ -19,7 +19,7 @@ _SINES, _SPEED = 5, 0.01
 _ROOM, _UNLIMITED = 0.4, 1.5
 
 
-class ExcitationData(MotionData):
+class ExcitationData(RunData):
     """Each joint of the URDF along a sum of sines; forces by its H, its damping and friction."""
 
     kind: Literal['excitation'] = 'excitation'
@@ -35,7 +35,7 @@ class ExcitationData(MotionData):
 
 
 def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
-                    ) -> tuple[list[Motion], str]:
+                    ) -> tuple[list[Run], str]:
     """
     Return motions of a robot, and what they are.
 
@@ -63,7 +63,7 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
         exact = not (data.noise_q or data.noise_v)
         runs.append(MeasuredRun(f'run{number}', f'run{number}', t, q, v, tau,
                                 a=a if exact else None))
-    return as_motions(runs, data, f'{robot.robot.name} along sums of sines, seed {seed}', 'none')
+    return even_runs(runs, data, f'{robot.robot.name} along sums of sines, seed {seed}', 'none')
 
 
 def forces_of(robot: RigidBodyTree, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import math
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.body_data import BodyMotions
+from hnn_vi_ros.learning.data.arrays import BodyMotions
 from hnn_vi_ros.learning.families.choices import BodyStage
 from hnn_vi_ros.learning.families.lie_group import BodyScales, LieGroupNetwork
 from hnn_vi_ros.learning.fit.config import BodyConfig
@@ -142,12 +142,9 @@ def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
         if abs(other.interval - first.interval) > 0.01 * first.interval:
             raise DataError(f'motions are sampled every {first.interval:.4g} s and every '
                             f'{other.interval:.4g} s; take them one by one')
-    return BodyMotions(*(torch.cat(parts, dim=1) for parts in zip(
-        *(other[:4] for other in windows), strict=True)), first.interval)
-
-
-def _taken(windows: BodyMotions, rows: torch.Tensor) -> BodyMotions:
-    return BodyMotions(*(part[:, rows] for part in windows[:4]), windows.interval)
+    x, R, v, u = (torch.cat(parts, dim=1) for parts in zip(
+        *(other[:4] for other in windows), strict=True))
+    return BodyMotions(x, R, v, u, first.interval)
 
 
 class BodyProblem(Problem):
@@ -182,12 +179,12 @@ class BodyProblem(Problem):
 
         def batch() -> torch.Tensor:
             rows = torch.randint(count, (self._config.batch,), generator=self.generator)
-            return body_loss(self.module, self._config, _taken(whole, rows))
+            return body_loss(self.module, self._config, whole.of(rows))
 
         def choose() -> None:
             nonlocal chosen
             rows = torch.randperm(count, generator=self.generator)
-            chosen = _taken(whole, rows[:stage.lbfgs_windows])
+            chosen = whole.of(rows[:stage.lbfgs_windows])
 
         if stage.adam_steps:
             yield Stage(f'adam_{stage.intervals}', batch, stage.adam_steps,

@@ -11,11 +11,10 @@ from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import load_yaml, read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
-from hnn_vi_ros.learning.data.body_data import BodyArrays, BodyWindows
-from hnn_vi_ros.learning.data.motion_arrays import ArraysData
+from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
-from hnn_vi_ros.learning.data.motion_logs import LogMotions
 from hnn_vi_ros.learning.data.sources import dimension, Source
+from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import (
     BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
     LieGroupChoice, LieMethod, MachineFamily, MachineLoss, Regression, RetractionName,

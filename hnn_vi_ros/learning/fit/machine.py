@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, Trajectory, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -65,7 +65,7 @@ class Samples(NamedTuple):
     step_size: float
 
 
-def samples_of(motions: Sequence[Motion], step_size: float | None) -> Samples:
+def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
     """Return the samples of motions, for windows of this step size [s], or DataError."""
     if step_size is None:
         step_size = max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
@@ -82,7 +82,7 @@ def samples_of(motions: Sequence[Motion], step_size: float | None) -> Samples:
                    every * motions[0].spacing)
 
 
-def mean_forces(motion: Motion, every: int) -> np.ndarray:
+def mean_forces(motion: Run, every: int) -> np.ndarray:
     """Return forces, shape (N, m), averaged over ``every`` intervals from each sample on."""
     n, tau = len(motion.t), motion.tau
     total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
@@ -131,7 +131,7 @@ def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tens
     return _soft(network.velocities(q1, residual) / h / torch.tensor(network.scales.a))
 
 
-def balanced_step(motions: Sequence[Motion]) -> float:
+def balanced_step(motions: Sequence[Run]) -> float:
     """
     Return the multiple of the samples' interval [s] for discrete_loss.
 
@@ -229,7 +229,7 @@ def runge_kutta(accelerations: Callable[..., torch.Tensor], q: torch.Tensor, v: 
     return q + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
 
-def scales_of(motions: Sequence[Motion], learns_map: bool = False) -> MotionScales:
+def scales_of(motions: Sequence[Run], learns_map: bool = False) -> MotionScales:
     """
     Return the scales of motions, with a first input map where one is to be learned.
 
@@ -308,7 +308,7 @@ class MachineProblem(Problem):
         and windows.
     config : MachineConfig
         Loss, learning rate and seed.
-    motions : sequence of Motion
+    motions : sequence of Run
         What to learn from.
     penalty : callable, optional
         Added to the loss, of a network that begins near its end, and so of windows with them.
@@ -322,7 +322,7 @@ class MachineProblem(Problem):
 
     """
 
-    def __init__(self, network: Network, config: MachineConfig, motions: Sequence[Motion],
+    def __init__(self, network: Network, config: MachineConfig, motions: Sequence[Run],
                  penalty: Callable[[torch.Generator], torch.Tensor] | None = None,
                  losses: Mapping[str, float] | None = None):
         super().__init__(network, (), torch.Generator().manual_seed(config.seed), losses)
@@ -336,7 +336,7 @@ class MachineProblem(Problem):
         return lambda: value(rows[torch.randint(
             len(rows), (size,), generator=self.generator)])
 
-    def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[Motion]
+    def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[Run]
                     ) -> list[Stage]:
         network, penalty, step_size = self.module, self._penalty, motions[0].spacing
         if isinstance(loss, Discrete):
@@ -359,7 +359,7 @@ class MachineProblem(Problem):
                       self._config.learning_rate, clip=True),
                 *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
 
-    def _on_windows(self, loss: Trajectory, motions: Sequence[Motion]) -> list[Stage]:
+    def _on_windows(self, loss: Trajectory, motions: Sequence[Run]) -> list[Stage]:
         samples = samples_of(motions, loss.step_size)
         found: list[Stage] = []
         if self._penalty is None:

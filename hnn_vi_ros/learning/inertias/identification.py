@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import low_pass, Motion
+from hnn_vi_ros.learning.data.runs import low_pass, Run
 from hnn_vi_ros.learning.families.choices import Inverse, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
@@ -98,7 +98,7 @@ class Told(NamedTuple):
     idle: list[np.ndarray]
 
 
-def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Motion],
+def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
              rotors: bool = False, offsets: bool = True) -> dict[str, float]:
     """
     Identify a tree and its friction, whose widths stay what they are.
@@ -110,7 +110,7 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
         ``prior.identification``.
     config : MachineConfig
         How.
-    motions : sequence of Motion
+    motions : sequence of Run
         What to learn from, with forces.
     rotors, offsets : bool
         Whether those are identified as well.
@@ -149,7 +149,7 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     return losses
 
 
-def equations_of(network: MechanicalNetwork, motions: Sequence[Motion], cutoff: float
+def equations_of(network: MechanicalNetwork, motions: Sequence[Run], cutoff: float
                  ) -> Equations:
     """Return the equations of motions; what was measured is filtered as the motions are [Hz]."""
     tree = network.prior
@@ -259,7 +259,7 @@ def _told(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Told:
 
 
 def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
-                 motions: Sequence[Motion], x: np.ndarray
+                 motions: Sequence[Run], x: np.ndarray
                  ) -> tuple[np.ndarray, dict[str, float], np.ndarray]:
     """
     Return x of the least errors of windows along told directions, losses, and covariance.

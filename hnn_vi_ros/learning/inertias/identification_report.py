@@ -5,7 +5,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.model_card import ModelCard
@@ -19,7 +19,7 @@ _CHUNK = 5000
 
 
 def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
-                      motions: Sequence[Motion]) -> Checkpoint:
+                      motions: Sequence[Run]) -> Checkpoint:
     """Return the model of a rigid body whose card tells its forces' errors along motions."""
     mechanical = checkpoint.card.mechanical
     if mechanical is None or mechanical.prior is None or mechanical.prior.identification is None:
@@ -33,7 +33,7 @@ def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
         'mechanical': mechanical.model_copy(update={'prior': prior})}))
 
 
-def force_errors(network: MechanicalNetwork, motions: Sequence[Motion]
+def force_errors(network: MechanicalNetwork, motions: Sequence[Run]
                  ) -> tuple[list[float], list[float]]:
     """
     Return how far forces are off along motions, and the share that networks have in them.
@@ -55,7 +55,7 @@ def force_errors(network: MechanicalNetwork, motions: Sequence[Motion]
     return found, share.tolist()
 
 
-def _errors(network: MechanicalNetwork, motion: Motion) -> tuple[np.ndarray, ...]:
+def _errors(network: MechanicalNetwork, motion: Run) -> tuple[np.ndarray, ...]:
     """Return errors of forces, what networks add to them, and what was measured, (N, d) each."""
     states = motion.q_smooth, motion.v_smooth, motion.a_smooth
     chunks = zip(*(torch.tensor(part).split(_CHUNK) for part in states), strict=True)

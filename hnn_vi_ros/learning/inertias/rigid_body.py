@@ -10,7 +10,7 @@ form of the Levenberg-Marquardt method.
 
 from collections.abc import Callable, Sequence
 
-from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
@@ -33,7 +33,7 @@ LEAST = 1e-4
 _ABOVE = 10.0 * LEAST
 
 
-def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Motion]
+def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]
                    ) -> dict[str, float]:
     """
     Fit prior and friction of a network, whose widths of friction stay what they are.
@@ -44,7 +44,7 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
         With a prior and without networks; changed in place.
     loss : Trajectory
         Its windows are simulated.
-    motions : sequence of Motion
+    motions : sequence of Run
         What to learn from.
 
     Returns
@@ -73,7 +73,7 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     return losses
 
 
-def best_rigid_body(loss: Trajectory, motions: Sequence[Motion]) -> MechanicalNetwork | None:
+def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwork | None:
     """
     Return a chain of as many links as there are coordinates, by the angles that fit better.
 

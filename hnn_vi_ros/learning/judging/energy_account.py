@@ -9,7 +9,7 @@ from hnn_vi_ros.effects.base import Effect, EffectState, Force
 from hnn_vi_ros.effects.commands import Commanded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.models.energy_error import rows_of_each
 import numpy as np
 from scipy.optimize import nnls
@@ -43,7 +43,7 @@ def unaccounted(effects: Sequence[Effect]) -> list[str]:
             if not (effect.conservative or isinstance(effect, Force))]
 
 
-def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Motion) -> Balance:
+def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Run) -> Balance:
     """
     Return energy and work along a motion.
 
@@ -58,7 +58,7 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Motion)
         H, with the potentials of the effects.
     effects : sequence of Effect
         Each conservative or a Force.
-    motion : Motion
+    motion : Run
         What was measured.
 
     Raises

@@ -15,7 +15,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
-from hnn_vi_ros.learning.data.motions import MIN_SAMPLES, Motion, part_of
+from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
@@ -78,7 +78,7 @@ def resampled(dataset: Dataset, seed: int) -> Dataset:
     return replace(dataset.rows(chosen), trajectory=trajectory.ravel()).checked()
 
 
-def resampled_blocks(blocks: Sequence[Motion], seed: int) -> list[Motion]:
+def resampled_blocks(blocks: Sequence[Run], seed: int) -> list[Run]:
     """Return a block bootstrap of motions, in their order."""
     return [blocks[k] for k in sorted(_drawn(len(blocks), seed))]
 
@@ -90,8 +90,8 @@ def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | 
     return dataset.split(HELD_OUT, config.seed)
 
 
-def kept_and_held(motions: Sequence[Motion], config: MachineConfig
-                  ) -> tuple[list[Motion], list[Motion]]:
+def kept_and_held(motions: Sequence[Run], config: MachineConfig
+                  ) -> tuple[list[Run], list[Run]]:
     """
     Return blocks of motions to train members on, and a fifth of the blocks, for calibration.
 
@@ -383,7 +383,7 @@ def _within(checkpoint: Checkpoint, t: np.ndarray, q: np.ndarray, p: np.ndarray)
     return Held(t, q, p, np.logical_and.accumulate(inside, axis=0))
 
 
-def machine_calibration(checkpoint: Checkpoint, held: Sequence[Motion], test: Sequence[Motion]
+def machine_calibration(checkpoint: Checkpoint, held: Sequence[Run], test: Sequence[Run]
                         ) -> Calibration:
     """
     Return the scores of simulations of a machine from measured states.
@@ -395,7 +395,7 @@ def machine_calibration(checkpoint: Checkpoint, held: Sequence[Motion], test: Se
     ----------
     checkpoint : Checkpoint
         The ensemble.
-    held, test : sequence of Motion
+    held, test : sequence of Run
         Blocks that no member has seen, and the motions that the model is judged by.
 
     Raises
@@ -415,11 +415,11 @@ def machine_calibration(checkpoint: Checkpoint, held: Sequence[Motion], test: Se
         f'and coverage on {len(second)} of the test motions'))
 
 
-def _duration(motions: Sequence[Motion]) -> float:
+def _duration(motions: Sequence[Run]) -> float:
     return min(_HORIZON, max(float(motion.t[-1] - motion.t[0]) for motion in motions))
 
 
-def machine_scores(checkpoint: Checkpoint, motions: Sequence[Motion], most: int | None = _MOST
+def machine_scores(checkpoint: Checkpoint, motions: Sequence[Run], most: int | None = _MOST
                    ) -> list[list[np.ndarray]]:
     """
     Return abs(x - mean) / deviation of simulations from measured states, with measured forces.
@@ -428,7 +428,7 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[Motion], most: int 
     ----------
     checkpoint : Checkpoint
         The ensemble.
-    motions : sequence of Motion
+    motions : sequence of Run
         What was measured.
     most : int, optional
         How many simulations at most; None: all.
@@ -480,7 +480,7 @@ def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
         initial_state=(np.mean(card.box.q, axis=1).tolist(), zero), name=card.name)
 
 
-def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: Motion,
+def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: Run,
                     rows: np.ndarray) -> np.ndarray:
     """Return the scores of one simulation at some samples, shape (instants, 2 d)."""
     q, v = motion.q_smooth[rows], motion.v_smooth[rows]

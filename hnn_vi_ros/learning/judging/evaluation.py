@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.data.motions import Motion
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.run.twin import VALID
 from hnn_vi_ros.simulation import Simulation
@@ -19,7 +19,7 @@ import torch
 
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
 # start on: not a number from where a simulation fails, infinite from where one is given up.
-Predict = Callable[[Motion, np.ndarray, int], np.ndarray]
+Predict = Callable[[Run, np.ndarray, int], np.ndarray]
 
 
 class Fan(NamedTuple):
@@ -28,7 +28,7 @@ class Fan(NamedTuple):
 
     Parameters
     ----------
-    motion : Motion
+    motion : Run
         What was measured.
     starts : np.ndarray of int, shape (n,)
         Samples from which they begin.
@@ -37,7 +37,7 @@ class Fan(NamedTuple):
 
     """
 
-    motion: Motion
+    motion: Run
     starts: np.ndarray
     q: np.ndarray
 
@@ -93,7 +93,7 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
     """
     steps = round(spacing / simulation.step_size)
 
-    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         needed = samples_in(least, motion)
         q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
         p = np.zeros(motion.q.shape[1])
@@ -124,13 +124,13 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
     return predict
 
 
-def constant_velocity(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+def constant_velocity(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
     """Return what a motion without any force would be."""
     t = motion.spacing * np.arange(count + 1)
     return motion.q_smooth[starts][:, None] + t[:, None] * motion.v_smooth[starts][:, None]
 
 
-def linear_model(motions: Sequence[Motion]) -> Predict:
+def linear_model(motions: Sequence[Run]) -> Predict:
     """Return what x_(k+1) = A x_k + B tau_k + c predicts, x = (q, v), fitted by least squares."""
     inputs, targets = [], []
     for motion in motions:
@@ -141,7 +141,7 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
     matrix = np.linalg.lstsq(np.concatenate(inputs), np.concatenate(targets), rcond=None)[0]
     spacing = motions[0].spacing
 
-    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         share = motion.spacing / spacing
         d = motion.q.shape[1]
         x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
@@ -159,7 +159,7 @@ def linear_model(motions: Sequence[Motion]) -> Predict:
 
 def predicted_by(network: Network) -> Predict:
     """Return what a network of torch predicts, by the Runge-Kutta method of order 4."""
-    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         tau = torch.tensor(motion.forces)
         q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
         rows, found = torch.tensor(starts), [q]
@@ -173,7 +173,7 @@ def predicted_by(network: Network) -> Predict:
     return predict
 
 
-def variance_of(motions: Sequence[Motion]) -> np.ndarray:
+def variance_of(motions: Sequence[Run]) -> np.ndarray:
     """
     Return the variance of each coordinate over motions, shape (d,).
 
@@ -193,12 +193,12 @@ def variance_of(motions: Sequence[Motion]) -> np.ndarray:
     return np.where(moves, q.var(axis=0), np.inf)
 
 
-def samples_in(time: float, motion: Motion) -> int:
+def samples_in(time: float, motion: Run) -> int:
     """Return the samples of a motion in a time [s], at most all of them."""
     return round(min(time / motion.spacing, len(motion.t)))
 
 
-def fans_of(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
+def fans_of(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], every: float,
             longest: float) -> list[Fan]:
     """Return predictions from many measured states, for as long as ``score`` asks for them."""
     for horizon in horizons:
@@ -218,7 +218,7 @@ def fans_of(predict: Predict, motions: Sequence[Motion], horizons: Sequence[floa
     return fans
 
 
-def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float], every: float,
+def score(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], every: float,
           longest: float) -> Scores:
     """
     Predict from many measured states, and compare.
@@ -227,7 +227,7 @@ def score(predict: Predict, motions: Sequence[Motion], horizons: Sequence[float]
     ----------
     predict : callable
         What is judged.
-    motions : sequence of Motion
+    motions : sequence of Run
         What was measured.
     horizons : sequence of float
         After which errors are taken [s].

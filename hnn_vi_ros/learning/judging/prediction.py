@@ -19,7 +19,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
-from hnn_vi_ros.learning.data.motions import Motion, steps_between
+from hnn_vi_ros.learning.data.runs import Run, steps_between
 from hnn_vi_ros.learning.judging.energy_account import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, Fan, fans_of, score, score_fans, Scores, simulated, variance_of)
@@ -79,7 +79,7 @@ def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
 
 
 def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
-                  motions: Sequence[Motion], step_size: float | None = None) -> Simulation:
+                  motions: Sequence[Run], step_size: float | None = None) -> Simulation:
     """
     Return the simulation that predicts motions, which share one interval.
 
@@ -92,7 +92,7 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
                       np.zeros(hamiltonian.dimension), effects)
 
 
-def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Motion],
+def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Run],
           horizons: Sequence[float], every: float, longest: float
           ) -> tuple[dict[str, Scores], list[Fan]]:
     """Return the scores of a model, and of constant velocity for scale; and its predictions."""

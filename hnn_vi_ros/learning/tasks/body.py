@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.learning.data.body_data import BodyMotions, read_bodies
+from hnn_vi_ros.learning.data.arrays import BodyMotions, read_bodies
 from hnn_vi_ros.learning.data.sources import one_file
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
 from hnn_vi_ros.learning.fit.body import (

@@ -10,7 +10,7 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.motions import Motion, run_of, split_motions
+from hnn_vi_ros.learning.data.runs import Run, run_of, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import Forward, RigidBodyChoice, Trajectory
 from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
@@ -133,7 +133,7 @@ class MachineTask(Task):
                                           shown(fans, max(horizons))))
 
 
-def problem_of(config: MachineConfig, motions: Sequence[Motion]) -> Problem:
+def problem_of(config: MachineConfig, motions: Sequence[Run]) -> Problem:
     """
     Return a network, its prior fitted if it has one, with the stages that follow.
 
@@ -176,21 +176,21 @@ def problem_of(config: MachineConfig, motions: Sequence[Motion]) -> Problem:
     return MachineProblem(network, config, motions, penalty, losses)
 
 
-def learn(config: MachineConfig, motions: Sequence[Motion]
+def learn(config: MachineConfig, motions: Sequence[Run]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return a network that was fitted, and its losses: after its prior, if it has one."""
     problem = problem_of(config, motions)
     return problem.module, problem.fit()
 
 
-def fix_scale(network: MechanicalNetwork, motions: Sequence[Motion]) -> None:
+def fix_scale(network: MechanicalNetwork, motions: Sequence[Run]) -> None:
     """Give the first coordinate a mean inertia of 1: motions without forces leave it open."""
     q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
     with torch.no_grad():
         network.scale_energy(1.0 / float(network.masses(q)[:, 0, 0].mean()))
 
 
-def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Motion],
+def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
              description: str, losses: dict[str, float], name: str, command: str) -> Checkpoint:
     """Return a trained network with its card."""
     q, v = (np.concatenate([getattr(motion, key) for motion in motions])
@@ -207,7 +207,7 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     return Checkpoint(card, networks)
 
 
-def with_energy_error(checkpoint: Checkpoint, motions: Sequence[Motion]) -> Checkpoint:
+def with_energy_error(checkpoint: Checkpoint, motions: Sequence[Run]) -> Checkpoint:
     """Return a model whose card tells its energy along motions, against the work on them."""
     hamiltonian, effects = _parts_of(checkpoint)
     balances = [balance(hamiltonian, effects, motion) for motion in motions]
@@ -226,13 +226,13 @@ def _parts_of(checkpoint: Checkpoint) -> tuple[Hamiltonian, list[Effect]]:
         return hamiltonian, own_effects(draft, hamiltonian)
 
 
-def _opens_scale(config: MachineConfig, motions: Sequence[Motion]) -> bool:
+def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:
     """Return whether motions without forces leave the scale of energy open."""
     own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
     return not own_scale and not any(motion.tau.any() for motion in motions)
 
 
-def _scale(config: MachineConfig, motions: Sequence[Motion]) -> str:
+def _scale(config: MachineConfig, motions: Sequence[Run]) -> str:
     """Return what fixes the scale of energy where forces do not, for the model card."""
     text = ''
     if config.family.prior not in (None, RIGID_BODY, *CHAINS):
@@ -271,7 +271,7 @@ def _of_plain_network(config: MachineConfig) -> MachineConfig:
 
 
 def _read(source: Path, config: MachineConfig, given: Sequence[str]
-          ) -> tuple[list[Motion], list[Motion], str]:
+          ) -> tuple[list[Run], list[Run], str]:
     """Return motions to learn from, motions to judge by, and what they are."""
     data, joints = config.data, [coordinate.name for coordinate in config.coordinates]
     if isinstance(data, ExcitationData):
@@ -286,7 +286,7 @@ def _read(source: Path, config: MachineConfig, given: Sequence[str]
     for run in data.test_runs:
         if run not in names:
             raise DataError(f'{source}: data.test_runs: no run {run!r} among {", ".join(names)}')
-    train, test = split_motions(motions, data.test_runs)
+    train, test = train_and_test(motions, data.test_runs)
     if not train:
         raise DataError(f'{source}: data.test_runs leave nothing to learn from')
     longest = max(motion.t[-1] - motion.t[0] for motion in test)

@@ -1,19 +1,21 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read measured logs: rows of numbers in a text file, derivatives estimated where missing."""
+"""Read text files, a row of numbers for each instant: as states and rates, or as runs."""
 
+from collections.abc import Iterator, Sequence
 from hashlib import sha256
 import os
 from pathlib import Path
 import re
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.data.dataset import (
-    Block, Dataset, Mass, mass_matrix, Names, time_blocks, UNEVENNESS)
-from hnn_vi_ros.learning.data.derivatives import differentiate, SavitzkyGolay, SmoothingSpline
+    Block, Dataset, Derivatives, differentiate, Mass, mass_matrix, Names, SavitzkyGolay,
+    time_blocks, UNEVENNESS)
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -24,14 +26,7 @@ BLOCKS = 20
 
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 _SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
-
-
-class Columns(Protocol):
-    """Columns of a log, and how its rows are read."""
-
-    columns: Names
-    delimiter: str
-    comment: str
+Delimiter = Literal['whitespace', 'comma', 'semicolon', 'tab']
 
 
 class MeasuredData(StrictModel):
@@ -41,7 +36,7 @@ class MeasuredData(StrictModel):
     path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
     source: str = Field('', max_length=1000, description=(
         'where the log comes from, for those who lack it'))
-    delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] = 'whitespace'
+    delimiter: Delimiter = 'whitespace'
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
     columns: Names = Field(min_length=3, description='names of all columns, in order')
     trial: str | None = Field(None, description='column that numbers separate recordings')
@@ -52,7 +47,7 @@ class MeasuredData(StrictModel):
         'p = mass * columns: one for each coordinate, or a matrix by rows; default 1'))
     dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
     dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
-    derivatives: SavitzkyGolay | SmoothingSpline | None = Field(
+    derivatives: Derivatives | None = Field(
         None, discriminator='kind', description='how missing derivatives are estimated')
     block: Block = None
 
@@ -64,15 +59,61 @@ class MeasuredData(StrictModel):
                 raise ValueError(f'{key} has {len(group)} entries, expected {len(self.q)}, '
                                  'one for each coordinate')
         mass_matrix(self.mass, len(self.q))
-        used = [self.time, *self.q, *self.p, *(self.dq_dt or []), *(self.dp_dt or [])]
-        used += [] if self.trial is None else [self.trial]
-        for name in used:
-            if self.columns.count(name) != 1 or used.count(name) != 1:
-                raise ValueError(f'column {name} must stand once in columns and be used once')
+        _check_columns(self, *groups.values())
         if self.derivatives is None and not (self.dq_dt and self.dp_dt):
             raise ValueError('derivatives is missing, since the log lacks dq_dt or dp_dt; '
                              'for example derivatives: {kind: savitzky_golay, window: 0.3}')
         return self
+
+
+class LogMotions(RunData):
+    """Columns of a text file, of one run or of several that a column numbers."""
+
+    kind: Literal['log'] = 'log'
+    path: str = Field('', description='the log; or given by --data')
+    delimiter: Delimiter = 'whitespace'
+    comment: str = Field('#', min_length=1, description='prefix of lines to skip')
+    columns: Names = Field(min_length=2, description='names of all columns, in order')
+    trial: str | None = Field(None, description='column that numbers separate runs')
+    time: str = Field(description='column of time [s]')
+    q: Names = Field(min_length=1, description='columns of the coordinates')
+    v: Names | None = Field(None, description=(
+        'columns of dq/dt; none: they are estimated from q'))
+    a: Names | None = Field(None, description=(
+        'columns of the accelerations; none: they are estimated'))
+    tau: Names | None = Field(None, description='columns of the forces of the motors; none: none')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'LogMotions':
+        for key in ('v', 'a', 'tau'):
+            group = getattr(self, key)
+            # There may be fewer motors than joints.
+            if group is not None and (len(group) > len(self.q) or (
+                    key != 'tau' and len(group) < len(self.q))):
+                raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
+        _check_columns(self, self.q, self.v, self.a, self.tau)
+        return self
+
+
+def _check_columns(data: MeasuredData | LogMotions, *groups: Names | None) -> None:
+    """Raise ValueError for a column that there is not, or that is used twice."""
+    used = [data.time, *([] if data.trial is None else [data.trial]),
+            *(name for group in groups for name in group or ())]
+    for name in used:
+        if data.columns.count(name) != 1 or used.count(name) != 1:
+            raise ValueError(f'column {name} must stand once in columns and be used once')
+
+
+class _Trial(NamedTuple):
+    """The rows of one recording: its number, and each column and line number of them."""
+
+    number: float
+    column: dict[str, np.ndarray]
+    lines: np.ndarray
+
+    def stacked(self, names: Names) -> np.ndarray:
+        """Return some columns side by side, shape (N, d)."""
+        return np.stack([self.column[name] for name in names], axis=-1)
 
 
 def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
@@ -97,20 +138,50 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
 
     """
     raw = read_log(path)
-    table, lines = parse_log(path, raw, data)
-    column = {name: table[:, i] for i, name in enumerate(data.columns)}
-    trials = column[data.trial] if data.trial else np.zeros(len(table))
+    trials = sorted(_trials(path, raw, data), key=lambda trial: trial.number)
     parts, start = [], 0
-    for number, trial in enumerate(np.unique(trials)):
-        rows = np.flatnonzero(trials == trial)
-        *arrays, block = _trial({name: values[rows] for name, values in column.items()},
-                                data, path, lines[rows])
-        parts.append((*arrays, block + start, np.full(len(block), number)))
-        start += block.max(initial=0) + 1
-    *states, t, block, trajectory = (np.concatenate(arrays) for arrays in zip(
-        *parts, strict=True))
-    description = f'{path.name} ({len(table)} rows, sha256 {sha256(raw).hexdigest()[:16]})'
-    return Dataset(*states, block, description, t, trajectory).checked()
+    for number, trial in enumerate(trials):
+        part = _rows(path, trial, data)
+        part['block'] += start
+        part['trajectory'] = np.full(len(part['t']), number)
+        start = part['block'].max(initial=start - 1) + 1
+        parts.append(part)
+    rows = sum(len(trial.lines) for trial in trials)
+    return Dataset(
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
+        description=f'{path.name} ({rows} rows, sha256 {sha256(raw).hexdigest()[:16]})').checked()
+
+
+def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
+    """
+    Read runs from a log, and put each on even times.
+
+    Parameters
+    ----------
+    path : Path
+        A text file of at most 256 MiB; a field that is empty or ``nan`` is a number that lacks.
+    data : LogMotions
+        Its columns.
+
+    Returns
+    -------
+    list of Run and str
+        The runs, and a description of them for the model card.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, or a row cannot; names file and line.
+
+    """
+    raw, runs = read_log(path), []
+    for trial in _trials(path, raw, data, lacking=True):
+        name = f'{trial.number:.15g}' if data.trial else path.stem
+        v, tau, a = (None if names is None else trial.stacked(names)
+                     for names in (data.v, data.tau, data.a))
+        runs.append(MeasuredRun(name, f'{path}: {name}', trial.column[data.time],
+                                trial.stacked(data.q), v, tau, a=a))
+    return even_runs(runs, data, path.name, sha256(raw).hexdigest()[:16])
 
 
 def read_log(path: Path) -> bytes:
@@ -128,8 +199,23 @@ def read_log(path: Path) -> bytes:
     return raw
 
 
-def parse_log(path: Path, raw: bytes, data: Columns, lacking: bool = False
-              ) -> tuple[np.ndarray, np.ndarray]:
+def _trials(path: Path, raw: bytes, data: MeasuredData | LogMotions, lacking: bool = False
+            ) -> Iterator[_Trial]:
+    """Yield the recordings of a log, in their order; or raise DataError."""
+    table, lines = _parsed(path, raw, data, lacking)
+    column = dict(zip(data.columns, table.T, strict=True))
+    numbers = column[data.trial] if data.trial else np.zeros(len(table))
+    unnumbered = np.flatnonzero(~np.isfinite(numbers))
+    if unnumbered.size:
+        raise DataError(f'{path}:{lines[unnumbered[0]]}: column {data.trial}: no number, which '
+                        'tells the run; give one, or leave the row out')
+    for number in dict.fromkeys(numbers.tolist()):
+        rows = np.flatnonzero(numbers == number)
+        yield _Trial(number, {name: values[rows] for name, values in column.items()}, lines[rows])
+
+
+def _parsed(path: Path, raw: bytes, data: MeasuredData | LogMotions, lacking: bool
+            ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the numbers, shape (N, columns), and the line of each row; or raise DataError.
 
@@ -140,7 +226,8 @@ def parse_log(path: Path, raw: bytes, data: Columns, lacking: bool = False
     except UnicodeDecodeError as problem:
         raise DataError(f'{path}: not a text file in UTF-8: {problem.reason} at byte '
                         f'{problem.start}') from problem
-    rows, lines = [], []
+    rows: list[list[float]] = []
+    lines: list[int] = []
     for number, line in enumerate(text.split('\n'), start=1):
         if not line.strip() or line.lstrip().startswith(data.comment):
             continue
@@ -172,41 +259,39 @@ def _number(path: Path, line: int, index: int, field: str, name: str) -> float:
     return value
 
 
-def _trial(column: dict[str, np.ndarray], data: MeasuredData, path: Path, lines: np.ndarray
-           ) -> tuple[np.ndarray, ...]:
-    """Return q, p, dq/dt, dp/dt, each (N, d), and time and block of each row, for one trial."""
-    t = column[data.time]
+def _rows(path: Path, trial: _Trial, data: MeasuredData) -> dict[str, np.ndarray]:
+    """Return states, their rates, time and block of each row of one trial, by their names."""
+    t, lines = trial.column[data.time], trial.lines
     backward = np.flatnonzero(np.diff(t) <= 0.0)
     if backward.size:
         raise DataError(f'{path}:{lines[backward[0] + 1]}: column {data.time}: time must '
                         'increase from row to row; sort the rows, or name the column that '
                         'separates recordings in data.trial')
-    mass = mass_matrix(data.mass, len(data.q))
-    q = np.stack([column[name] for name in data.q], axis=-1)
-    p = np.stack([column[name] for name in data.p], axis=-1) @ mass
-    rates = [None if names is None else np.stack([column[name] for name in names], axis=-1)
-             for names in (data.dq_dt, data.dp_dt)]
-    if rates[0] is not None and rates[1] is not None:
-        block = np.arange(len(t)) if data.block is None else time_blocks(t, data.block)
-        return q, p, rates[0], rates[1], t, block
-    window = _window(t, data.derivatives, path, lines)
-    states = [q, p]
-    for i, rate in enumerate(rates):
-        if rate is None:
-            try:
-                states[i], rates[i] = differentiate(t, states[i], data.derivatives, window)
-            except (ValueError, np.linalg.LinAlgError) as problem:
-                raise DataError(f'{path}:{lines[0]}: the derivatives of this trial cannot be '
-                                f'estimated ({problem}); look at its times and at '
-                                'data.derivatives') from problem
-    whole = slice(window // 2, len(t) - window // 2)
-    block = np.arange(len(t)) // (window or max(len(t) // BLOCKS, 1))
-    if data.block is not None:
-        block = time_blocks(t, data.block)
-    return tuple(array[whole] for array in (*states, *rates, t, block))
+    found = {'q': trial.stacked(data.q),
+             'p': trial.stacked(data.p) @ mass_matrix(data.mass, len(data.q)), 't': t}
+    given = {'q': data.dq_dt, 'p': data.dp_dt}
+    whole, block = slice(None), np.arange(len(t))
+    if None in given.values():
+        window = _window(path, t, data.derivatives, lines)
+        whole = slice(window // 2, len(t) - window // 2)
+        block //= window or max(len(t) // BLOCKS, 1)
+    for name, names in given.items():
+        if names is not None:
+            found[f'd{name}_dt'] = trial.stacked(names)
+            continue
+        assert data.derivatives is not None, 'checked with the configuration'
+        try:
+            found[name], found[f'd{name}_dt'] = differentiate(
+                t, found[name], data.derivatives, window)
+        except (ValueError, np.linalg.LinAlgError) as problem:
+            raise DataError(f'{path}:{lines[0]}: the derivatives of this trial cannot be '
+                            f'estimated ({problem}); look at its times and at '
+                            'data.derivatives') from problem
+    found['block'] = block if data.block is None else time_blocks(t, data.block)
+    return {name: values[whole] for name, values in found.items()}
 
 
-def _window(t: np.ndarray, method: object, path: Path, lines: np.ndarray) -> int:
+def _window(path: Path, t: np.ndarray, method: object, lines: Sequence[int]) -> int:
     """Return the window in rows, an odd number; 0 for a method without one."""
     if not isinstance(method, SavitzkyGolay):
         if len(t) < 5:
@@ -219,7 +304,7 @@ def _window(t: np.ndarray, method: object, path: Path, lines: np.ndarray) -> int
         raise DataError(f'{path}:{lines[at + 1]}: {t[at + 1] - t[at]:.6g} s after the row before, '
                         f'but {spacing:.6g} s on average; use derivatives: '
                         '{kind: smoothing_spline}, or data.trial to separate recordings')
-    window = 2 * round(0.5 * (min(method.window / spacing, 1e9) - 1.0)) + 1
+    window = method.rows(spacing)
     if not method.degree + 2 <= window <= len(t) - 1:
         raise DataError(f'{path}:{lines[0]}: derivatives.window of {method.window:g} s holds '
                         f'{window} of the {len(t)} rows of this trial, expected '
