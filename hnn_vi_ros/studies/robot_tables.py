@@ -226,7 +226,7 @@ def _joints(urdf: Path) -> Any:
 
 def _choice(train: list[Run]) -> tuple[list[Run], list[Run]]:
     """Split what is learned from: the last quarter of each run is what the choice is made by."""
-    from hnn_vi_ros.learning.fit.machine_training import part_of
+    from hnn_vi_ros.learning.data.runs import part_of
     ends = [round((1.0 - _CHOICE) * len(motion.t)) for motion in train]
     pairs = list(zip(train, ends, strict=True))
     return ([part_of(motion, slice(None, end)) for motion, end in pairs],

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import math
 
 from hnn_vi_ros.learning.families.perceptron import Perceptron
-from hnn_vi_ros.learning.families.seen import Seen
-from hnn_vi_ros.learning.families.structure import MotionScales, Structure
+from hnn_vi_ros.learning.families.structure import Features, MotionScales, Structure
 from hnn_vi_ros.models.mechanical_card import CoulombTerm, FrictionCard, StribeckTerm
 import numpy as np
 import torch
@@ -69,10 +68,10 @@ class JointFriction(torch.nn.Module):
         place = np.zeros((len(rows), d * d))
         place[np.arange(len(rows)), rows * d + columns] = 1.0
         self.register_buffer('place', torch.tensor(place), persistent=False)
-        self.seen = Seen(self.structure.kinds, features)
+        self.features = Features(self.structure.kinds, features)
         root = np.sqrt(self.viscous_unit.numpy())[rows]
         self.network = Perceptron(
-            hidden if features else [1], *self.seen.units(scales), root, seed)
+            hidden if features else [1], *self.features.units(scales), root, seed)
         with torch.no_grad():
             # Not zero, where the slope of B B^T would be none.
             self.network.linears[-1].weight.mul_(0.1)
@@ -90,7 +89,7 @@ class JointFriction(torch.nn.Module):
     def roots(self, q: torch.Tensor) -> torch.Tensor:
         """Return B, shape (N, d, d), of D = B B^T, at q of shape (N, d)."""
         d = q.shape[1]
-        return (self.network(self.seen(q)[0]) @ self.place).reshape(-1, d, d)
+        return (self.network(self.features(q)[0]) @ self.place).reshape(-1, d, d)
 
     def forward(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """Return the friction that is taken from tau, all of shape (N, d)."""

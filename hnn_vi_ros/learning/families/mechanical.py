@@ -11,8 +11,7 @@ from hnn_vi_ros.learning.families.linearised import Linearised, linearised
 from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.families.planar_chain import PlanarChain
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.families.seen import Seen
-from hnn_vi_ros.learning.families.structure import MotionScales, Structure
+from hnn_vi_ros.learning.families.structure import Features, MotionScales, Structure
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
 from hnn_vi_ros.models.planar_chain import CHAINS
@@ -73,18 +72,18 @@ class MechanicalNetwork(torch.nn.Module):
                 ('place', place), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
                 ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
-        self.mass_seen = Seen(structure.kinds, structure.mass_features)
-        self.potential_seen = Seen(structure.kinds, structure.features)
+        self.mass_features = Features(structure.kinds, structure.mass_features)
+        self.potential_features = Features(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
         self.mass = Perceptron(
-            mass_hidden, *self.mass_seen.units(scales), np.ones(len(rows)), seed)
+            mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed)
         with torch.no_grad():
             # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
             self.mass.linears[-1].weight.mul_(0.1)
             self.mass.linears[-1].bias.copy_(0.54 * self.on_diagonal)
         energy = float(np.mean(scales.inertia * scales.a))
-        self.potential = Perceptron(hidden, *self.potential_seen.units(scales),
+        self.potential = Perceptron(hidden, *self.potential_features.units(scales),
                                     np.array([energy]), seed + 1)
         self._leave_out_networks(structure.left_out if structure.residual else _NETWORKS)
 
@@ -141,8 +140,9 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
-        x, slope = self.mass_seen(q)
-        y, tangents = _with_tangents(self.mass, x, slope[:, None, :] * self.mass_seen.of_feature)
+        x, slope = self.mass_features(q)
+        y, tangents = _with_tangents(
+            self.mass, x, slope[:, None, :] * self.mass_features.of_feature)
         rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
         return self.positive(y), rises[:, None, :] * tangents
 
@@ -152,8 +152,8 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _potential_slope(self, q: torch.Tensor) -> torch.Tensor:
         """Return the derivatives by q of what the network adds to V, both of shape (N, d)."""
-        x, slope = self.potential_seen(q)
-        return (slope * _slope(self.potential, x)) @ self.potential_seen.rows
+        x, slope = self.potential_features(q)
+        return (slope * self.potential.gradient(x)) @ self.potential_features.rows
 
     def masses(self, q: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
@@ -162,7 +162,7 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _factor(self, q: torch.Tensor) -> torch.Tensor:
         """Return L, shape (N, d, d)."""
-        return self.matrix(self.positive(self.mass(self.mass_seen(q)[0])))
+        return self.matrix(self.positive(self.mass(self.mass_features(q)[0])))
 
     def matrix(self, entries: torch.Tensor) -> torch.Tensor:
         """Return lower triangular matrices, shape (N, d, d), of entries (N, k)."""
@@ -240,7 +240,7 @@ class MechanicalNetwork(torch.nn.Module):
     def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
         L, slopes, u, w, rest = self._parts(q, v)
-        by_time = ((v @ self.mass_seen.features.T)[:, :, None] * slopes).sum(dim=1)
+        by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
         L_dot = self.matrix(by_time)
         inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
         needed, values = inertial - rest / self.root_inertia, None
@@ -265,7 +265,7 @@ class MechanicalNetwork(torch.nn.Module):
         w = L.transpose(1, 2) @ u
         # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
-        inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_seen.features
+        inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_features.features
         return L, slopes, u, w, inertial - self._potential_slope(q) - self.friction(q, v)
 
     def _solve(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
@@ -291,7 +291,7 @@ class MechanicalNetwork(torch.nn.Module):
     def networks(self) -> dict[str, Layers]:
         """Return the networks for the model file; V is zero in the middle of the data."""
         centre = torch.tensor(self.scales.q_centre)[None]
-        x0 = self.potential_seen(centre)[0][0].numpy()
+        x0 = self.potential_features(centre)[0][0].numpy()
         found = {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
         return found if self.structure.friction_features is None else \
             found | {'friction': self.friction.network.layers()}
@@ -338,16 +338,3 @@ def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor
         tangents = (1.0 - a.square())[:, None, :] * (tangents @ linear.weight.T)
     scale = network.output_scale
     return scale * last(a), scale * (tangents @ last.weight.T)
-
-
-def _slope(network: Perceptron, x: torch.Tensor) -> torch.Tensor:
-    """Return the gradient, shape (N, n), of a network of one output, by one backward pass."""
-    a, activations = (x - network.centre) / network.scale, []
-    *hidden, last = network.linears
-    for linear in hidden:
-        a = torch.tanh(linear(a))
-        activations.append(a)
-    g = network.output_scale[0] * last.weight
-    for linear, a in zip(hidden[::-1], activations[::-1], strict=True):
-        g = ((1.0 - a.square()) * g) @ linear.weight
-    return g / network.scale

@@ -61,6 +61,29 @@ class Perceptron(torch.nn.Module):
             tangent = (1.0 - a.square())[:, :, None] * (linear.weight @ tangent)
         return self.output_scale[:, None] * (self.linears[-1].weight @ tangent)
 
+    def gradient(self, x: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Tensor:
+        """
+        Return the gradient of a sum of the outputs, shape (N, inputs), by one backward pass.
+
+        Parameters
+        ----------
+        x : torch.Tensor, shape (N, inputs)
+            Points.
+        weights : torch.Tensor, shape (N, outputs), optional
+            Of the outputs in the sum; none for the one output of a network.
+
+        """
+        a, activations = (x - self.centre) / self.scale, []
+        *hidden, last = self.linears
+        for linear in hidden:
+            a = torch.tanh(linear(a))
+            activations.append(a)
+        g = self.output_scale * last.weight if weights is None else \
+            (weights * self.output_scale) @ last.weight
+        for linear, a in zip(hidden[::-1], activations[::-1], strict=True):
+            g = (g * (1.0 - a.square())) @ linear.weight
+        return g / self.scale
+
     def layers(self, x0: np.ndarray | None = None, value: float = 0.0) -> Layers:
         """
         Return a plain tanh perceptron of x that is f, or differs from it by a constant.

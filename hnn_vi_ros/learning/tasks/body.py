@@ -90,7 +90,7 @@ def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> flo
     """Return what is made 1: the root mean square of columns of B, or the mean of inertias."""
     R = torch.cat([motion.R.flatten(0, 1) for motion in motions])
     x = torch.cat([motion.x.flatten(0, 1) for motion in motions])
-    count = motions[0].u.shape[2] if 'input_map' in network.seen else 0
+    count = motions[0].u.shape[2] if 'input_map' in network.features else 0
     with torch.no_grad():
         if count:
             forces = [network.inputs(x, R, unit.expand(len(R), -1)) for unit in
@@ -113,7 +113,7 @@ def describe(network: LieGroupNetwork, config: BodyConfig, motions: Sequence[Bod
             for motion in motions])
     x = torch.cat([motion.x.flatten(0, 1) for motion in motions])
     description = f'{config.description} {description}'.lstrip()
-    if 'input_map' in network.seen:
+    if 'input_map' in network.features:
         description += ('; an input map was learned, which leaves the scale of energy open: the '
                         'mean square of its columns is 1')
     elif not any(motion.u.any() for motion in motions):
@@ -158,7 +158,7 @@ def evaluate(arguments: Namespace) -> None:
     file = one_file(source, config.data.path, arguments.data)
     _, test, description = read_bodies(file, config.data, group.kind)
     network, windows = LieGroupNetwork.of(model), _judged(test)
-    driven = 'input_map' in network.seen
+    driven = 'input_map' in network.features
     if driven and windows.u.shape[2] * group.size != len(model.networks['input_map'].biases[-1]):
         raise DataError(f'{file}: has {windows.u.shape[2]} inputs, which are not those of '
                         f'{arguments.model}')
