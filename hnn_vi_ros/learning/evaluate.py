@@ -19,7 +19,8 @@ from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.motion_bags import BagMotions
 from hnn_vi_ros.learning.data.runs import Run, RunData
-from hnn_vi_ros.learning.data.sources import guessed, make_dataset, motions_of, read_motions
+from hnn_vi_ros.learning.data.sources import (
+    guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
 from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
@@ -162,7 +163,7 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
-        data = guessed(given[0])
+        data: MotionSource = guessed(given[0])
         source = Path(given[0])
     else:
         source = find_config(arguments.config)

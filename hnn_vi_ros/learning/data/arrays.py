@@ -25,7 +25,7 @@ NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, zipfile.BadZip
 # R^T R and the norm of a quaternion may be off by this in data that were written with few digits,
 # and by that in those that were written with all of them.
 _NOT_TURNING, _ROUNDING = 1e-3, 1e-14
-_TEST_RUNS = Field([], description=(
+_TEST_RUNS: list[str] = Field([], description=(
     'runs to judge the model by; none: the last fifth of each run in time'))
 
 
@@ -350,4 +350,5 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     left, _, right = np.linalg.svd(R[off])
     R[off] = left @ right
     R = R.reshape(*attitude.shape[:-1], 3, 3)
-    return BodyMotions(*map(torch.tensor, (x, R, v, u)), interval=interval)
+    x, R, v, u = map(torch.tensor, (x, R, v, u))
+    return BodyMotions(x, R, v, u, interval)

@@ -146,11 +146,12 @@ def _reader(path: Path, data: BagData) -> tuple[SignalReader, BagData]:
 def _topics(reader: SignalReader, data: BagData) -> dict[str, Topic | None]:
     """Return where q, p, dp/dt and the velocities are that data does not say it of."""
     state = None
-    if data.q is data.p is data.mass is data.dp_dt is None:
+    if data.q is None and data.p is None and data.mass is None and data.dp_dt is None:
         state = reader.state_topic()
-    found = {'q': state, 'p': state, 'dp_dt': state} if state else {
-        'q': data.q or 'joint_states'}
-    velocity, q = data.velocity, found['q']
+    velocity, q = data.velocity, state or data.q or 'joint_states'
+    found: dict[str, Topic | None] = {'q': q}
+    if state:
+        found |= {'p': state, 'dp_dt': state}
     if velocity is None and not data.estimate_velocity:
         # Those of ~/state are beside it, by the same stamps.
         beside = f'{q.rpartition("/")[0].rpartition("/")[0]}/joint_states' if state else q
@@ -169,7 +170,8 @@ def _signals(reader: SignalReader, data: BagData) -> dict[str, Signal]:
         if topic is not None and reader.is_state(topic):
             reader.check_resets(topic)
             topics[name] = topic, 'position', prefix
-    return {name: reader.read(*where) for name, where in topics.items() if where[0] is not None}
+    return {name: reader.read(topic, field, prefix)
+            for name, (topic, field, prefix) in topics.items() if topic is not None}
 
 
 def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarray]]:
@@ -193,7 +195,8 @@ def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarr
 
 def _windows(signals: Iterable[Signal]) -> Iterator[tuple[float, float]]:
     """Yield the times [s] from which to which every signal goes on without a gap."""
-    gaps, start, last = [], -np.inf, np.inf
+    start, last = -np.inf, np.inf
+    gaps: list[tuple[float, float]] = []
     for t, _ in signals:
         intervals = np.diff(t)
         gaps.extend((t[i], t[i + 1])

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import final, NamedTuple, TYPE_CHECKING
+from typing import final, NamedTuple, TYPE_CHECKING, TypeVar
 
 from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, JointStates
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
-# Of times that are to be those of stamps, in mean intervals.
+# Times agree with stamps that are off by less than this, in mean intervals.
 _DISAGREEMENT = 0.01
+
+Decoded = TypeVar('Decoded')
 
 
 class Signal(NamedTuple):
@@ -246,8 +248,8 @@ class SignalReader:
             efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
             return self._times(name, stamps), efforts
         name = channels[0].topic
-        convert = self._converter(name, self._schema(channels[0]), '*', '')
-        found = [convert(message)
+        self._check_type(name, self._schema(channels[0]), '*')
+        found = [self._from_array(name, message, True)
                  for message in self._reader.messages([channel.id for channel in channels])]
         lengths = [len(values) for _, values in found]
         usual = max(set(lengths), key=lengths.count, default=0)
@@ -267,7 +269,7 @@ class SignalReader:
         if kind != JOINT_STATE:
             raise DataError(f'{self.path}: {name} has the type {kind}, expected {JOINT_STATE}; '
                             f'the bag holds: {self._contents()}')
-        stamps, rows, seen = [], [], set()
+        stamps, rows, seen = [], [], set[str]()
         for message in self._reader.messages([channel.id for channel in channels]):
             state = self._joint_state(name, message)
             seen.update(state.names)
@@ -327,11 +329,16 @@ class SignalReader:
 
     def _converter(self, topic: str, kind: str, field: str, prefix: str
                    ) -> Callable[[Recorded], tuple[int, np.ndarray] | None]:
+        self._check_type(topic, kind, field)
         if kind == ARRAY:
             return lambda message: self._from_array(topic, message, field == '*')
-        if kind == JOINT_STATE and field not in ('', '*'):
-            names = [prefix + joint for joint in self._joints]
-            return lambda message: self._from_joint_state(topic, message, field, names)
+        names = [prefix + joint for joint in self._joints]
+        return lambda message: self._from_joint_state(topic, message, field, names)
+
+    def _check_type(self, topic: str, kind: str, field: str) -> None:
+        """Raise DataError if a topic's type cannot hold a field; see read."""
+        if kind == ARRAY or (kind == JOINT_STATE and field not in ('', '*')):
+            return
         expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}.get(
             field, f'{ARRAY} or {JOINT_STATE}')
         raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the bag '
@@ -366,7 +373,8 @@ class SignalReader:
     def _joint_state(self, topic: str, message: Recorded) -> JointStates:
         return self._decoded(topic, message, decode_joint_state)
 
-    def _decoded(self, topic: str, message: Recorded, decode: Callable) -> object:
+    def _decoded(self, topic: str, message: Recorded, decode: Callable[[bytes], Decoded]
+                 ) -> Decoded:
         try:
             return decode(message.data)
         except (ValueError, UnicodeDecodeError) as problem:

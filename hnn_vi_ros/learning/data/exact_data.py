@@ -155,7 +155,7 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
         commands = data.commands.largest * rng.uniform(-1.0, 1.0, (data.samples, m))
     if data.trajectory is not None:
         times = data.trajectory.times
-        q, p = _follow(data, hamiltonian, q, p, commands)
+        q, p = _follow(data, hamiltonian, q, p, times, commands)
         t, trajectory = np.tile(times, data.samples), np.repeat(trajectory, len(times))
         commands = None if commands is None else commands[trajectory]
     dq_dt, dp_dt = _rates(data, hamiltonian, q, p, commands)
@@ -176,7 +176,7 @@ def _rates(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarr
     dp_dt = -dH_dq
     if data.damping:
         dp_dt -= data.damping * p
-    if commands is not None:
+    if commands is not None and data.commands is not None:
         dp_dt += commands @ data.commands.matrix.T
     return dH_dp, dp_dt
 
@@ -196,9 +196,9 @@ def _describe(data: ExactData) -> str:
 
 
 def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
-            commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+            times: np.ndarray, commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the states (q, p) of the motions from these ones, one motion after another."""
-    d, times, motions = hamiltonian.dimension, data.trajectory.times, []
+    d, motions = hamiltonian.dimension, []
     for i, z in enumerate(np.hstack([q, p])):
         command = None if commands is None else commands[i]
 

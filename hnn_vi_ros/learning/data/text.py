@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read text files, a row of numbers for each instant: as states and rates, or as runs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from hashlib import sha256
 import os
 from pathlib import Path
@@ -291,7 +291,7 @@ def _rows(path: Path, trial: _Trial, data: MeasuredData) -> dict[str, np.ndarray
     return {name: values[whole] for name, values in found.items()}
 
 
-def _window(path: Path, t: np.ndarray, method: object, lines: Sequence[int]) -> int:
+def _window(path: Path, t: np.ndarray, method: object, lines: np.ndarray) -> int:
     """Return the window in rows, an odd number; 0 for a method without one."""
     if not isinstance(method, SavitzkyGolay):
         if len(t) < 5:

@@ -82,9 +82,9 @@ def _sines(rng: np.random.Generator, robot: RigidBodyTree, t: np.ndarray, fastes
     found = np.zeros((3, len(t), robot.dimension))
     for j, joint in enumerate(robot.joints):
         low, high = joint.bounds
-        limited = low is not None and high is not None and high > low
-        middle = 0.5 * (low + high) if limited else 0.0
-        room = min(_ROOM * (high - low), _UNLIMITED) if limited else _UNLIMITED
+        middle, room = 0.0, _UNLIMITED
+        if low is not None and high is not None and high > low:
+            middle, room = 0.5 * (low + high), min(_ROOM * (high - low), _UNLIMITED)
         # Slow ones are wide, so that fast ones are not all that is felt.
         rate = 2.0 * np.pi * fastest * rng.uniform(0.1, 1.0, _SINES)
         size = rng.uniform(0.5, 1.0, _SINES) / rate

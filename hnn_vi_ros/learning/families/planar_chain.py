@@ -86,7 +86,7 @@ class PlanarChain(torch.nn.Module):
         raw = []
         for name, value in found.items():
             if name.startswith('coupling'):
-                i, j = name[-2:]
+                i, j = name[-2], name[-1]
                 raw.append(torch.atanh(
                     value / (found[f'inertia{i}'] * found[f'inertia{j}']).sqrt()))
             else:
@@ -99,7 +99,7 @@ class PlanarChain(torch.nn.Module):
         found = dict(zip(self.names, values.clone(), strict=True))
         for name, value in found.items():
             if name.startswith('coupling'):
-                i, j = name[-2:]
+                i, j = name[-2], name[-1]
                 most = _MOST * (found[f'inertia{i}'] * found[f'inertia{j}']).sqrt()
                 found[name] = torch.clamp(value, -most, most)
             elif not name.startswith('gravity'):

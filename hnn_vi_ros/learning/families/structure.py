@@ -109,7 +109,7 @@ class Features(torch.nn.Module):
 
     def __init__(self, kinds: Sequence[Kind], features: Sequence[list[float]]):
         super().__init__()
-        rows, phases, periodic, of_feature = [], [], [], []
+        rows, phases, periodic, of_feature = [], [], list[bool](), []
         for number, row in enumerate(features):
             turns = is_periodic(kinds, row)
             # The cosine is a sine that is a quarter of a turn ahead.

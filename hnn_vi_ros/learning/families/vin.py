@@ -71,7 +71,7 @@ class VIN(EnergyFamily):
         """Return V; see Trainable."""
         q0, p0 = np.split(z0, 2)
         kinetic = 0.5 * p0 @ np.linalg.solve(self.mass.detach().numpy(), p0)
-        return {'potential': self.potential.layers(q0, energy0 - kinetic)}
+        return {'potential': self.potential.layers(q0, float(energy0 - kinetic))}
 
     def constants(self) -> dict[str, Any]:
         """Return the mass matrix."""

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -97,13 +98,13 @@ class OnWeights:
 
     def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return the gradient, shape (W,); see Dependence."""
-        total = 0.0
+        total = np.zeros(())
         for states, directions in zip(self._rows(q, p), self._rows(*weights), strict=True):
             flat, slopes = self._slopes(states)
             (part,) = torch.autograd.grad(
                 slopes, flat, directions, allow_unused=True, materialize_grads=True)
-            total = total + part
-        return total.numpy()
+            total = total + part.numpy()
+        return total
 
     def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
         """Return the change, from one of shape (W,); see Dependence."""
@@ -164,7 +165,7 @@ def _tensors(checkpoint: Checkpoint) -> Iterator[tuple[str, np.ndarray]]:
             yield from zip(layer, values, strict=True)
 
 
-def _layers(checkpoint: Checkpoint, tensors: Mapping) -> dict[str, Layers]:
+def _layers(checkpoint: Checkpoint, tensors: Mapping[str, Any]) -> dict[str, Layers]:
     """Return the networks of H, of arrays or tensors by name."""
     return {network: Layers(*zip(*((tensors[weight], tensors[bias]) for weight, bias in names),
                                  strict=True))

@@ -237,7 +237,7 @@ class FieldProblem(Problem):
         loss = mean_square(self._errors(self._train), self._unit)
         if self._config.linearity:
             loss = loss + self._config.linearity * nonlinearity(
-                self.module, *self._pairs, self._unit)
+                self.module, self._pairs[0], self._pairs[1], self._unit)
         preference = self.module.preference(*self._train.inputs)
         return loss if preference is None else loss + preference
 

@@ -78,8 +78,8 @@ def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
              for name in ('q', 'q_smooth', 'v_smooth', 'a_smooth', 'tau')]
     means = np.concatenate([mean_forces(motion, every) for motion in motions])
     left = np.concatenate([np.arange(len(motion.t))[::-1] for motion in motions])
-    return Samples(*map(torch.tensor, (*parts, means, left)), every,
-                   every * motions[0].spacing)
+    measured, q, v, a, tau, mean, behind = map(torch.tensor, (*parts, means, left))
+    return Samples(measured, q, v, a, tau, mean, behind, every, every * motions[0].spacing)
 
 
 def mean_forces(motion: Run, every: int) -> np.ndarray:
@@ -157,8 +157,8 @@ class Windows(NamedTuple):
 
     Parameters
     ----------
-    count : int
-        Steps in each.
+    steps : int
+        In each.
     method : str
         Of their steps.
     time_scale : float
@@ -166,7 +166,7 @@ class Windows(NamedTuple):
 
     """
 
-    count: int
+    steps: int
     method: WindowMethod
     time_scale: float
 
@@ -180,13 +180,13 @@ def window_loss(network: Network, samples: Samples, starts: torch.Tensor, window
 def window_errors(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
                   solutions: Solutions | None = None) -> torch.Tensor:
     """
-    Return the errors of q and v after each step of windows, shape (2 count, N, d).
+    Return the errors of q and v after each step of windows, shape (2 steps, N, d).
 
     ``solutions`` are those of the equations, if they are to be used again.
     """
     # What has no masses has no momenta, which a variational method steps.
     method = windows.method if network.has_masses else 'rk4'
-    at = starts + samples.every * torch.arange(windows.count + 1)[:, None]
+    at = starts + samples.every * torch.arange(windows.steps + 1)[:, None]
     measured_q, measured_v = samples.q[at], samples.v[at]
     q, v = _simulated(network, method, measured_q, measured_v[0], samples.mean_tau[at[:-1]],
                       samples.step_size, solutions)
@@ -282,7 +282,8 @@ def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
     return factor * input_map, factor * inertia
 
 
-def windows_of(loss: Trajectory, stage: Stage, samples: Samples) -> tuple[Windows, torch.Tensor]:
+def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
+               ) -> tuple[Windows, torch.Tensor]:
     """Return the windows of a stage, and the samples that they can begin at, or DataError."""
     count = round(stage.duration / samples.step_size)
     starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]

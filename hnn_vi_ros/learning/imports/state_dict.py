@@ -108,7 +108,7 @@ def _networks(path: Path, state: object) -> dict[str, Layers]:
 
 def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -> Layers:
     depth = max(layer for layer, _ in found)
-    weights, biases = [], []
+    weights, biases = list[np.ndarray](), list[np.ndarray]()
     for layer in range(1, depth + 1):
         name, weight = f'{prefix}linear{layer}', found.get((layer, 'weight'))
         if weight is None or weight.ndim != 2 or not weight.size or (

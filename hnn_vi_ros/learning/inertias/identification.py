@@ -200,8 +200,8 @@ def _residuals(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> np.nd
 def _regress(unknowns: Unknowns, equations: Equations) -> np.ndarray:
     """Return x by least squares; QR leaves as many equations as there are parameters."""
     k = equations.matrix.shape[2]
-    R = np.linalg.qr(np.hstack([equations.matrix.reshape(-1, k),
-                                equations.forces.reshape(-1, 1)]), mode='r')
+    R = np.asarray(np.linalg.qr(np.hstack([
+        equations.matrix.reshape(-1, k), equations.forces.reshape(-1, 1)]), mode='r'))
     free, start = unknowns.free, unknowns.start
     told = _told(unknowns, equations, start)
     inertial = len(told.held)
@@ -232,8 +232,9 @@ def _told(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Told:
     inertial = unknowns.free[unknowns.free < sum(unknowns.sizes[:3])]
     G = slopes[:values][:, inertial]
     # Behind the columns of friction: what it cannot explain.
-    R = np.linalg.qr(np.hstack([rows[:, values:], rows[:, :values]]), mode='r')
-    R = R[k - values:, k - values:]
+    whole = np.asarray(np.linalg.qr(
+        np.hstack([rows[:, values:], rows[:, :values]]), mode='r'))
+    R = whole[k - values:, k - values:]
     _, sizes, V = np.linalg.svd(R @ G)
     felt = int(np.sum(sizes > _ROUNDING * sizes[0]))
     rank = int(np.sum(sizes[:felt] > _TOLD))
@@ -380,6 +381,6 @@ def _summary(unknowns: Unknowns, told: Told, weak: np.ndarray, covariance: np.nd
 
 def _factors(names: Sequence[str], row: np.ndarray) -> Iterator[tuple[str, float]]:
     """Yield the parameters of a combination, that of factor 1 first."""
-    places = np.flatnonzero(row[:len(names)])
+    places = np.flatnonzero(row[:len(names)]).tolist()
     for place in sorted(places, key=lambda place: (row[place] != 1.0, place)):
         yield names[place], float(row[place])

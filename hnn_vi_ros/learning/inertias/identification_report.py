@@ -26,9 +26,8 @@ def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
         return checkpoint
     error, share = force_errors(network, motions)
     update = {'force_error': error} | ({'residual_share': share} if share else {})
-    prior = mechanical.prior
-    found = prior.identification.model_copy(update=update)
-    prior = prior.model_copy(update={'identification': found})
+    prior = mechanical.prior.model_copy(update={
+        'identification': mechanical.prior.identification.model_copy(update=update)})
     return replace(checkpoint, card=checkpoint.card.model_copy(update={
         'mechanical': mechanical.model_copy(update={'prior': prior})}))
 

@@ -85,7 +85,7 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwo
         return None
     scales = scales_of(motions)
     kinds: list[Kind] = ['revolute'] * d
-    fitted = []
+    fitted: list[tuple[float, int, MechanicalNetwork]] = []
     for kind, links in CHAINS.items():
         # Angles from the vertical, and from the link before.
         for features in (np.eye(d), np.tril(np.ones((d, d))))[:d if links == d else 0]:

@@ -172,6 +172,7 @@ def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
 def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
     d, coordinate = len(card.coordinates), card.coordinates[i]
     # A loss over several steps has the first of them first.
+    assert comparison.states is not None, 'drawn where there are some'
     states = comparison.states[:_MOST_ARROWS]
     x, y = states[:, i], states[:, d + i]
     box = np.array([card.box.q[i], card.box.p[i]])

@@ -3,7 +3,8 @@
 """Interface of a group of families to the trainer."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 from hnn_vi_ros.learning.fit.loop import Problem
@@ -23,6 +24,10 @@ class Task(ABC):
 
     # The name of the picture in the report.
     picture: ClassVar[str]
+
+    @abstractmethod
+    def __init__(self, source: Path, config: Any, given: Sequence[str], ensemble: bool):
+        """Read the data."""
 
     @abstractmethod
     def arrays(self) -> Iterable[np.ndarray]:

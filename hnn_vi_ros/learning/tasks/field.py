@@ -135,6 +135,7 @@ def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
         data = config.data.model_copy(update={
             'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
         dataset = sample_exact(data, config.seed + 1)
+        assert dataset.energies is not None, 'exact data have them'
         return energy_error(hamiltonian.energy(dataset.q, family.momenta(dataset)),
                             dataset.energies, config.seed)
     if dataset.t is None:
@@ -177,4 +178,5 @@ def model_work(family: EnergyFamily, dataset: Dataset, trajectory: np.ndarray) -
     commands = None if dataset.commands is None else torch.tensor(dataset.commands)
     rates = family.vector_field(z, commands)
     power = (family.gradient(z) * rates).sum(dim=1).detach().numpy()
+    assert dataset.t is not None, 'asked of motions alone'
     return integrated(power[:, None], trajectory, dataset.t)[:, 0]
