@@ -20,8 +20,8 @@ class PlanarChain(torch.nn.Module):
     """
     The parameters of models/planar_chain.py, of which M is positive definite whatever they are.
 
-    Inertias are u exp(x); couplings sqrt(I_i I_j) tanh(x), which is all that M > 0 asks of two
-    links; gravities u x; with the unit u.
+    Inertias are u exp(x); the coupling of two links is sqrt(I_1 I_2) tanh(x), all that M > 0
+    demands; gravities are u x; with the unit u.
 
     Parameters
     ----------
@@ -37,7 +37,10 @@ class PlanarChain(torch.nn.Module):
     def __init__(self, features: Sequence[Sequence[float]], inertia: float):
         super().__init__()
         self.names = parameter_names(features)
-        # What the parameters are multiplied with, since M and V are linear in them.
+        # The numbers of inertias, couplings, gravities and inertias of motors.
+        self._sizes = [sum(name.startswith(kind) for name in self.names)
+                       for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
+        # M and V are linear in the parameters; these are the terms of each.
         units = [chain_terms(features, dict(zip(self.names, row, strict=True)))
                  for row in np.eye(len(self.names))]
         for name, values in (
@@ -45,29 +48,17 @@ class PlanarChain(torch.nn.Module):
                 ('matrices', np.stack([unit.matrices for unit in units])),
                 ('rows', units[0].rows),
                 ('weights', np.stack([unit.weights for unit in units])),
-                ('couples', np.array([name.startswith('coupling') for name in self.names])),
-                ('pulls', np.array([name.startswith('gravity') for name in self.names])),
-                ('means', self._means()), ('unit', np.array(inertia))):
+                ('unit', np.array(inertia))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
-    def _means(self) -> np.ndarray:
-        """Return the rows that are means of x of what a parameter's size is made of."""
-        rows = np.eye(len(self.names))
-        for row, name in zip(rows, self.names, strict=True):
-            if name.startswith('coupling'):
-                row[:] = [0.5 * (other in (f'inertia{name[-2]}', f'inertia{name[-1]}'))
-                          for other in self.names]
-            elif name.startswith('gravity'):
-                row[:] = 0.0  # linear in x, whose exponential might overflow
-        return rows
-
     def values(self) -> torch.Tensor:
         """Return the parameters, shape (k,), in the order of their names."""
-        # sqrt(I_i I_j) is u exp((x_i + x_j) / 2).
-        size = torch.exp(self.means @ self.raw)
-        size = torch.where(self.couples, torch.tanh(self.raw) * size, size)
-        return self.unit * torch.where(self.pulls, self.raw, size)
+        inertias, couplings, gravities, motors = self.raw.split(self._sizes)
+        # sqrt(I_1 I_2) is u exp((x_1 + x_2) / 2).
+        size = torch.exp(0.5 * inertias.sum())
+        return self.unit * torch.cat([
+            torch.exp(inertias), torch.tanh(couplings) * size, gravities, torch.exp(motors)])
 
     def scale(self) -> torch.Tensor:
         """Return the usual sizes of the parameters, shape (k,)."""
@@ -82,29 +73,19 @@ class PlanarChain(torch.nn.Module):
 
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
         """Return the raw parameters of values; not a number where M would not be positive."""
-        found = dict(zip(self.names, values, strict=True))
-        raw = []
-        for name, value in found.items():
-            if name.startswith('coupling'):
-                i, j = name[-2], name[-1]
-                raw.append(torch.atanh(
-                    value / (found[f'inertia{i}'] * found[f'inertia{j}']).sqrt()))
-            else:
-                raw.append(value / self.unit if name.startswith('gravity')
-                           else torch.log(value / self.unit))
-        return torch.stack(raw)
+        inertias, couplings, gravities, motors = values.split(self._sizes)
+        return torch.cat([
+            torch.log(inertias / self.unit), torch.atanh(couplings / inertias.prod().sqrt()),
+            gravities / self.unit, torch.log(motors / self.unit)])
 
     def possible(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the next values of which M is positive definite, by some margin."""
-        found = dict(zip(self.names, values.clone(), strict=True))
-        for name, value in found.items():
-            if name.startswith('coupling'):
-                i, j = name[-2], name[-1]
-                most = _MOST * (found[f'inertia{i}'] * found[f'inertia{j}']).sqrt()
-                found[name] = torch.clamp(value, -most, most)
-            elif not name.startswith('gravity'):
-                found[name] = torch.clamp(value, min=_LEAST * float(self.unit))
-        return torch.stack([*found.values()])
+        """Return the next values with a positive definite M, by some margin."""
+        inertias, couplings, gravities, motors = values.split(self._sizes)
+        least = _LEAST * float(self.unit)
+        inertias = inertias.clamp(min=least)
+        most = _MOST * inertias.prod().sqrt()
+        return torch.cat([inertias, torch.clamp(couplings, -most, most), gravities,
+                          motors.clamp(min=least)])
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""

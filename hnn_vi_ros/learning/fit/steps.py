@@ -3,12 +3,11 @@
 """Steps of implicit methods that gradients go through."""
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.partitioned import Node
 from hnn_vi_ros.learning.families.newton import newton
-import numpy as np
 import torch
 
 # Share of the states to which equations are solved before a last step of Newton's method. Losses
@@ -19,43 +18,11 @@ _EPS = torch.finfo(torch.float64).eps
 Field = Callable[[torch.Tensor], torch.Tensor]
 
 
-class Node(NamedTuple):
-    """
-    One stage of a method whose stages are solved one after another, by shares of the step size.
-
-    From (x, c), which are q and p before the first node, it solves for Q and P, then goes on:
-
-        Q = x + a h q'(Q, P),  P = c + b h p'(Q, P),  x <- x + u h q'(Q, P),  c <- c + w h p'(Q, P)
-    """
-
-    a: float
-    b: float
-    u: float
-    w: float
-
-
 def nodes(integrator: str) -> list[Node]:
-    """
-    Return the nodes of a method, from its tableau.
-
-    Raises
-    ------
-    ValueError
-        Its stages cannot be solved one after another: a stage does not begin where those before
-        it have ended.
-
-    """
+    """Return the stages of a method that can be solved one after another, from its tableau."""
     tableau = INTEGRATORS[integrator]().partitioned
-    if tableau is None:
-        raise ValueError(f'{integrator} is no Runge-Kutta method')
-    for matrix, weights in ((tableau.q_matrix, tableau.q_weights),
-                            (tableau.p_matrix, tableau.p_weights)):
-        if (np.tril(matrix, -1) != np.tril(np.tile(weights, (len(weights), 1)), -1)).any() \
-                or np.triu(matrix, 1).any():
-            raise ValueError(f'the stages of {integrator} cannot be solved one after another')
-    return [Node(*map(float, numbers)) for numbers in zip(
-        np.diag(tableau.q_matrix), np.diag(tableau.p_matrix), tableau.q_weights,
-        tableau.p_weights, strict=True)]
+    assert tableau is not None, 'the methods of training have one'
+    return tableau.nodes()
 
 
 def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Tensor:
