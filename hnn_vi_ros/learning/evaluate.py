@@ -27,8 +27,8 @@ from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config,
 from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.energy_account import unaccounted
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, Fan, linear_model, predicted_by, score, Scores, table, verdict)
-from hnn_vi_ros.learning.judging.prediction import judge, names_of, parts_of, simulation_of
+    as_json, Fan, judge, linear_model, names_of, parts_of, predicted_by, score, Scores,
+    simulation_of, table, verdict)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation

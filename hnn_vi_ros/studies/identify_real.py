@@ -20,8 +20,7 @@ from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
 from hnn_vi_ros.learning.identify_statistics import estimates_of
-from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, variance_of
-from hnn_vi_ros.learning.judging.prediction import simulation_of
+from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.studies.machine_tables import dfki_errors, Measure, multiarm_errors
 import numpy as np

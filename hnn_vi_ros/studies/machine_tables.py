@@ -20,8 +20,7 @@ from hnn_vi_ros.learning.families.plain_network import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
 from hnn_vi_ros.learning.judging.evaluation import (
-    Predict, predicted_by, score, simulated, variance_of)
-from hnn_vi_ros.learning.judging.prediction import simulation_of
+    Predict, predicted_by, score, simulated, simulation_of, variance_of)
 from hnn_vi_ros.learning.tasks.machine import describe, fix_scale, learn
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian

@@ -8,7 +8,7 @@ from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.families.exact_prior import ExactPrior
+from hnn_vi_ros.learning.families.priors import ExactPrior
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.exact_prior import exact_systems

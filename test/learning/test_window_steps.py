@@ -11,10 +11,10 @@ from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.families.linearised import Linearised
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.fit import window_steps
+from hnn_vi_ros.learning.fit import steps as window_steps
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows
-from hnn_vi_ros.learning.fit.window_steps import METHODS, simulated, Solutions
+from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
 from hnn_vi_ros.learning.tasks.machine import describe
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian

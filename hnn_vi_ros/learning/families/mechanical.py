@@ -5,11 +5,10 @@
 from collections.abc import Sequence
 import math
 
-from hnn_vi_ros.learning.families.exact_prior import ExactPrior
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
 from hnn_vi_ros.learning.families.linearised import Linearised, linearised
 from hnn_vi_ros.learning.families.perceptron import Perceptron
-from hnn_vi_ros.learning.families.planar_chain import PlanarChain
+from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
 from hnn_vi_ros.learning.families.structure import Features, MotionScales, Structure
 from hnn_vi_ros.models.checkpoint import Layers

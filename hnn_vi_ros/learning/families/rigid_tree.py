@@ -5,6 +5,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from hnn_vi_ros.learning.families.priors import Prior
 from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
 from hnn_vi_ros.models.rigid_body_card import (
     EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
@@ -38,7 +39,7 @@ class Swept(NamedTuple):
     pull: torch.Tensor
 
 
-class RigidTree(torch.nn.Module):
+class RigidTree(Prior):
     """
     M and V of a tree of bodies, for inertias that are those of some body, whatever is fitted.
 
@@ -67,8 +68,6 @@ class RigidTree(torch.nn.Module):
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 5.
 
     """
-
-    linear = False
 
     def __init__(self, tree: TreeCard, values: np.ndarray):
         super().__init__()
@@ -167,11 +166,6 @@ class RigidTree(torch.nn.Module):
         J = self.sweep(q, torch.zeros_like(q)).jacobian
         return ((J.transpose(2, 3) @ self._inertias(values) @ J).sum(dim=1)
                 + torch.diag(self._by_joint(values, 0)))
-
-    def forces(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """Return (M v)' at held v - (v . M v)_q / 2 + V_q, shape (N, d)."""
-        turned, slope = self.slopes(q, v, values)
-        return turned - slope
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:

@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.families.plain_network import PlainNetwork
 from hnn_vi_ros.learning.families.structure import MotionScales
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
-from hnn_vi_ros.learning.fit.window_steps import simulated, Solutions
+from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
 import torch
 

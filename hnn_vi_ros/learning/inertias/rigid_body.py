@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, Windows, windows_of)
-from hnn_vi_ros.learning.fit.window_steps import Solutions
+from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np

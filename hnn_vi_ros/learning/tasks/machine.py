@@ -27,8 +27,7 @@ from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
     resampled_blocks)
 from hnn_vi_ros.learning.judging.evaluation import (
-    linear_model, numbers, predicted_by, score, table, verdict)
-from hnn_vi_ros.learning.judging.prediction import judge, own_effects, simulation_of
+    judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table, verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks.base import Task
 from hnn_vi_ros.models.checkpoint import Checkpoint, widths_of
