@@ -65,7 +65,7 @@ def main(argv: Sequence[str]) -> None:
     if known is not None:
         others = {'linear model': linear_model(known)}
         if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
-            # By the windows that training has unless a configuration names others.
+            # Fitted by the default windows of training.
             rigid = best_rigid_body(Trajectory(), known)
             others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
         scores |= {name: score(other, *asked) for name, other in others.items()}

@@ -139,7 +139,7 @@ class Archive:
     Raises
     ------
     DataError
-        It cannot be read, is too large, or holds what is no plain array.
+        It cannot be read, is too large, or holds other than plain arrays.
 
     """
 
@@ -339,7 +339,7 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     else:
         R = attitude.reshape(-1, 3, 3).copy()
     gram = R.transpose(0, 2, 1) @ R
-    # Of a mirror image the determinant is -1.
+    # The determinant of a mirror image is -1.
     wrong = np.abs(gram - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
     if not (wrong <= _NOT_TURNING).all():
         raise DataError(f'{name}: attitude {int(wrong.argmax())} is no rotation; expected a unit '

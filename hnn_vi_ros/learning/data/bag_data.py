@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data from ROS 2 bags: the states of a robot or of the simulator, as they were recorded."""
+"""Data from ROS 2 bags: the recorded states of a robot or of the simulator."""
 
 from collections.abc import Iterable, Iterator, Sequence
 import logging
@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline
 
 MAX_ROWS = 1_000_000
-# Blocks of a recording, unless data.block says how long they are.
+# Blocks of a recording, unless data.block gives their length.
 BLOCKS = 20
 # Intervals without a message after which a new motion begins.
 _GAP = 10.0
@@ -98,7 +98,7 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
         Folders with the files of one bag, or files; unfinished and damaged ones are read as far
         as they go, these with a warning.
     data : BagData
-        What is where.
+        Topics and joints.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
 
 
 def _reader(path: Path, data: BagData) -> tuple[SignalReader, BagData]:
-    """Return what reads a bag, and the data with the topics that are taken from it."""
+    """Return a reader of a bag, and the data with the topics in it."""
     reader = SignalReader(path, data.joints, data.columns, data.stamps or 'log')
     data = data.model_copy(update=_topics(reader, data))
     topics = [topic for topic in (data.q, data.velocity, data.p, data.dp_dt, data.commands)
@@ -153,7 +153,7 @@ def _topics(reader: SignalReader, data: BagData) -> dict[str, Topic | None]:
     if state:
         found |= {'p': state, 'dp_dt': state}
     if velocity is None and not data.estimate_velocity:
-        # Those of ~/state are beside it, by the same stamps.
+        # The velocities of ~/state are on ~/joint_states, with the same stamps.
         beside = f'{q.rpartition("/")[0].rpartition("/")[0]}/joint_states' if state else q
         if (not state or reader.has_topic(beside)) and \
                 reader.type_of(beside) == JOINT_STATE and reader.has(beside, 'velocity'):
@@ -162,7 +162,7 @@ def _topics(reader: SignalReader, data: BagData) -> dict[str, Topic | None]:
 
 
 def _signals(reader: SignalReader, data: BagData) -> dict[str, Signal]:
-    """Return what is recorded of q, dq_dt, p and dp_dt."""
+    """Return the recorded signals among q, dq_dt, p and dp_dt."""
     topics = {'q': (data.q, 'position', ''), 'dq_dt': (data.velocity, 'velocity', ''),
               'p': (data.p, '', ''), 'dp_dt': (data.dp_dt, 'effort', '')}
     for name, prefix in (('p', MOMENTUM), ('dp_dt', RATE)):
@@ -194,7 +194,7 @@ def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarr
 
 
 def _windows(signals: Iterable[Signal]) -> Iterator[tuple[float, float]]:
-    """Yield the times [s] from which to which every signal goes on without a gap."""
+    """Yield the intervals of time [s] in which no signal has a gap."""
     start, last = -np.inf, np.inf
     gaps: list[tuple[float, float]] = []
     for t, _ in signals:
@@ -241,7 +241,7 @@ def _resampled(signal: Signal, grid: np.ndarray) -> np.ndarray:
 
 def _rows(reader: SignalReader, data: BagData, t: np.ndarray, states: dict[str, np.ndarray],
           commands: Signal | None) -> dict[str, np.ndarray]:
-    """Estimate what is missing of a motion and return its columns, without its ends."""
+    """Return the columns of a motion without its ends; missing ones are estimated."""
     method, window = _method(reader, t, data)
     mass = mass_matrix(data.mass, len(data.joints))
 

@@ -32,7 +32,7 @@ class Signal(NamedTuple):
     t : np.ndarray, shape (N,)
         Increasing instants, since the first of the signal that was read first [s].
     values : np.ndarray, shape (N, d)
-        What was said then.
+        The values at these instants.
 
     """
 
@@ -76,7 +76,7 @@ class SignalReader:
 
     @property
     def damage(self) -> str:
-        """Return what is to be reported of parts that could not be read."""
+        """Return a report on parts that could not be read."""
         return self._reader.damage
 
     @property
@@ -128,9 +128,9 @@ class SignalReader:
 
     def check_clocks(self, topic: str, unstamped: str) -> None:
         """
-        Raise DataError if the log times of joint states are not those of their stamps.
+        Raise DataError if the log times of joint states differ from their stamps.
 
-        Then those of a topic without stamps tell when its messages came, not of which state.
+        Then messages of a topic without stamps cannot be assigned to states.
         """
         times = np.array([
             (message.time, self._joint_state(topic, message).stamp) for message
@@ -190,7 +190,7 @@ class SignalReader:
 
     def states(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the messages of a topic of joint states that hold a joint, whatever they lack.
+        Return the messages of a topic of joint states that hold a joint, complete or not.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class SignalReader:
         Returns
         -------
         t : np.ndarray, shape (N,)
-            Since the first [s], as they were recorded: late ones come late.
+            Since the first [s], in the order of the recording: late ones come late.
         values : np.ndarray, shape (N, 3, d)
             Positions, velocities and efforts; not a number where a message has none of a joint.
 
@@ -219,7 +219,7 @@ class SignalReader:
 
     def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the commands of a topic, whatever they lack.
+        Return the commands of a topic, complete or not.
 
         Parameters
         ----------
@@ -230,11 +230,11 @@ class SignalReader:
         Returns
         -------
         t : np.ndarray, shape (N,)
-            As those of ``states``.
+            As in ``states``.
         values : np.ndarray, shape (N, m)
-            Efforts of the joints, or the numbers of an array, those of ``columns`` if there are
-            any; not a number where a message has no effort of a joint, or an array is of another
-            length than most are.
+            Efforts of the joints, or the numbers of an array, selected by ``columns`` if there
+            are any; NaN where a message has no effort of a joint, or an array has another length
+            than most.
 
         Raises
         ------
@@ -383,7 +383,7 @@ class SignalReader:
 
 
 def _by_name(state: JointStates, values: np.ndarray, joints: Sequence[str]) -> list[float]:
-    """Return the values of joints, not a number for what is not there."""
+    """Return the values of joints, NaN for a joint without one."""
     if len(values) != len(state.names):
         return [np.nan] * len(joints)
     return [values[state.names.index(joint)] if joint in state.names else np.nan

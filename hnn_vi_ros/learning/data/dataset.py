@@ -43,11 +43,11 @@ class Dataset:
     t : np.ndarray, shape (N,), optional
         When [s]; it increases within a trajectory. States drawn at random have none.
     trajectory : np.ndarray of int, shape (N,), optional
-        Rows of one motion share a number; without it, those of a block are one.
+        Rows of one motion share a number; without it, each block is one motion.
     accelerations : np.ndarray, shape (N, d), optional
         d2q/dt2 [1/s2], where known.
     commands : np.ndarray, shape (N, m), optional
-        What was commanded.
+        The commands.
     energies : np.ndarray, shape (N,), optional
         The true H [J], where known.
 
@@ -214,7 +214,7 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
     t : np.ndarray, shape (N,)
         Increasing instants [s]; evenly spaced for a SavitzkyGolay method.
     values : np.ndarray, shape (N, d)
-        What was measured then.
+        The measured values.
     method : SavitzkyGolay or SmoothingSpline
         How to smooth.
     window : int

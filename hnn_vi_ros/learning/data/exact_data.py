@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 _MOST_DRAWS = 10_000
 MAX_STATES = 1_000_000
-# Of the motions, relative and absolute.
+# Tolerances of the motions, relative and absolute.
 _TOLERANCES = 1e-10, 1e-12
 
 
@@ -103,7 +103,7 @@ class ExactData(StrictModel):
     commands: Commands | None = Field(None, description=(
         'what drives the system, another at each of the samples'))
     noise: float = Field(0.0, ge=0.0, description=(
-        'standard deviation of what is added to each coordinate and momentum, not to the rates'))
+        'standard deviation of the noise of each coordinate and momentum; rates have none'))
 
     @model_validator(mode='after')
     def _check(self) -> 'ExactData':
@@ -217,7 +217,7 @@ def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndar
 
 def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
                  ) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and p of shape (samples, d), drawn anew until all are within the bounds."""
+    """Return q and p of shape (samples, d), drawn again until all are within the bounds."""
     q = _draw(data.box.q, data, rng)
     p = _momenta(data, hamiltonian, q, _draw(data.box.p, data, rng))
     bad = ~_is_within(data, hamiltonian, q, p)

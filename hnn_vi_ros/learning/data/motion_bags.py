@@ -16,7 +16,7 @@ EFFORT, NONE = 'effort', 'none'
 
 
 class BagMotions(RunData):
-    """Joint states in bags, each bag a run; joints in any order, and others beside them."""
+    """Joint states in bags, each bag a run; joints in any order, possibly with others."""
 
     kind: Literal['bag'] = 'bag'
     paths: list[str] = Field([], description='bags: folders or files; or given by --data')
@@ -47,7 +47,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
     paths : sequence of Path
         Folders with the files of one bag, or files.
     data : BagMotions
-        What is where.
+        Topics and joints.
     names : sequence of str
         Of the coordinates.
 
@@ -59,7 +59,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
     Raises
     ------
     DataError
-        A bag cannot be read, or lacks a topic or a joint; says what it holds.
+        A bag cannot be read, or lacks a topic or a joint; lists its content.
 
     """
     joints = data.joints or list(names)
@@ -75,7 +75,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
 
 
 def _reader(path: Path, joints: Sequence[str], data: BagMotions) -> tuple[SignalReader, str]:
-    """Return what reads a bag, and where its forces are; empty for none."""
+    """Return a reader of a bag, and the topic of its forces; '' for none."""
     reader = SignalReader(path, joints, data.columns, 'header')
     forces = '' if data.forces == NONE else data.forces
     if forces is None:
@@ -127,7 +127,7 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions, joints:
 
 def _commanded(reader: SignalReader, forces: str, t: np.ndarray, data: BagMotions
                ) -> tuple[np.ndarray, list[str]]:
-    """Return the command at each time, shape (N, m), and what is to be told of them."""
+    """Return the command at each time, shape (N, m), and notes on them."""
     stamps, values = reader.forces(forces)
     motors = np.isfinite(values).any(axis=0)
     if not motors.any():
@@ -143,7 +143,7 @@ def _commanded(reader: SignalReader, forces: str, t: np.ndarray, data: BagMotion
         notes.append(f'{lacking.sum()} commands that lack a number')
         if data.on_bad == 'drop':
             stamps, values = stamps[~lacking], values[~lacking]
-    # By their stamps, for one that comes late holds from then on all the same.
+    # Sorted by stamps: a command that comes late still acts from its stamp on.
     order = np.argsort(stamps, kind='stable')
     # Each holds until the next; before the first there is none.
     at = np.searchsorted(stamps[order], t, side='right')

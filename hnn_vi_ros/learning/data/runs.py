@@ -63,7 +63,7 @@ class RunData(StrictModel):
 
 class MeasuredRun(NamedTuple):
     """
-    One run as it was measured.
+    One run with its measured samples.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def _resampled(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, da
 
 def _check_rates(run: MeasuredRun, t: np.ndarray, q: np.ndarray, v: np.ndarray | None,
                  a: np.ndarray | None) -> None:
-    """Refuse velocities and accelerations that are not the rates of what they belong to."""
+    """Refuse velocities and accelerations that are not rates of positions or velocities."""
     for name, of, x, rate, remedy in (
             ('velocities', 'positions', q, v, 'have them estimated, by data.estimate_velocity: '
              'true of bags or without v in arrays and logs'),
@@ -391,8 +391,8 @@ def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndar
     Return coordinates that go on where angles jumped by a turn, and which of them did.
 
     An angle that is kept within one turn jumps by more than half of one from sample to sample,
-    and never leaves 2 pi. Rates, where there are some, say how many turns there are between two
-    samples; else there are as few as can be.
+    and never leaves 2 pi. Rates, if given, determine the number of turns between two samples;
+    otherwise it is the smallest possible one.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from pydantic import Field
 
 Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]
 MotionSource = ArraysData | BagMotions | LogMotions
-# Of files that are no bag and no log.
+# The suffix of files of arrays.
 _ARRAYS = '.npz'
 
 
@@ -43,10 +43,10 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
     seed : int
         Of samples.
     source : Path
-        The file of the configuration; relative paths of the data are looked up beside it, then in
-        the working directory.
+        The file of the configuration; relative paths of the data are looked up in its folder,
+        then in the working directory.
     given : sequence of str
-        Files in place of those of the data.
+        Files that replace those of the configuration.
 
     Raises
     ------
@@ -133,14 +133,14 @@ def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> P
 
 
 def bags_of(source: Path, paths: Sequence[str], given: Sequence[str]) -> list[Path]:
-    """Return the bags of some data: those given, or those of a configuration; or DataError."""
+    """Return the given bags, or else those of a configuration; DataError if there are none."""
     if not (given or paths):
         raise DataError(f'{source}: data.paths is empty; pass bags with --data BAG ...')
     return [Path(path) for path in given] or [_beside(source, path) for path in paths]
 
 
 def _beside(source: Path, path: str) -> Path:
-    """Return a file beside the configuration if it is there, else as it is named."""
+    """Return a file in the folder of the configuration if it exists, else the path as given."""
     beside = source.parent / path
     return beside if os.path.exists(beside) else Path(path)
 

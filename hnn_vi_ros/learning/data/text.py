@@ -260,7 +260,7 @@ def _number(path: Path, line: int, index: int, field: str, name: str) -> float:
 
 
 def _rows(path: Path, trial: _Trial, data: MeasuredData) -> dict[str, np.ndarray]:
-    """Return states, their rates, time and block of each row of one trial, by their names."""
+    """Return states, their rates, time and block of each row of one trial, by name."""
     t, lines = trial.column[data.time], trial.lines
     backward = np.flatnonzero(np.diff(t) <= 0.0)
     if backward.size:

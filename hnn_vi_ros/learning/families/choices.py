@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The schema of what a training configuration chooses: a model family, and a loss."""
+"""The schema of the choices of a training configuration: a model family, and a loss."""
 
 from collections.abc import Mapping, Sequence
 import re
@@ -78,7 +78,7 @@ class VINChoice(FamilyChoice):
 
 
 class LagrangianChoice(FamilyChoice):
-    """A Lagrangian L(q, v), a network beside a constant mass."""
+    """A Lagrangian L(q, v): a network added to a constant mass."""
 
     kind: Literal['lagrangian']
     mass: float = Field(1.0, gt=0.0, description=(
@@ -113,7 +113,7 @@ class VectorField(StrictModel):
 
 
 class EulerLagrange(StrictModel):
-    """Accelerations against those of the Euler-Lagrange equation."""
+    """Accelerations against the Euler-Lagrange equation."""
 
     kind: Literal['euler_lagrange']
     scheme: ClassVar[None] = None

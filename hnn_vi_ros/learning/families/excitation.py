@@ -12,10 +12,11 @@ import numpy as np
 from pydantic import Field
 import torch
 
-# Of each joint, and the width of the speeds at which dry friction turns over, as the effect
-# joint_friction has it [rad/s], [m/s].
+# Sines of each joint; and the width of the speeds at which dry friction changes sign, as in the
+# effect joint_friction [rad/s], [m/s].
 _SINES, _SPEED = 5, 0.01
-# Of the room between limits, and of joints without any [rad], [m].
+# The share of the room between limits that is used, and the amplitude of joints without limits
+# [rad], [m].
 _ROOM, _UNLIMITED = 0.4, 1.5
 
 
@@ -28,7 +29,7 @@ class ExcitationData(RunData):
     interval: float = Field(0.005, gt=0.0, description='from one sample to the next [s]')
     fastest: float = Field(1.0, gt=0.0, description='highest frequency of the sines [Hz]')
     noise_q: float = Field(0.0, ge=0.0, description=(
-        'standard deviation of what is added to coordinates [rad], [m]'))
+        'standard deviation of the noise of coordinates [rad], [m]'))
     noise_v: float = Field(0.0, ge=0.0, description='likewise to velocities [rad/s], [m/s]')
     noise_tau: float = Field(0.0, ge=0.0, description=(
         'likewise to forces, as a share of the root mean square of each'))
@@ -85,7 +86,7 @@ def _sines(rng: np.random.Generator, robot: RigidBodyTree, t: np.ndarray, fastes
         middle, room = 0.0, _UNLIMITED
         if low is not None and high is not None and high > low:
             middle, room = 0.5 * (low + high), min(_ROOM * (high - low), _UNLIMITED)
-        # Slow ones are wide, so that fast ones are not all that is felt.
+        # Slow sines have large amplitudes; otherwise fast ones would dominate all forces.
         rate = 2.0 * np.pi * fastest * rng.uniform(0.1, 1.0, _SINES)
         size = rng.uniform(0.5, 1.0, _SINES) / rate
         size *= room / size.sum()

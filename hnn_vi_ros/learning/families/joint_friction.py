@@ -13,7 +13,7 @@ import torch
 
 # Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
 _NARROWEST, _WIDEST = 0.003, 1.0
-# Least friction beside networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
+# The least friction next to networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
 _LEAST = -5.0
 # The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
 _FIRST_ROOT = 0.2
@@ -24,7 +24,7 @@ class JointFriction(torch.nn.Module):
     b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + D(q) v, with D = B B^T.
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
-    semidefinite whatever they are, and all of it takes energy.
+    semidefinite for any outputs, and all friction dissipates energy.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class JointFriction(torch.nn.Module):
             if found else v[:, :, None][:, :, :0]
 
     def raise_to_least(self) -> None:
-        """Let no coefficient be zero: it would have no slope, and stay there."""
+        """Clamp coefficients away from zero, where the gradient vanishes."""
         with torch.no_grad():
             for raw in (self.raw_viscous, self.raw_force):
                 raw.clamp_(min=_LEAST)

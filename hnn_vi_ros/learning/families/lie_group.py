@@ -12,7 +12,7 @@ from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np
 import torch
 
-# Of the networks of M and of B, how much they depend on the pose; log(1 + exp(0.54)) is 1.
+# At first the networks of M and of B depend this much on the pose; log(1 + exp(0.54)) is 1.
 _FIRST, _UNIT_ROOT = 0.1, 0.54
 
 
@@ -92,7 +92,7 @@ class LieGroupNetwork(torch.nn.Module):
                                  unit[at] if at else np.ones(1), outputs[name], seed + i)
             self.add_module(name, network)
             if at:
-                # Of what never changed nothing is known, and nothing will be learned.
+                # The data say nothing of inputs that never change, so these get no weight.
                 network.linears[0].weight.data[:, still[at]] = 0.0
             if name != 'potential':
                 self._begin(network, name, scales.input_map)
@@ -205,7 +205,7 @@ class HeldBody:
     Parameters
     ----------
     network : LieGroupNetwork
-        What it has learned.
+        The network of the body.
     x, R, u : torch.Tensor, shapes (N, k - 3), (N, 3, 3), (N, m)
         Its place, attitude and input.
 

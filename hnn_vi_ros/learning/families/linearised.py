@@ -97,7 +97,7 @@ def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: t
 
 def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     """
-    Return what the networks make of M and V, without friction.
+    Return p and F of the networks' M and V, without friction.
 
     The kinetic energy T(q, v) = |L^T S v|^2 / 2 has p = T_v and F = T_q - V_q, so that F_v is
     the transpose of p_q.
@@ -155,7 +155,7 @@ def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tens
         back = back @ linear.weight
     back, (x, slope) = back / network.scale, inputs
     own = features.of_feature.T.to(x.dtype)
-    # What turns is a sine, of which the second derivative is its negative.
+    # The second derivative of a sine is its negative.
     return (back * slope) @ own, curved + torch.diag_embed(
         (torch.where(features.periodic, -x, 0.0) * back) @ own)
 

@@ -24,7 +24,7 @@ _FLOOR = 1e-3
 # beside a prior count as large at this share of its inertias, and of the forces they make.
 _ADDED, _LARGE = 0.1, 0.05
 
-# Of a symmetric matrix of 2 x 2, whose entries stand one after another.
+# Maps the entries of a symmetric 2 x 2 matrix, one after another, to those of its adjugate.
 _ADJUGATE = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0],
                       [1.0, 0.0, 0.0, 0.0]])
 
@@ -34,12 +34,12 @@ class MechanicalNetwork(torch.nn.Module):
     M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = A tau, in float64.
 
     M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and ``friction``
-    are those of MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
+    are as in MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
 
     Parameters
     ----------
     structure : Structure
-        What the networks see.
+        The structure of the networks.
     hidden : sequence of int
         Widths of the hidden layers of each.
     scales : MotionScales
@@ -98,7 +98,7 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of one that has no networks; those of this one begin small."""
+        """Take prior and friction of a network without residual; begin with small networks."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
@@ -113,7 +113,7 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.01)
         if isinstance(self.prior, RigidTree):
-            # What was identified stays what it is, with its errors.
+            # The identified parameters stay fixed, with their errors.
             self.prior.requires_grad_(False)
             self.prior.identification = rigid.prior.identification
 
@@ -125,7 +125,7 @@ class MechanicalNetwork(torch.nn.Module):
         return torch.where(turns, math.pi * share, centre + half * share)
 
     def residual_size(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the mean square of what networks add to M, V_q and D, at q of shape (N, d)."""
+        """Return the mean square of the networks' parts of M, V_q and D, at q of shape (N, d)."""
         L = self._factor(q)
         inertia = self.root_inertia.square() / _ADDED
         force = self._potential_slope(q)
@@ -150,7 +150,7 @@ class MechanicalNetwork(torch.nn.Module):
         return torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
 
     def _potential_slope(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the derivatives by q of what the network adds to V, both of shape (N, d)."""
+        """Return the derivatives by q of the network's part of V, both of shape (N, d)."""
         x, slope = self.potential_features(q)
         return (slope * self.potential.gradient(x)) @ self.potential_features.rows
 
@@ -200,7 +200,7 @@ class MechanicalNetwork(torch.nn.Module):
         return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
 
     def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return what networks beside a prior add to those forces, of shape (N, d)."""
+        """Return the part of networks in those forces, in addition to a prior, of shape (N, d)."""
         assert self.prior is not None
         friction, values = self.friction, self.prior.values()
         rigid = ((self.prior.mass(q, values) @ a[:, :, None])[:, :, 0]
@@ -225,7 +225,7 @@ class MechanicalNetwork(torch.nn.Module):
         return p, rest
 
     def linearised(self, q: torch.Tensor, v: torch.Tensor) -> Linearised:
-        """Return what momenta does, with its derivatives, not recorded."""
+        """Return the result of ``momenta`` with its derivatives, not recorded."""
         with torch.no_grad():
             return linearised(self, q, v)
 
@@ -306,7 +306,7 @@ class MechanicalNetwork(torch.nn.Module):
             friction_features=structure.friction_features, input_map=motors)
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
-        """Return what else of the model card is known, for momenta in this unit."""
+        """Return the entry of the model card, for momenta in this unit."""
         return self._card(self.friction.card(), self.root_inertia.numpy(),
                           self._prior_card(p_unit))
 

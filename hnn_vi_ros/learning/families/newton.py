@@ -37,7 +37,7 @@ def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor
     Returns
     -------
     tuple of torch.Tensor
-        Roots, not a number where there is none, and the derivatives of the residual at them.
+        Roots, NaN where none was found, and the derivatives of the residual at them.
 
     """
     best = w = guess

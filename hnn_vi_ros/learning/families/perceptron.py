@@ -91,7 +91,7 @@ class Perceptron(torch.nn.Module):
         Parameters
         ----------
         x0 : np.ndarray, shape (inputs,), optional
-            A point whose value is given; without it f is left as it is.
+            A point with a given value; without it f stays unchanged.
         value : float
             What all outputs shall be there.
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.models.planar_chain import chain_terms, parameter_names
 import numpy as np
 import torch
 
-# Units of inertia and of torque, by those of momenta.
+# The units of inertia and of torque, by the unit of momenta.
 _UNITS = {'N m s': ('kg m2', 'N m'), 'kg m2/s': ('kg m2', 'N m')}
 # A fit of links begins with at least this inertia, in units of that of the data, and with at most
 # this share of the largest possible coupling.
@@ -49,7 +49,7 @@ class Prior(torch.nn.Module):
 
 class PlanarChain(Prior):
     """
-    The parameters of models/planar_chain.py, of which M is positive definite whatever they are.
+    The parameters of models/planar_chain.py, by unknowns for which M is always positive definite.
 
     Inertias are u exp(x); the coupling of two links is sqrt(I_1 I_2) tanh(x), all that M > 0
     demands; gravities are u x; with the unit u.
@@ -140,12 +140,14 @@ class PlanarChain(Prior):
 
 class ExactPrior(Prior):
     """
-    M and V of an exact system; see models/exact_prior.py. Parameters are those of it times exp(x).
+    M and V of an exact system; see models/exact_prior.py.
+
+    Its parameters are their defaults times exp(x).
 
     Parameters
     ----------
     kind : str
-        Its name.
+        Its name in scenes.
 
     """
 
@@ -210,7 +212,7 @@ class ExactPrior(Prior):
 
 
 class _Columns(list[Any]):
-    """Numbers of one state each for all states at once: what stands for an array of shape (d,)."""
+    """The columns of all states at once, in place of the array (d,) of one state."""
 
     @property
     def size(self) -> int:
@@ -229,7 +231,7 @@ def columns(x: torch.Tensor) -> _Columns:
 
 
 def stacked(found: Sequence[Any], like: torch.Tensor) -> torch.Tensor:
-    """Return columns, of which some may be one number, as a tensor."""
+    """Return columns as a tensor; some of them may be one number."""
     zero = torch.zeros_like(like[:, 0])
     return torch.stack([zero + column for column in found], dim=1)
 

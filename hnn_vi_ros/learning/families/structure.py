@@ -32,11 +32,11 @@ class Structure:
     coulomb, stribeck : int
         How many terms -c tanh(v / w), and how many that end with speed.
     prior : str, optional
-        The parametric system whose M and V those of the networks are added to.
+        The parametric system to whose M and V the networks are added.
     residual : bool
-        Whether there are networks beside it.
+        Whether there are networks in addition to it.
     friction_features : list of list of float, optional
-        What the network D of friction -D(q) v sees, in the same way; None for no such network.
+        The inputs of the network D of friction -D(q) v, in the same way; None for no network.
     tree : TreeCard, optional
         The bodies of a prior that is a robot.
     values : np.ndarray, shape (d, 12), optional
@@ -64,7 +64,7 @@ class Structure:
 @dataclass(frozen=True)
 class MotionScales:
     """
-    Scales of what the data hold, each array of shape (d,) unless it says otherwise.
+    Scales of the data, each array of shape (d,) unless stated otherwise.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class MotionScales:
 
 class Features(torch.nn.Module):
     """
-    The inputs G q, or sin(G q) and cos(G q) of rows that turn; one input 0 where there is no row.
+    The inputs G q, or sin(G q) and cos(G q) for rows that turn; one input 0 without any row.
 
     Each input depends on one row of G alone: ``rows`` holds it for each input, ``features`` all
     of them once, and ``of_feature`` which inputs depend on which.

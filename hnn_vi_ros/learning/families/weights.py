@@ -14,7 +14,8 @@ from hnn_vi_ros.models.learned import LearnedHamiltonian
 import numpy as np
 import torch
 
-# What each network of H sees, in families whose H is the sum of them and of what has no weights.
+# The inputs of each network of H, in families whose H is the sum of networks and of terms without
+# weights.
 _SEES = {
     'hnn': {'energy': 'both'}, 'dissipative_hnn': {'energy': 'both'}, 'dgnet': {'energy': 'both'},
     'separable_hnn': {'kinetic': 'p', 'potential': 'q'}, 'vin': {'potential': 'q'}}

@@ -78,7 +78,7 @@ def turned(R: torch.Tensor, x: torch.Tensor, tau: Retraction) -> torch.Tensor:
 
 
 def _bend(x: torch.Tensor, m: torch.Tensor, tau: Retraction, side: float) -> torch.Tensor:
-    """Return what (dtau^-1_(side x))^* m is more than m."""
+    """Return (dtau^-1_(side x))^* m - m."""
     return (0.5 * side * torch.linalg.cross(x, m)
             + tau.along * (x * m).sum(dim=1, keepdim=True) * x
             - tau.squared * x.square().sum(dim=1, keepdim=True) * m)
@@ -91,7 +91,7 @@ class LieSteps:
     Parameters
     ----------
     body : LieGroupNetwork
-        What is simulated.
+        The body that is simulated.
     method, retraction : str
         As a scene names them.
     step_size : float
@@ -171,7 +171,7 @@ class LieSteps:
 
 
 def _only_turn(torque: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
-    """Return vectors of shape (N, 3) in the last columns of those of the shape of p."""
+    """Return vectors of shape (N, 3), padded in front with zeros to the shape of p."""
     return torch.nn.functional.pad(torque, (p.shape[1] - 3, 0))
 
 
@@ -185,7 +185,7 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
     before, a = (np.concatenate(parts) for parts in zip(*map(_accelerations, motions),
                                                         strict=True))
     places = k - 3
-    # One scale for the velocities of a place, and one for those of turning.
+    # There is one scale for the velocities of a place, and another for angular velocities.
     parts = [slice(0, places), slice(places, k)] if places else [slice(0, 3)]
     velocity, acceleration = np.ones(k), np.ones(k)
     for part in parts:

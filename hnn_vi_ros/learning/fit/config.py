@@ -145,7 +145,7 @@ class MachineConfig(TrainingConfig):
 
     @property
     def windows(self) -> Trajectory:
-        """Return the windows that a rigid body is fitted by, whatever the networks are."""
+        """Return the windows by which a rigid body is fitted."""
         return self.loss if isinstance(self.loss, Trajectory) else Trajectory()
 
     def loss_of(self, measured: bool) -> Forward | Inverse | Discrete | Trajectory:

@@ -27,9 +27,9 @@ class Batch(NamedTuple):
     Parameters
     ----------
     inputs : tuple of torch.Tensor
-        What a prediction is made from, N rows each.
+        The inputs of a prediction, N rows each.
     target : torch.Tensor, shape (N, k)
-        What is to be predicted: rates of change, or accelerations.
+        The values to predict: rates of change, or accelerations.
 
     """
 
@@ -43,7 +43,7 @@ class Batch(NamedTuple):
 
 class Loss(NamedTuple):
     """
-    A loss: the mean square of what a family predicts, less the target, in units of the target.
+    A loss: the mean square of prediction less target, in units of the target.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ LOSSES = {
 
 class Comparison(NamedTuple):
     """
-    Predictions of a model for held-out data, beside what they are.
+    Predictions of a model for held-out data, next to the data.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class FieldProblem(Problem):
         self.to(device)
 
     def loss(self) -> torch.Tensor:
-        """Return what training makes small."""
+        """Return the loss that training minimises, with preferences."""
         loss = mean_square(self._errors(self._train), self._unit)
         if self._config.linearity:
             loss = loss + self._config.linearity * nonlinearity(
@@ -261,7 +261,7 @@ class FieldProblem(Problem):
         return {name: float(value) for name, value in values.items()}
 
     def compare(self) -> Comparison:
-        """Return predictions of the model beside the held-out data."""
+        """Return predictions of the model next to the held-out data."""
         batch, parts = self._validation, self._loss.parts
         target = batch.target.cpu().numpy()
         predicted = target + self._errors(batch).detach().cpu().numpy()

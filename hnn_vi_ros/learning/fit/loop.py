@@ -19,7 +19,8 @@ LBFGS_SCALE = 1e8
 # Steps from one look at held-out data to the next; L-BFGS ends when as many steps gain less than
 # this share of the loss.
 INTERVAL, LEAST_GAIN = 20, 1e-6
-# The loss that L-BFGS is given where there is none: its line search then shortens the step.
+# L-BFGS gets this loss for a point without a finite one, so that its line search shortens the
+# step.
 _TOO_FAR = 1e30
 _REMEDY = 'lower learning_rate, and look for outliers in the data'
 

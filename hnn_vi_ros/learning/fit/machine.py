@@ -24,8 +24,8 @@ import torch
 _USUAL_ERROR = 0.25
 # Step size of windows, unless it is given, and samples come as often [s].
 _STEP = 0.01
-# L-BFGS: blocks of samples, of which every tenth is left out; how often it may make them worse
-# before it ends; and samples at most.
+# L-BFGS leaves out every tenth of so many blocks of samples; it ends when it has made those worse
+# so many times; and it takes no more than so many samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
 
 Network = MechanicalNetwork | PlainNetwork
@@ -182,7 +182,7 @@ def window_errors(network: Network, samples: Samples, starts: torch.Tensor, wind
     """
     Return the errors of q and v after each step of windows, shape (2 steps, N, d).
 
-    ``solutions`` are those of the equations, if they are to be used again.
+    ``solutions`` keeps the solutions of the equations, to use them again.
     """
     # What has no masses has no momenta, which a variational method steps.
     method = windows.method if network.has_masses else 'rk4'
@@ -236,13 +236,13 @@ def scales_of(motions: Sequence[Run], learns_map: bool = False) -> MotionScales:
     Raises
     ------
     DataError
-        A coordinate never moves, or the commands do not tell what the motors do.
+        A coordinate never moves, or the commands do not determine the effect of each motor.
 
     """
     q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
                     for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
     size = [np.sqrt(np.mean(part**2, axis=0)) for part in (v, a, tau)]
-    # As measured: what is made of them differs from rest by rounding.
+    # Measured coordinates: smoothed ones differ from rest by rounding.
     moves = np.any([np.ptp(motion.q, axis=0) > 0.0 for motion in motions], axis=0)
     if not moves.all() or not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
         rests = ', '.join(str(k + 1) for k in np.flatnonzero(~moves)) or 'of one or more'
@@ -275,7 +275,7 @@ def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
     others = np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
                         np.ones((len(q), 1))])
     rates = np.linalg.lstsq(np.hstack([u, others]), a, rcond=None)[0][:motors].T
-    # Of the same force on each joint for what it usually does, in the norm of the network.
+    # The inertias are those for the same force on each joint, in the norm of the network.
     inertia = np.sqrt(np.mean(u**2)) / np.sqrt(np.mean(a**2, axis=0))
     input_map = inertia[:, None] * rates
     factor = math.sqrt(motors) / float(np.linalg.norm(input_map))

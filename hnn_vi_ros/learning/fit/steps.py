@@ -171,7 +171,7 @@ class Chain(NamedTuple):
         return self.x + ((a + g) * w).cumsum(dim=0) - g * w
 
     def residuals(self, p: torch.Tensor, rate: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what p - b (F + force) - c is, and the next c, each of shape (n, N, d)."""
+        """Return p - b (F + force) - c, and the next c, each of shape (n, N, d)."""
         _, b, _, e = self.numbers
         total = rate + self.forces
         after = p + e * total
@@ -210,13 +210,12 @@ class Found(NamedTuple):
 
 class Solutions:
     """
-    Solves the equations of chains, one after another, or knows what was found of the same ones.
+    Solver of the equations of chains, one after another; it can repeat earlier solutions.
 
     Parameters
     ----------
     found : sequence of Found, optional
-        What was found at the same parameters: for derivatives by them in forward mode, for which
-        Newton's method need not be repeated.
+        Solutions at the same parameters: derivatives in forward mode need no further iteration.
 
     Attributes
     ----------
@@ -231,11 +230,11 @@ class Solutions:
         self.alone = 0
 
     def again(self) -> 'Solutions':
-        """Return what knows all that this one has found."""
+        """Return a solver that repeats the solutions of this one."""
         return Solutions(self._found)
 
     def solve(self, machine: MechanicalNetwork, chain: Chain) -> Found:
-        """Return what solves a chain; not a number in windows where nothing does."""
+        """Return the solution of a chain; NaN in windows without one."""
         if self._next is not None:
             return next(self._next)
         with torch.no_grad():
@@ -275,7 +274,7 @@ def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor,
     Returns
     -------
     States
-        After each step; not a number in windows of which a step has no solution.
+        After each step; NaN in windows with a step that has no solution.
 
     """
     before, nodes, after = METHODS[method]
@@ -313,7 +312,7 @@ def _recorded(machine: MechanicalNetwork, chain: Chain, found: Found
 
 
 def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[Found, torch.Tensor]:
-    """Return what solves a chain, and the windows of which Newton's method did not find it."""
+    """Return the solution of a chain, and the windows where Newton's method did not converge."""
     w, unit = chain.guess.clone(), torch.tensor(machine.scales.v)
     left, found = torch.arange(len(chain.x)), None
     for _ in range(_PATIENCE):

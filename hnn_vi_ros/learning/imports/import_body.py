@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Turn networks of the public Lie-group Hamiltonian code into those of the family lie_group.
+Convert networks of the public Lie-group Hamiltonian code to the family lie_group.
 
 It saves one state_dict of several networks of layers linear1, linear2, ..., of tanh between them:
 
-    so3    M_net, V_net, g_net, and Dw_net where there is friction; all see R row by row
+    so3    M_net, V_net, g_net, and Dw_net with friction; the inputs of all are R row by row
     se3    M_net1 and Dv_net, which see x; M_net2 and Dw_net, which see R; V_net and g_net of both
 
 Those of matrices give a lower triangular L, the diagonal first, then what is below it by rows:
@@ -29,10 +29,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 BODIES = ('so3', 'se3')
-# Where our outputs, L by rows, stand in theirs.
+# The indices of our outputs, L by rows, among theirs.
 _ORDER = [0, 3, 1, 4, 5, 2]
 _ON_DIAGONAL = [0, 2, 5]
-# Of each of our networks: theirs, one for each block of 3 x 3.
+# For each of our networks, theirs: one for each block of 3 x 3.
 _SOURCES = {
     'so3': {'mass': ['M_net'], 'potential': ['V_net'], 'dissipation': ['Dw_net'],
             'input_map': ['g_net']},
@@ -43,7 +43,7 @@ _SOURCES = {
 def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floor: float
                   ) -> tuple[LieGroupCard, dict[str, Layers]]:
     """
-    Return what a body's networks see, and those networks.
+    Return the card of a body, and its networks.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floo
     epsilon : float
         Whose root is added to the diagonal of the root of M^-1 [1].
     floor : float
-        What is added to the diagonal of M^-1 [1].
+        Added to the diagonal of M^-1 [1].
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _check(name: str, layers: Layers, inputs: int, outputs: int, size: int) -> N
 
 
 def _root(layers: Layers, epsilon: float) -> Layers:
-    """Return a network of L by rows, from one of its diagonal and what is below."""
+    """Return a network of L by rows, from one that gives the diagonal first."""
     weights, biases = list(layers.weights), list(layers.biases)
     weights[-1], biases[-1] = weights[-1][_ORDER], biases[-1][_ORDER]
     biases[-1][_ON_DIAGONAL] += np.sqrt(epsilon)

@@ -14,7 +14,7 @@ from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
 
-# Of the file, of what it unpacks to, and of all its tensors in double precision.
+# The limit of the file, of its unpacked content, and of all its tensors in double precision.
 MAX_BYTES = 64 << 20
 _TYPES = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 _NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
@@ -133,7 +133,7 @@ def _items(path: Path, state: object) -> list[tuple[str, torch.Tensor]]:
 
 
 def _check_tensors(path: Path, items: Sequence[tuple[str, torch.Tensor]]) -> None:
-    """Refuse what is no plain tensor of real numbers, and too much, before anything is copied."""
+    """Refuse other than plain tensors of real numbers, and too many, before any is copied."""
     total = 0
     for name, tensor in items:
         kinds = {'a meta tensor, without values': tensor.is_meta,

@@ -3,11 +3,11 @@
 """
 Identify a robot of rigid bodies and its friction from measured motions.
 
-The forces are linear in the parameters theta, Y(q, v, a) theta = tau, and theta(x) is what some
-robot can be, x = 0 being the URDF. Least squares on the stacked regressor Y, each joint in units
-of its own noise, and a small preference for x = 0 fix x; along directions of which the data tell
-less than _TOLD of themselves that preference is as strong as a sample. Noise of accelerations
-shrinks what is found so; windows that are simulated can end the fit.
+The forces are linear in the parameters theta, Y(q, v, a) theta = tau, and theta(x) is physically
+consistent for every x, with x = 0 for the URDF. Least squares on the stacked regressor Y, each
+joint in units of its own noise, and a small preference for x = 0 fix x; along directions that the
+data determine to less than _DETERMINED that preference is as strong as a sample. Noise of
+accelerations biases this estimate towards zero; a fit of simulated windows can follow.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,20 +37,20 @@ _SAMPLES, _BLOCKS = 20000, 25
 _WINDOWS = 200
 # States whose accelerations are looked at.
 _STATES = 2000
-# A direction is told by data whose noise moves it by less than one part in so many of the URDF;
-# smaller parts of the largest one are rounding.
-_TOLD, _ROUNDING = 3.0, 1e-8
+# Data determine a direction if their noise moves it by less than one part in so many of the URDF;
+# singular values below this share of the largest one are rounding.
+_DETERMINED, _ROUNDING = 3.0, 1e-8
 # Noise is not less than this share of the force; preference for the URDF, in standard deviations.
 _LEAST_NOISE, _PREFERENCE = 1e-9, 0.1
 # Factors of base parameters smaller than this, in units of parameters, are left out.
 _SMALL = 1e-6
-# By this share of their size masses are picked among base parameters.
+# Masses come last among base parameters: their columns are scaled by this factor.
 _MASS_LAST = 1e-3
 
 
 class Unknowns:
     """
-    Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb), of which some rest.
+    Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb); some of them are fixed.
 
     Parameters
     ----------
@@ -137,14 +137,14 @@ class Equations(NamedTuple):
     blocks: np.ndarray
 
 
-class Told(NamedTuple):
+class Information(NamedTuple):
     """
     Information of the data on the inertial parameters at x, with rotors and offsets.
 
     Parameters
     ----------
     held : np.ndarray, shape (n, m)
-        Directions of the n free ones of x that they tell nothing of.
+        Directions of the n free entries of x that the data do not determine.
     excited : np.ndarray, shape (n, r)
         The others, which are orthogonal to these.
     felt : np.ndarray, shape (n, s)
@@ -152,7 +152,7 @@ class Told(NamedTuple):
     base : np.ndarray, shape (s, k)
         Factors of parameters in the combinations that the forces depend on.
     units : np.ndarray, shape (s,)
-        What x changes those by, each by its first parameter.
+        Changes of the base parameters with x, each by its first parameter.
     idle : list of np.ndarray, each (k,)
         Changes of parameters that make no force.
 
@@ -204,16 +204,16 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     whitened = Equations(equations.matrix * weights[:, None], equations.forces * weights,
                          equations.blocks)
     x = _regress(unknowns, whitened)
-    told = _told(unknowns, whitened, x)
+    known = _information(unknowns, whitened, x)
     error = np.mean(_residuals(unknowns, whitened, x)**2)
     losses = {'rigid_body_inverse': float(error)}
-    covariance = _covariance(unknowns, whitened, told, x)
-    weak = _base_errors(unknowns, told, covariance, x) * _TOLD > told.units
+    covariance = _covariance(unknowns, whitened, known, x)
+    weak = _base_errors(unknowns, known, covariance, x) * _DETERMINED > known.units
     if not isinstance(config.loss, Inverse):
         x, found, covariance = _fit_windows(unknowns, whitened, config.windows, motions, x)
         losses |= found
     unknowns.give(x)
-    unknowns.tree.identification = _summary(unknowns, told, weak, covariance, x)
+    unknowns.tree.identification = _summary(unknowns, known, weak, covariance, x)
     return losses
 
 
@@ -271,10 +271,10 @@ def _regress(unknowns: Unknowns, equations: Equations) -> np.ndarray:
     R = np.asarray(np.linalg.qr(np.hstack([
         equations.matrix.reshape(-1, k), equations.forces.reshape(-1, 1)]), mode='r'))
     free, start = unknowns.free, unknowns.start
-    told = _told(unknowns, equations, start)
-    inertial = len(told.held)
+    known = _information(unknowns, equations, start)
+    inertial = len(known.held)
     prefer = np.eye(len(free)) * _PREFERENCE
-    prefer[:inertial, :inertial] += told.held @ told.held.T
+    prefer[:inertial, :inertial] += known.held @ known.held.T
 
     def full(z: np.ndarray) -> np.ndarray:
         x = start.copy()
@@ -292,8 +292,8 @@ def _regress(unknowns: Unknowns, equations: Equations) -> np.ndarray:
     return full(found.x)
 
 
-def _told(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Told:
-    """Return what can be told, by the singular values of the regressor without friction."""
+def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Information:
+    """Return the information by the singular values of the regressor without friction."""
     k, rows = equations.matrix.shape[2], equations.matrix.reshape(-1, equations.matrix.shape[2])
     values = EACH * unknowns.network.d
     slopes = unknowns.slopes(x)
@@ -305,7 +305,7 @@ def _told(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Told:
     R = whole[k - values:, k - values:]
     _, sizes, V = np.linalg.svd(R @ G)
     felt = int(np.sum(sizes > _ROUNDING * sizes[0]))
-    rank = int(np.sum(sizes[:felt] > _TOLD))
+    rank = int(np.sum(sizes[:felt] > _DETERMINED))
     # Parameters in units of what x changes them by.
     unit = np.sqrt((G**2).sum(axis=1))
     used = np.flatnonzero(unit)
@@ -324,16 +324,16 @@ def _told(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Told:
         change[other] = 1.0
         change[first] = -base[:, others[column]]
         idle.append(change)
-    return Told(V[rank:].T, V[:rank].T, V[:felt].T, base, unit[first], idle)
+    return Information(V[rank:].T, V[:rank].T, V[:felt].T, base, unit[first], idle)
 
 
 def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
                  motions: Sequence[Run], x: np.ndarray
                  ) -> tuple[np.ndarray, dict[str, float], np.ndarray]:
     """
-    Return x of the least errors of windows along told directions, losses, and covariance.
+    Return x of the least errors of windows along determined directions, losses, and covariance.
 
-    Accelerations come first, of which forces times any factor are no smaller errors.
+    Accelerations come first: their errors do not shrink with a common factor of the forces.
     """
     samples, losses = samples_of(motions, loss.step_size), {}
     network, covariance = unknowns.network, np.zeros((len(x), len(x)))
@@ -342,7 +342,7 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
     # From least squares on forces, and from the URDF with the friction that they found.
     tries = [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
              for one in (x, np.r_[unknowns.start[:inertial], x[inertial:]])]
-    # Along what is told there, which is not what was told where they began.
+    # The determined directions there differ from those where the fit began.
     tries += [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
               for one, _, found in tries if found is not None]
     x, directions, found = min(tries, key=lambda one: np.inf if one[2] is None else one[2].cost)
@@ -372,11 +372,11 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
 def _fit(unknowns: Unknowns, equations: Equations, x: np.ndarray,
          errors: Callable[[Solutions], torch.Tensor]
          ) -> tuple[np.ndarray, np.ndarray, OptimizeResult | None]:
-    """Return x of the least errors along directions that are told at x, these, and the fit."""
-    told = _told(unknowns, equations, x)
-    directions, others = _directions(unknowns, told.excited), unknowns.free[len(told.held):]
+    """Return the best x along the directions determined at x, these directions, and the fit."""
+    known = _information(unknowns, equations, x)
+    directions, others = _directions(unknowns, known.excited), unknowns.free[len(known.held):]
     least = np.full(directions.shape[1], -np.inf)
-    least[told.excited.shape[1]:] = unknowns.least[others] - x[others]
+    least[known.excited.shape[1]:] = unknowns.least[others] - x[others]
     found = fit_errors(
         unknowns.network,
         lambda z: unknowns.raw(torch.tensor(x) + torch.tensor(directions) @ z),
@@ -397,10 +397,10 @@ def _directions(unknowns: Unknowns, inertial: np.ndarray) -> np.ndarray:
     return found
 
 
-def _covariance(unknowns: Unknowns, equations: Equations, told: Told, x: np.ndarray
+def _covariance(unknowns: Unknowns, equations: Equations, known: Information, x: np.ndarray
                 ) -> np.ndarray:
     """Return the covariance of x that the residuals tell, zero along what changes no force."""
-    directions = _directions(unknowns, told.felt)
+    directions = _directions(unknowns, known.felt)
     J = equations.matrix @ (unknowns.slopes(x) @ directions)
     scores = np.einsum('nd,ndk->nk', _residuals(unknowns, equations, x), J)
     rows = J.reshape(-1, J.shape[2])
@@ -409,7 +409,7 @@ def _covariance(unknowns: Unknowns, equations: Equations, told: Told, x: np.ndar
 
 def _sandwich(gram: np.ndarray, scores: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """
-    Return the covariance of least squares from scores (N, k), whatever is correlated in blocks.
+    Return the covariance of least squares from scores (N, k) that are correlated in blocks.
 
     Residuals of g blocks have lost the k numbers that were fitted: hence g / (g - k), and the
     quantiles of Student's t for g - k, by which 1.96 standard errors stay 95 %.
@@ -423,28 +423,28 @@ def _sandwich(gram: np.ndarray, scores: np.ndarray, blocks: np.ndarray) -> np.nd
     return found
 
 
-def _base_errors(unknowns: Unknowns, told: Told, covariance: np.ndarray, x: np.ndarray
+def _base_errors(unknowns: Unknowns, known: Information, covariance: np.ndarray, x: np.ndarray
                  ) -> np.ndarray:
     """Return the standard errors of base parameters, shape (s,)."""
-    base = told.base @ unknowns.slopes(x)
+    base = known.base @ unknowns.slopes(x)
     errors: np.ndarray = np.sqrt(np.maximum(np.diag(base @ covariance @ base.T), 0.0))
     return errors
 
 
-def _summary(unknowns: Unknowns, told: Told, weak: np.ndarray, covariance: np.ndarray,
+def _summary(unknowns: Unknowns, known: Information, weak: np.ndarray, covariance: np.ndarray,
              x: np.ndarray) -> Identification:
-    """Return what was found, for the model card."""
+    """Return the result for the model card."""
     names, units = unknowns.tree.names, [*unknowns.tree.tree.units.values()]
     linear = unknowns.linear(torch.tensor(x)).numpy()
-    errors = _base_errors(unknowns, told, covariance, x)
+    errors = _base_errors(unknowns, known, covariance, x)
     found = [BaseParameter(
         combination=dict(_factors(names, row)), value=float(row @ linear),
         standard_error=float(error), unit=units[int(np.argmax(row == 1.0))])
-        for row, error in zip(told.base, errors, strict=True)]
+        for row, error in zip(known.base, errors, strict=True)]
     return Identification(
         base_parameters=[one for one, poor in zip(found, weak, strict=True) if not poor],
         weak=[one for one, poor in zip(found, weak, strict=True) if poor],
-        held=[dict(_factors(names, row)) for row in told.idle], force_error=[])
+        held=[dict(_factors(names, row)) for row in known.idle], force_error=[])
 
 
 def _factors(names: Sequence[str], row: np.ndarray) -> Iterator[tuple[str, float]]:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of what was identified of a robot, in the report of a training run."""
+"""Summary of the identified parameters of a robot, in the report of a training run."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -42,7 +42,7 @@ def force_errors(network: MechanicalNetwork, motions: Sequence[Run]
     list of float, d
         Squared error over the variance, of each joint [1].
     list of float, d
-        RMS of what networks add over that of the forces [1]; empty where there are none.
+        RMS of the forces of networks over that of all forces [1]; empty without networks.
 
     """
     errors, added, measured = zip(*(_errors(network, motion) for motion in motions), strict=True)
@@ -55,7 +55,7 @@ def force_errors(network: MechanicalNetwork, motions: Sequence[Run]
 
 
 def _errors(network: MechanicalNetwork, motion: Run) -> tuple[np.ndarray, ...]:
-    """Return errors of forces, what networks add to them, and what was measured, (N, d) each."""
+    """Return errors of forces, the part of networks, and the measured forces, (N, d) each."""
     states = motion.q_smooth, motion.v_smooth, motion.a_smooth
     chunks = zip(*(torch.tensor(part).split(_CHUNK) for part in states), strict=True)
     forces, added = [], []
@@ -67,7 +67,7 @@ def _errors(network: MechanicalNetwork, motion: Run) -> tuple[np.ndarray, ...]:
 
 
 def identified_text(card: ModelCard) -> str:
-    """Return the tables of what was identified; nothing where that was not."""
+    """Return the tables of identified parameters; '' for other models."""
     prior = None if card.mechanical is None else card.mechanical.prior
     if prior is None or prior.identification is None:
         return ''
@@ -81,7 +81,7 @@ def _lines(card: ModelCard) -> Iterator[str]:
     assert found is not None
     yield ('\n## Identified\n\nWhat the motions determine of the inertial parameters is '
            f'{len(found.base_parameters)} combinations of them; the interval holds the true value '
-           'in 95 % of cases, if the noise of forces is what there is beside the model.\n')
+           'in 95 % of cases, if the model lacks nothing but the noise of forces.\n')
     yield '| base parameter | value | ± 95 % | unit |\n|---|---|---|---|'
     for one in found.base_parameters:
         yield (f'| {sum_text(one.combination)} | {one.value:.5g} | '

@@ -4,7 +4,7 @@
 Fit the parameters of a rigid body with friction to measured motions, by least squares.
 
 The forces are linear in the parameters, and so the fit begins with them; but noise of the
-accelerations shrinks what is found so. Windows that are simulated end it, by the trust-region
+accelerations biases this estimate. Windows that are simulated end the fit, by the trust-region
 form of the Levenberg-Marquardt method.
 """
 
@@ -25,7 +25,7 @@ import torch
 
 # Evenly spread samples and windows; more change the parameters by less than their errors.
 _SAMPLES, _WINDOWS = 4000, 500
-# Of each fit, which ends earlier as a rule.
+# Evaluations of each fit at most; it usually ends earlier.
 _EVALUATIONS = 60
 # Least inertia and friction that a fit begins with, in units of the usual ones.
 LEAST = 1e-4
@@ -77,8 +77,8 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwo
     """
     Return a chain of as many links as there are coordinates, by the angles that fit better.
 
-    None where there is none, none follows the motions through the first windows, or the forces
-    are not those on the joints.
+    None if no chain has so many links, if none follows the motions through the first windows, or
+    if the forces are not those on the joints.
     """
     d = motions[0].q.shape[1]
     if motions[0].tau.shape[1] != d:
@@ -109,7 +109,7 @@ class _Physical:
     Parameters
     ----------
     network : MechanicalNetwork
-        Whose they are.
+        A network with a prior.
 
     """
 
@@ -205,7 +205,7 @@ def _least_squares(physical: _Physical, start: np.ndarray,
                        start / physical.scale, physical.least, errors)
     if found is None:
         return start, np.inf
-    # The cost is half the sum of what the losses of networks are the mean of.
+    # The cost is half a sum; the losses of networks are means of the same terms.
     return found.x * physical.scale, 2.0 * float(found.cost) / len(found.fun)
 
 
@@ -226,7 +226,7 @@ def fit_errors(network: MechanicalNetwork,
         Numbers to begin with, and their lower bounds. What rests on its bound begins above it: a
         step ends where it meets a bound, so that one number there would hold all the others.
     errors : callable
-        Errors of the network, by what has solved, or knows, the equations of its steps.
+        Errors of the network; takes the solver of its steps, which keeps solutions.
 
     Returns
     -------

@@ -59,7 +59,7 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Run) ->
     effects : sequence of Effect
         Each conservative or a Force.
     motion : Run
-        What was measured.
+        The measured motion.
 
     Raises
     ------

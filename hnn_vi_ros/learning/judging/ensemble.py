@@ -30,20 +30,20 @@ from hnn_vi_ros.simulation.build import build
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-# Of measured data, the share that no member is trained on; the spread is calibrated on it.
+# The share of measured data that no member is trained on; the spread is calibrated on it.
 HELD_OUT = 0.2
 # Blocks of time that motions of machines are cut into, and the fewest that can be resampled.
 _BLOCKS, _FEWEST_BLOCKS = 20, 5
 # Fewer simulations than this tell nothing of 90 %.
 _FEWEST = 20
-# Of a field: motions by which the factors are found, and as many by which they are checked;
-# samples after the first one of each, and steps from one to the next.
+# A field takes so many motions to find the factors, and as many to check them; so many samples
+# after the first one of each, and so many steps from one to the next.
 _MOTIONS, _SAMPLES, _STEPS = 500, 20, 2
 # Steps of the exact motions from one sample to the next, and how far out of the training domain
 # they are followed, in its half-widths: some systems have no bound.
 _FINE, _OUTMOST = 50, 1.5
-# Of a machine: the longest duration of simulations and the time between their starts [s], their
-# instants, and how many there are at most.
+# A machine takes simulations of at most this duration and so far apart [s], with so many instants,
+# and no more than so many.
 _HORIZON, _EVERY, _INSTANTS, _MOST = 0.5, 0.05, 20, 200
 # Commands hold to the end of the simulation [s].
 _FOREVER = 1e9
@@ -84,7 +84,7 @@ def resampled_blocks(blocks: Sequence[Run], seed: int) -> list[Run]:
 
 
 def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | None]:
-    """Return data to train on, and data to calibrate by; None where those are drawn anew."""
+    """Return data to train on, and data to calibrate by; None where those are drawn later."""
     if isinstance(config.data, ExactData) or dataset.t is None:
         return dataset, None
     return dataset.split(HELD_OUT, config.seed)
@@ -185,7 +185,7 @@ def calibrated(checkpoint: Checkpoint, find: Callable[[], Calibration]) -> Check
         update = {'factors': factors, 'coverage': float((found.others <= factors).mean()),
                   'calibration': found.source}
     except HnnViRosError as problem:
-        # What was trained is a model all the same, and says so.
+        # The model is kept all the same, and its card gives the reason.
         update = {'calibration': f'none: {problem}'[:1000]}
     return replace(checkpoint, card=checkpoint.card.model_copy(update={
         'ensemble': ensemble.model_copy(update=update)}))
@@ -212,7 +212,7 @@ def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
 
 
 def ensemble_text(card: ModelCard) -> str:
-    """Return one sentence on what the spread of an ensemble tells; '' of one model."""
+    """Return one sentence on the spread of an ensemble; '' for one model."""
     ensemble = card.ensemble
     if ensemble is None:
         return ''
@@ -274,7 +274,7 @@ def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset
     config : FieldConfig
         How it was trained.
     test : Dataset or None
-        Measured data that training has not seen; exact data are drawn anew.
+        Measured data that training has not seen; new exact data are drawn.
 
     Raises
     ------
@@ -429,7 +429,7 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[Run], most: int | N
     checkpoint : Checkpoint
         The ensemble.
     motions : sequence of Run
-        What was measured.
+        The measured motions.
     most : int, optional
         How many simulations at most; None: all.
 
@@ -498,6 +498,6 @@ def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion:
             found.append(_scores(measured[at] - np.concatenate([simulation.q, simulation.p]),
                                  members.spread))
     except StepFailure:
-        # Of the mean: no band covers what it does not predict.
+        # No band covers a motion that the mean does not predict.
         found += [np.full(measured.shape[1], np.inf)] * (int(inside.sum()) - 1 - len(found))
     return np.array(found)[max(0, (len(rows) - 1) // 2 - 1):]

@@ -48,7 +48,7 @@ class Fan(NamedTuple):
     Parameters
     ----------
     motion : Run
-        What was measured.
+        The measured motions.
     starts : np.ndarray of int, shape (n,)
         Samples from which they begin.
     q : np.ndarray, shape (n, count + 1, d)
@@ -94,7 +94,7 @@ class Scores:
 def simulated(simulation: Simulation, spacing: float, least: float, variance: np.ndarray
               ) -> Predict:
     """
-    Return what a simulation predicts, with the measured forces as its commands.
+    Return the predictions of a simulation, with the measured forces as its commands.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
         The samples' interval [s].
     least : float
         How long each prediction lasts at least, the longest horizon [s]; it is given up as soon
-        as it is valid no more.
+        as it is no longer valid.
     variance : np.ndarray, shape (d,)
-        In units of which errors are judged for that.
+        The unit in which errors are judged for that.
 
     """
     steps = round(spacing / simulation.step_size)
@@ -144,13 +144,13 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
 
 
 def constant_velocity(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
-    """Return what a motion without any force would be."""
+    """Return motions without any force, as predictions."""
     t = motion.spacing * np.arange(count + 1)
     return motion.q_smooth[starts][:, None] + t[:, None] * motion.v_smooth[starts][:, None]
 
 
 def linear_model(motions: Sequence[Run]) -> Predict:
-    """Return what x_(k+1) = A x_k + B tau_k + c predicts, x = (q, v), fitted by least squares."""
+    """Return predictions of x_(k+1) = A x_k + B tau_k + c, x = (q, v), by least squares."""
     inputs, targets = [], []
     for motion in motions:
         x = np.hstack([motion.q_smooth, motion.v_smooth])
@@ -177,7 +177,7 @@ def linear_model(motions: Sequence[Run]) -> Predict:
 
 
 def predicted_by(network: Network) -> Predict:
-    """Return what a network of torch predicts, by the Runge-Kutta method of order 4."""
+    """Return the predictions of a network, by the Runge-Kutta method of order 4."""
     def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         tau = torch.tensor(motion.forces)
         q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
@@ -245,9 +245,9 @@ def score(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], e
     Parameters
     ----------
     predict : callable
-        What is judged.
+        The predictions that are judged.
     motions : sequence of Run
-        What was measured.
+        The measured motions.
     horizons : sequence of float
         After which errors are taken [s].
     every : float
@@ -266,7 +266,7 @@ def score(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], e
 
 
 def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndarray) -> Scores:
-    """Compare predictions with what was measured, of this variance, shape (d,); see score."""
+    """Compare predictions with the measured motions, of this variance, shape (d,); see score."""
     errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
     times, ended, failed = [], [], 0
     for motion, starts, q in fans:
@@ -322,7 +322,7 @@ def verdict(scores: dict[str, Scores]) -> str:
 
 
 def as_json(scores: dict[str, Scores]) -> dict[str, Any]:
-    """Return what ``--json`` writes: the model's numbers, and the others' as its baselines."""
+    """Return the content of ``--json``: the model's numbers, and those of its baselines."""
     model, *others = (numbers(found) for found in scores.values())
     return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
 
@@ -370,7 +370,7 @@ def names_of(hamiltonian: Hamiltonian) -> list[str]:
 
 
 def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
-    """Return what a model file has learned beside H, and where forces act on it, for good."""
+    """Return the effects that a model has learned in addition to H, and its external force."""
     checkpoint = load_checkpoint(model, ensembles=True)
     card = checkpoint.card
     effects: list[Effect] = [

@@ -31,7 +31,7 @@ REPORT, PICTURE, RECORDING = 'report.md', 'predictions.png', 'predictions.rrd'
 _OVERLAP = 4
 # Those of a run in a recording, and how many times as long as one the picture is.
 _MOST, _WINDOW = 80, 12.0
-# These colours are told apart by people who see no red or no green as well (Okabe, Ito).
+# Colours that people who see no red or no green can distinguish as well (Okabe, Ito).
 _COLORS = '#d55e00', '#0072b2', '#009e73', '#cc79a7'
 _INK = '#333333'
 # Room above and below what was measured, in its range; predictions may leave it.
@@ -39,7 +39,7 @@ _ROOM = 0.25
 
 
 class Outputs(NamedTuple):
-    """The files of a training run, all beside the model."""
+    """The files of a training run, in the folder of the model."""
 
     model: Path
     losses: Path
@@ -63,7 +63,7 @@ class Judged(NamedTuple):
     checkpoint : Checkpoint
         The model, with the result on its card.
     text : str
-        The result in words, to be printed.
+        The result as it is printed.
     page : str
         The same for the report: Markdown.
     draw : callable, optional
@@ -78,7 +78,7 @@ class Judged(NamedTuple):
 
 
 def page(title: str, *parts: str) -> str:
-    """Return a page of Markdown, of those of the parts that there are."""
+    """Return a page of Markdown, of the parts that are not empty."""
     return '\n\n'.join([f'# {title}', *filter(None, parts)]) + '\n'
 
 
@@ -218,7 +218,7 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
     name : str
         Of what was judged.
     text : str
-        What is known of it: Markdown.
+        The result: Markdown.
     fans : sequence of Fan
         Its predictions.
     horizon : float
@@ -240,7 +240,7 @@ def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
     runs = []
     for motion, starts, q in fans:
         last = round(horizon / motion.spacing)
-        # Of a long run only some: at even distances, all over it.
+        # A long run shows only some of them, evenly spread.
         apart = max(last / _OVERLAP, len(motion.t) / _MOST)
         keep = np.unique(np.searchsorted(starts, np.arange(0.0, starts[-1] + 1.0, apart)))
         predicted = []

@@ -17,8 +17,8 @@ class Task(ABC):
     """
     Data, loss, card and judgement of models of some families.
 
-    It is made of the file of a configuration, the configuration, the files that the command line
-    gives in place of those that it names, and whether an ensemble is trained, of which some data
+    Its arguments are the file of a configuration, the configuration, the files that the command
+    line gives instead of the configuration's, and whether an ensemble is trained: then some data
     are held out.
     """
 

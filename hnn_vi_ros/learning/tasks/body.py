@@ -39,7 +39,7 @@ class BodyTask(Task):
     config : BodyConfig
         How to train.
     given : sequence of str
-        A file in place of that of the configuration.
+        A file that replaces that of the configuration.
     ensemble : bool
         Not for this family.
 
@@ -75,7 +75,7 @@ class BodyTask(Task):
         raise AssertionError('an ensemble is refused before')
 
     def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
-        """Return the model with the errors of windows in words; see Task."""
+        """Return the model, and the errors of windows as text; see Task."""
         text = _text(problem.module, self._config, self._windows)
         return Judged(checkpoint, text, text)
 
@@ -87,7 +87,7 @@ def _opens_scale(config: BodyConfig, motions: Sequence[BodyMotions]) -> bool:
 
 
 def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> float:
-    """Return what is made 1: the root mean square of columns of B, or the mean of inertias."""
+    """Return the number to normalise: the RMS of the columns of B, or the mean inertia."""
     R = torch.cat([motion.R.flatten(0, 1) for motion in motions])
     x = torch.cat([motion.x.flatten(0, 1) for motion in motions])
     count = motions[0].u.shape[2] if 'input_map' in network.features else 0
@@ -119,7 +119,7 @@ def describe(network: LieGroupNetwork, config: BodyConfig, motions: Sequence[Bod
     elif not any(motion.u.any() for motion in motions):
         description += ('; no inputs, which leaves the scale of energy open: the mean inertia is '
                         '1')
-    # Of an attitude all columns can be anything; the last of the momenta stays zero.
+    # Every entry of an attitude can take any value; the last of the momenta stays zero.
     box = Box(q=[*_bounds(x), *[[-1.01, 1.01]] * 4], p=[*_bounds(p), [-1.0, 1.0]])
     card = ModelCard(
         name=name, family='lie_group', lie_group=network.card, **widths_of(layers),

@@ -32,7 +32,7 @@ _STATES = 2000
 
 class FieldTask(Task):
     """
-    A model of H(q, p), or of what stands for it, trained on states; see Task.
+    A model of H(q, p), or of a Lagrangian or two-form, trained on states; see Task.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class FieldTask(Task):
     config : FieldConfig
         How to train.
     given : sequence of str
-        Files in place of those of the configuration.
+        Files that replace those of the configuration.
     ensemble : bool
         Whether members are trained, each on resampled data.
 
@@ -111,11 +111,11 @@ def describe(problem: FieldProblem, config: FieldConfig, name: str, command: str
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
                  dataset: Dataset) -> EnergyError | None:
     """
-    Return how far the learned energy is from what is known of it; None if nothing is.
+    Return the error of the learned energy, as far as the energy is known; None if it is not.
 
-    For exact data that is the true one, at states of the box that training has not seen. For
-    others, what it should be along each motion: it changes by the work of the forces that the
-    family has; one that has none and was measured loses what friction takes.
+    For exact data the reference is the true energy, at new states of the box. For others it is the
+    energy along each motion: it changes by the work of the forces that the family has; where the
+    family has none, by the work of friction that is fitted.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
     config : FieldConfig
         How it was trained.
     dataset : Dataset
-        What it was trained on.
+        The training data.
 
     """
     row = FAMILIES[checkpoint.card.family]

@@ -40,7 +40,8 @@ from hnn_vi_ros.version import __version__
 import numpy as np
 import torch
 
-# A model is judged by errors after these times, from states so far apart [s].
+# A model is judged by errors after these horizons, from starts at this distance, and by valid
+# prediction times up to this limit [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 
 
@@ -55,7 +56,7 @@ class MachineTask(Task):
     config : MachineConfig
         How to train.
     given : sequence of str
-        Files in place of those of the configuration.
+        Files that replace those of the configuration.
     ensemble : bool
         Whether members are trained, each on resampled blocks of the motions.
 
@@ -97,7 +98,7 @@ class MachineTask(Task):
         return combined(members, name)
 
     def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
-        """Return the model with its prediction errors, beside those of baselines; see Task."""
+        """Return the model with its prediction errors, and those of baselines; see Task."""
         checkpoint = with_energy_error(checkpoint, self._test)
         if self._ensemble:
             checkpoint = calibrated(checkpoint, lambda: machine_calibration(
@@ -232,7 +233,7 @@ def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:
 
 
 def _scale(config: MachineConfig, motions: Sequence[Run]) -> str:
-    """Return what fixes the scale of energy where forces do not, for the model card."""
+    """Return a note on the scale of energy for the model card, where forces do not fix it."""
     text = ''
     if config.family.prior not in (None, RIGID_BODY, *CHAINS):
         text = f'; the scale of energy is that of {config.family.prior}'
@@ -256,8 +257,8 @@ def _remarks(config: MachineConfig, card: ModelCard) -> str:
         f'{error.compared_with}, which makes it vary by {error.spread:.3g} J.\n')
     return (f'Held out: {held}. The table is of free simulations of it, from a state every '
             f'{_EVERY:g} s, with the measured forces: the root mean square of the error at the '
-            'end of each horizon. The energy mismatch is what H changes by over each horizon '
-            'beside the work of forces and friction, as a share of its range. The plain network '
+            'end of each horizon. The energy mismatch is the change of H over each horizon '
+            'less the work of forces and friction, as a share of its range. The plain network '
             'of (q, v, tau) has the same hidden layers and was trained '
             f'{"in the same way" if same else "by windows"}; a rigid body is a chain of links '
             f'fitted by least squares.\n\n{energy}')
