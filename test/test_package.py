@@ -30,6 +30,9 @@ FLOORS = (
     'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
     'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch',
     'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
+# Inside learning, in the same way; the identification of scenes is on one floor.
+LEARNING_FLOORS = ('arguments', 'data', 'families', 'fit', 'inertias', 'judging', 'imports',
+                   'tasks', 'train', 'evaluate', 'measured_force', 'identify')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -46,9 +49,9 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
-    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|torch\.py'
+    'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
              r'|lockstep/\w+\.py|run/device_ensemble\.py',
-    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
+    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'gymnasium': r'envs\.py',
@@ -56,12 +59,12 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/\w+\.py|run/trajectory\w*\.py'
+    'matplotlib': r'learning/(\w+/)?\w+\.py|run/trajectory\w*\.py'
                   r'|commands/(cost_figure|label_placement)\.py',
     'pandas': r'run/trajectory\w*\.py',
     'xarray': r'run/trajectory\w*\.py',
     'shtab': r'commands/completion\.py',
-    'tqdm': r'learning/\w+\.py',
+    'tqdm': r'learning/(\w+/)?\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',
@@ -115,6 +118,17 @@ def test_imports_run_downwards(path):
     for module in own_imports(path):
         room = module.partition('.')[0]
         assert FLOORS.index(room) <= FLOORS.index(own), f'{own} imports {module}'
+
+
+@pytest.mark.parametrize('path', sorted((PACKAGE / 'learning').rglob('*.py')), ids=relative)
+def test_imports_inside_learning_run_downwards(path):
+    def floor(module: str) -> int:
+        box = module.split('.')[1]
+        return LEARNING_FLOORS.index('identify' if box.startswith('identify') else box)
+    own = name_of(path)
+    for module in own_imports(path) if own != 'learning' else ():
+        if module.startswith('learning.'):
+            assert floor(module) <= floor(own), f'{own} imports {module}'
 
 
 def test_tests_stand_in_the_rooms_of_what_they_test():

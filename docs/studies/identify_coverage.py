@@ -14,10 +14,10 @@ import tempfile
 import time
 
 from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.learning.data.runs import Motion, smoothed
 from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
 from hnn_vi_ros.learning.identify_statistics import estimates_of
-from hnn_vi_ros.learning.motions import Motion, smoothed
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 import numpy as np

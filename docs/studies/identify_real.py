@@ -13,15 +13,13 @@ import tempfile
 import time
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.learning.evaluate import simulation_of
-from hnn_vi_ros.learning.evaluation import Predict, simulated, variance_of
+from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
+from hnn_vi_ros.learning.data.runs import Motion, train_and_test
+from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
 from hnn_vi_ros.learning.identify_statistics import estimates_of
-from hnn_vi_ros.learning.machine_training import split_motions
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_archive
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors
@@ -147,12 +145,12 @@ def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[Motion], list
         file = _relative(file, folder / 'relative.npz')
     motions, _ = read_motions(file, ArraysData.model_validate(case.data), names,
                               [str(file)])
-    return split_motions(motions, case.test)
+    return train_and_test(motions, case.test)
 
 
 def _relative(file: Path, out: Path) -> Path:
     """Write runs whose angles are zero hanging down, each from the link before."""
-    runs, _ = read_archive(file)
+    runs = Archive(file).arrays
     # 1 kHz is far above what the arms can do: every tenth sample tells as much.
     np.savez(out, **{key: _steps(values[::_EVERY]) - np.pi * (key.endswith('/q') * (
         np.arange(values.shape[1]) == 0)) for key, values in runs.items() if values.ndim == 2})

@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning.body_config import load_body
-from hnn_vi_ros.learning.body_data import read_bodies
-from hnn_vi_ros.learning.body_train import INTERVALS
-from hnn_vi_ros.learning.body_training import joined, published_loss
-from hnn_vi_ros.learning.config import find_config
+from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.fit.body import joined, published_loss
+from hnn_vi_ros.learning.fit.config import find_config, load_config
+from hnn_vi_ros.learning.tasks.body import INTERVALS
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
@@ -43,8 +42,8 @@ class LongRun(NamedTuple):
 
 
 def test_loss(model: Checkpoint, name: str, data: Path) -> float:
-    """Return the loss of a model as published; see body_training.published_loss."""
-    config = load_body(find_config(name))
+    """Return the loss of a model as published; see body.published_loss."""
+    config = load_config(find_config(name))
     _, test, _ = read_bodies(data, config.data, config.coordinates[0].kind)
     windows = joined([motion.windows(INTERVALS) for motion in test])
     return published_loss(LieGroupNetwork.of(model), config, windows)

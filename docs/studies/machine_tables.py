@@ -14,16 +14,15 @@ from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.config import find_config
-from hnn_vi_ros.learning.evaluate import simulation_of
-from hnn_vi_ros.learning.evaluation import Predict, score, simulated, variance_of
-from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, fix_scale, learn
-from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
-from hnn_vi_ros.learning.motion_arrays import read_archive
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import Motion
-from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
+from hnn_vi_ros.learning.data.arrays import Archive
+from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.families.plain_network import PlainNetwork
+from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
+from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
+from hnn_vi_ros.learning.judging.evaluation import (
+    Predict, predicted_by, score, simulated, simulation_of, variance_of)
+from hnn_vi_ros.learning.tasks.machine import describe, fix_scale, learn
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 import numpy as np
@@ -45,14 +44,14 @@ RUNS = 'machine_runs.json'
 
 # Values by the name of the measure; of several coordinates, one each.
 Measures = dict[str, list[float]]
-Measure = Callable[[Predict, Sequence[Motion], Path], Measures]
+Measure = Callable[[Predict, Sequence[Run], Path], Measures]
 
 
 class CaseMotions(NamedTuple):
     """Motions to learn from, motions to judge by, and what they are."""
 
-    train: list[Motion]
-    test: list[Motion]
+    train: list[Run]
+    test: list[Run]
     description: str
 
 
@@ -95,7 +94,7 @@ class Case:
     longer: bool = False
 
 
-def valid_times(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
+def valid_times(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
     """Return how long each letter is followed from its first sample [s], as published."""
     variance = variance_of(test)
     times = []
@@ -109,7 +108,7 @@ def valid_times(predict: Predict, test: Sequence[Motion], folder: Path) -> Measu
             'valid prediction time [s], e, q and v': [float(np.mean(times))]}
 
 
-def dfki_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
+def dfki_errors(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
     """Return errors at the end of horizons, on the test runs and on runs of later."""
     found = score(predict, test, [0.1, 0.5], _EVERY, 0.5).horizons
     measures = {f'RMS error [rad] after {horizon:g} s, test': found[horizon].tolist()
@@ -117,7 +116,7 @@ def dfki_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measu
     config = load_machine(find_config('dfki_double_pendulum'))
     names = [coordinate.name for coordinate in config.coordinates]
     later = folder / 'dfki_double_pendulum' / 'later.npz'
-    runs = sorted({key.partition('/')[0] for key in read_archive(later)[0]})
+    runs = sorted({key.partition('/')[0] for key in Archive(later).arrays})
     for task in ('acrobot', 'pendubot'):
         # One task after the other: they were sampled at rates of their own.
         ours = ','.join(run for run in runs if run.startswith(task))
@@ -127,7 +126,7 @@ def dfki_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measu
     return measures
 
 
-def multiarm_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measures:
+def multiarm_errors(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
     """
     Return errors over the first seconds of each segment, the mean over all segments.
 
@@ -281,7 +280,7 @@ def read_case(case: Case, data: Path) -> CaseMotions:
         if case.measure is valid_times:
             file = letters_by_name(file, Path(folder) / 'letters.npz')
         motions, description = read_motions(file, config.data, names, [str(file)])
-    return CaseMotions(*split_motions(motions, config.data.test_runs), description)
+    return CaseMotions(*train_and_test(motions, config.data.test_runs), description)
 
 
 def models_of(case: Case) -> list[str]:
@@ -301,7 +300,7 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
     if model == PLAIN:
         plain = PlainNetwork([coordinate.kind for coordinate in config.coordinates],
                              config.hidden, scales_of(motions.train), seed)
-        fit(plain, config, motions.train)
+        MachineProblem(plain, config, motions.train).fit()
         return case.measure(predicted_by(plain), motions.test, data)
     if rigid:
         family = config.family.model_copy(update={
@@ -319,8 +318,8 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
         return case.measure(predicted(case, file, checkpoint, *motions[:2]), motions.test, data)
 
 
-def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Motion],
-              test: Sequence[Motion]) -> Predict:
+def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Run],
+              test: Sequence[Run]) -> Predict:
     """Return what a saved model predicts, in the simulation that a scene of it would run."""
     names = [coordinate.name for coordinate in checkpoint.card.coordinates]
     driven = any(motion.tau.any() for motion in train)
@@ -328,7 +327,7 @@ def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[M
         [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
     hamiltonian, variance = MechanicalHamiltonian(checkpoint), variance_of(test)
 
-    def predict(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, [motion],
                                    motion.spacing / case.steps)
         return simulated(simulation, motion.spacing, _FOREVER, variance)(motion, starts, count)
@@ -343,7 +342,7 @@ def _quick(config: MachineConfig) -> MachineConfig:
 
 def letters_by_name(file: Path, out: Path) -> Path:
     """Write the letters, which stand one after another, as runs that have their names."""
-    arrays, _ = read_archive(file)
+    arrays = Archive(file).arrays
     ends = np.cumsum(arrays['length'])
     runs = {f'{label}/{key}': arrays[key][end - length:end]
             for label, length, end in zip(arrays['label'], arrays['length'], ends, strict=True)

@@ -142,13 +142,14 @@ def train_on_differences(training: Training, orbits: Orbits, seed: int, friction
 def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, Any],
            loss: dict[str, Any], block: float | None = None) -> Model:
     # Imported late: torch takes seconds, which a mistake should not wait for.
-    from hnn_vi_ros.learning.config import TrainingConfig
-    from hnn_vi_ros.learning.sources import make_dataset
-    from hnn_vi_ros.learning.train import train
+    from hnn_vi_ros.learning.data.sources import make_dataset
+    from hnn_vi_ros.learning.fit.config import FieldConfig
+    from hnn_vi_ros.learning.fit.field import FieldProblem
+    from hnn_vi_ros.learning.tasks.field import describe
     names = COORDINATES[(table.shape[1] - 2) // 4]
     momenta = [f'p_{name}' for name in names]
     rates = [[f'd{name}' for name in part] for part in (names, momenta)]
-    config = TrainingConfig.model_validate({
+    config = FieldConfig.model_validate({
         'coordinates': [{'name': name} for name in names],
         'data': {'kind': 'measured', 'trial': 'trial', 'time': 't', 'q': names, 'p': momenta,
                  'dq_dt': rates[0], 'dp_dt': rates[1], 'block': block,
@@ -159,8 +160,9 @@ def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, A
         log, model = Path(folder) / 'orbits.txt', Path(folder) / 'model.safetensors'
         np.savetxt(log, table, fmt='%.17g')
         dataset = make_dataset(config.data, seed, log, [str(log)])
-        checkpoint, *_ = train(config, dataset, model.stem, 'published_tables')
-        save_checkpoint(model, checkpoint)
+        problem = FieldProblem(config, dataset)
+        problem.fit()
+        save_checkpoint(model, describe(problem, config, model.stem, 'published_tables'))
         effects = {'dgnet': Damping, 'dissipative_hnn': LearnedDissipation}
         kind = effects.get(family['kind']) if family.get('friction', True) else None
         return Model(load_learned(model), () if kind is None else (kind(model=str(model)),))

@@ -18,12 +18,12 @@ import time
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.learning.excitation import ExcitationData, excited_motions
+from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.identification import identify
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_training import scales_of
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import scales_of
+from hnn_vi_ros.learning.inertias.identification import identify
 from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
 import numpy as np
 from scipy.signal import lfilter
@@ -38,7 +38,7 @@ _NOISE, _MEMORY = 0.02, 5
 _DATA = {'kind': 'excitation', 'runs': 2, 'duration': 10.0, 'interval': 0.01}
 
 
-def noisy(motion: Motion, random: np.random.Generator) -> Motion:
+def noisy(motion: Run, random: np.random.Generator) -> Run:
     """Return a motion whose forces have noise that decays by 1/e in _MEMORY samples."""
     keep = np.exp(-1.0 / _MEMORY)
     white = random.normal(size=(len(motion.t) + 20 * _MEMORY, motion.tau.shape[1]))

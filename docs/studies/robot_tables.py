@@ -16,14 +16,13 @@ from typing import Any
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.learning.data.arrays import Archive
+from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.identification_report import force_errors
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, learn
-from hnn_vi_ros.learning.machine_training import split_motions
-from hnn_vi_ros.learning.motion_arrays import read_archive
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.inertias.identification_report import force_errors
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 import numpy as np
 from studies.machine_tables import CASES, dfki_errors, predicted
@@ -77,20 +76,20 @@ class Robot:
 
     file: str
     settings: dict[str, Any]
-    measure: Callable[[MechanicalNetwork, MachineConfig, list[Motion], list[Motion], Path],
+    measure: Callable[[MechanicalNetwork, MachineConfig, list[Run], list[Run], Path],
                       Measures]
     chosen_by: str
     references: Measures
 
 
-def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
-            test: list[Motion], data: Path) -> Measures:
+def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
+            test: list[Run], data: Path) -> Measures:
     """Return the squared error of the force of each joint over its variance."""
     return {_FORCES: force_errors(network, test)[0]}
 
 
-def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
-           test: list[Motion], data: Path) -> Measures:
+def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
+           test: list[Run], data: Path) -> Measures:
     """Return errors of free simulations, as of the other models of this machine."""
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:
@@ -179,7 +178,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
             urdf.write_text(DFKI_URDF, encoding='utf-8')
         assert urdf is not None
         config, motions = read_robot(robot, MODELS[model], urdf, data / robot.file, Path(folder))
-        train, test = split_motions(motions, config.data.test_runs)
+        train, test = train_and_test(motions, config.data.test_runs)
         if use == 'choice':
             train, test = _choice(train)
         network, _ = learn(config, train)
@@ -189,7 +188,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
 
 
 def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder: Path
-               ) -> tuple[MachineConfig, list[Motion]]:
+               ) -> tuple[MachineConfig, list[Run]]:
     """Return the configuration of a robot and its motions; the UR10's in two runs."""
     settings = dict(robot.settings)
     if not settings['data'].get('test_runs'):
@@ -205,7 +204,7 @@ def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder
 
 def two_runs(file: Path, out: Path) -> Path:
     """Write one run as two, what is learned from and what is tested with, apart by a gap."""
-    arrays, _ = read_archive(file)
+    arrays = Archive(file).arrays
     n = len(arrays['t'])
     first = int(_LEARNED * n)
     runs = {f'{run}/{key}': values[rows] for key, values in arrays.items()
@@ -219,18 +218,18 @@ def _joints(urdf: Path) -> Any:
     return RigidBodyTree(str(urdf)).joints
 
 
-def _choice(train: list[Motion]) -> tuple[list[Motion], list[Motion]]:
+def _choice(train: list[Run]) -> tuple[list[Run], list[Run]]:
     """Split what is learned from: the last quarter of each run is what the choice is made by."""
-    from hnn_vi_ros.learning.machine_training import part_of
+    from hnn_vi_ros.learning.data.runs import part_of
     ends = [round((1.0 - _CHOICE) * len(motion.t)) for motion in train]
     pairs = list(zip(train, ends, strict=True))
     return ([part_of(motion, slice(None, end)) for motion, end in pairs],
             [part_of(motion, slice(end + _GAP, None)) for motion, end in pairs])
 
 
-def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[Motion],
-                 test: list[Motion]) -> list[float]:
-    from hnn_vi_ros.learning.evaluation import score
+def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
+                 test: list[Run]) -> list[float]:
+    from hnn_vi_ros.learning.judging.evaluation import score
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'

@@ -13,13 +13,11 @@ from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.learning.config import find_config
-from hnn_vi_ros.learning.evaluate import parts_of, simulation_of
-from hnn_vi_ros.learning.evaluation import score, simulated, variance_of
-from hnn_vi_ros.learning.machine_config import load_machine
-from hnn_vi_ros.learning.machine_training import split_motions
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
+from hnn_vi_ros.learning.judging.evaluation import (
+    parts_of, score, simulated, simulation_of, variance_of)
 from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.twin import Twin
 from hnn_vi_ros.scene import load_scene, Scene
@@ -40,7 +38,7 @@ def observing(scene: Scene, names: Sequence[str], spacing: float, variance: np.n
         *(effect.model_dump() for effect in scene.effects), observer]})
 
 
-def replay(twin: Twin, simulation: Accompanied, motion: Motion, q: np.ndarray, v: np.ndarray
+def replay(twin: Twin, simulation: Accompanied, motion: Run, q: np.ndarray, v: np.ndarray
            ) -> list[float]:
     """Return the valid prediction times [s] of a twin that observes q and v along a motion."""
     steps = round(motion.spacing / simulation.step_size)
@@ -59,7 +57,7 @@ def main(argv: Sequence[str]) -> None:
     scene, config = load_scene(argv[0]), load_machine(find_config(argv[1]))
     names = [coordinate.name for coordinate in config.coordinates]
     motions, _ = read_motions(Path(argv[2]), config.data, names, [argv[2]])
-    _, test = split_motions(motions, config.data.test_runs)
+    _, test = train_and_test(motions, config.data.test_runs)
     variance, spacing = variance_of(test), test[0].spacing
     hamiltonian, integrator, step_size, effects = parts_of(argv[0])
     judged = score(

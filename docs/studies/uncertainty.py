@@ -19,12 +19,9 @@ from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.config import find_config, load_config
-from hnn_vi_ros.learning.ensemble import held_exact, scores_of
-from hnn_vi_ros.learning.machine_config import load_machine
-from hnn_vi_ros.learning.machine_ensemble import machine_scores
-from hnn_vi_ros.learning.machine_train import own_family
-from hnn_vi_ros.learning.motion_sources import read_motions
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.config import find_config, load_config, load_machine, MachineConfig
+from hnn_vi_ros.learning.judging.ensemble import held_exact, machine_scores, scores_of
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian, load_member
@@ -201,7 +198,7 @@ def main(argv: Sequence[str]) -> None:
     for name, model in zip(arguments.pairs[::2], arguments.pairs[1::2], strict=True):
         config = find_config(name)
         covered, detected = machine_row(config, model, arguments.runs) \
-            if own_family(config) else exact_row(config, model)
+            if isinstance(load_config(config), MachineConfig) else exact_row(config, model)
         shares, errors = (100.0 * part for part in coverage(covered))
         checkpoint = load_checkpoint(model, ensembles=True)
         factors = ' '.join(f'{factor:.3g}' for factor in _factors(model, checkpoint))

@@ -14,7 +14,7 @@ EXECUTABLES = {
     'evaluate': 'hnn_vi_ros.learning.evaluate',
     'hover': 'hnn_vi_ros.ros.hover_node',
     'identify': 'hnn_vi_ros.learning.identify',
-    'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
+    'import_checkpoint': 'hnn_vi_ros.learning.imports.import_checkpoint',
     'listener': 'hnn_vi_ros.ros.listener_node',
     'recover_bag': 'hnn_vi_ros.bags.recover_bag',
     'replay': 'hnn_vi_ros.ros.replay_node',
@@ -44,7 +44,8 @@ def module_of(name: str, argv: Sequence[str]) -> str:
 
 def parser_of(name: str) -> Parser:
     """Return the parser of a command, without the libraries that its work takes."""
-    arguments = import_module(f'{COMMANDS[name].rpartition(".")[0]}.arguments')
+    room = COMMANDS[name].split('.')[1]
+    arguments = import_module(f'hnn_vi_ros.{room}.arguments')
     return getattr(arguments, name)()
 
 

@@ -18,6 +18,10 @@ from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.runs import steps_between
+from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.identify_fit import fit, Problem, Solution
 from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
@@ -25,10 +29,6 @@ from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.identify_windows import Windows
-from hnn_vi_ros.learning.motion_arrays import ArraysData, keys_of, split_runs
-from hnn_vi_ros.learning.motion_bags import BagMotions
-from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.motions import steps_between
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 
@@ -153,7 +153,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.machine_config import load_machine
+        from hnn_vi_ros.learning.fit.config import load_machine
         return options.config, load_machine(options.config).data
     data = guessed(options.data[0])
     path = split_runs(options.data[0])[0]

@@ -11,6 +11,7 @@ import hnn_vi_ros
 from hnn_vi_ros.cli import run_module
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
 from hnn_vi_ros.learning.identify import main
 from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
@@ -18,7 +19,6 @@ from hnn_vi_ros.learning.identify_scene import edited
 from hnn_vi_ros.learning.identify_statistics import (
     _own_covariance, correlations_of, Estimates, estimates_of, profile)
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
-from hnn_vi_ros.learning.motions import Motion, smoothed, steps_between
 from hnn_vi_ros.run.dependences import difference
 from hnn_vi_ros.run.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene

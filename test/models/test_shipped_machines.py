@@ -6,8 +6,7 @@ import json
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.learning.config import find_config
-from hnn_vi_ros.learning.machine_config import load_machine
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest

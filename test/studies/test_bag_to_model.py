@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.learning.config import find_config
+from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.train import main as train
 from hnn_vi_ros.scene import load_scene
 import pytest

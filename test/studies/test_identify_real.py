@@ -5,8 +5,8 @@
 from dataclasses import replace
 
 import hnn_vi_ros
+from hnn_vi_ros.learning.data.runs import smoothed
 from hnn_vi_ros.learning.identify_numbers import free_scene
-from hnn_vi_ros.learning.motions import smoothed
 import numpy as np
 import pytest
 from studies.identify_real import CASES, motions_of, predicted, scene_of
