@@ -7,12 +7,15 @@ from pathlib import Path
 from hnn_vi_ros.errors import DataError, Interrupted, ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import evaluate, train
-from hnn_vi_ros.learning.fit.config import load_config
+from hnn_vi_ros.learning.fit import config as schemas
+from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.fit.keeping import Keeper
 from hnn_vi_ros.learning.fit.loop import Fit
+from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 import numpy as np
 import pytest
+import torch
 
 T = 0.05 * np.arange(200)
 # A swing, and a body that turns about one axis with a speed that changes.
@@ -33,6 +36,24 @@ TURNING = {
     'coordinates': [{'name': 'attitude', 'kind': 'rotation'}], 'hidden': [4], 'batch': 8,
     'family': {'kind': 'lie_group'}, 'data': {'kind': 'arrays', 'tau': None},
     'windows': [{'intervals': 1, 'adam_steps': 25, 'lbfgs_steps': 40, 'lbfgs_windows': 16}]}
+EXACT = {'kind': 'exact', 'hamiltonian': {'kind': 'harmonic_oscillator'}, 'samples': 30,
+         'box': {'q': [[-1.0, 1.0]], 'p': [[-1.0, 1.0]]},
+         'trajectory': {'duration': 0.2, 'spacing': 0.1}}
+# What the families of fields need beside that.
+FIELDS = {
+    'hnn': {}, 'separable_hnn': {}, 'dissipative_hnn': {}, 'symplectic_form': {},
+    'dgnet': {'loss': {'kind': 'discrete_gradient', 'step_size': 0.1}},
+    'vin': {'loss': {'kind': 'discrete_lagrangian', 'step_size': 0.1}},
+    'lagrangian': {'loss': {'kind': 'euler_lagrange'}},
+    'control_affine': {'data': EXACT | {'commands': {'input_map': [[0.5]], 'largest': 2.0}}}}
+# A shipped configuration of each family, and the options that it takes.
+TAKEN = {
+    'pendulum': 'device ensemble resume', 'separable_pendulum': 'device ensemble resume',
+    'damped_pendulum': 'device resume', 'discrete_gradient_pendulum': 'device resume',
+    'variational_pendulum': 'device resume', 'lagrangian_double_pendulum': 'device resume',
+    'driven_double_pendulum': 'device resume', 'double_pendulum_velocity': 'device resume',
+    'dfki_double_pendulum': 'ensemble resume', 'two_joint_arm': 'resume',
+    'turning_pendulum': 'resume'}
 
 
 @pytest.fixture
@@ -73,6 +94,68 @@ def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: s
     for network, layers in one.networks.items():
         for mine, theirs in zip(layers, other.networks[network], strict=True):
             assert all(map(np.array_equal, mine, theirs))
+
+
+@pytest.mark.parametrize('kind', FIELDS)
+def test_each_family_of_fields_resumes_to_the_same_bits(tmp_path: Path, kind: str):
+    torch.set_num_threads(1)  # as train does
+    path = tmp_path / 'm.yaml'
+    path.write_text(dump_yaml({
+        'coordinates': [{'name': 'x'}], 'hidden': [8], 'adam_steps': 40, 'lbfgs_steps': 40,
+        'data': EXACT, 'family': {'kind': kind}} | FIELDS[kind]))
+    config = load_config(path)
+    task = FieldTask(path, config, [], False)
+    whole, stopped, resumed = (task.problem(config, 'cpu') for _ in range(3))
+    history = Fit(whole)
+    history.run()
+
+    def keeper() -> Keeper:
+        return Keeper(tmp_path / 'm.training', config, task.arrays(), 'cpu')
+    keep = keeper()
+
+    def pause(fit: Fit) -> None:
+        # The first steps of L-BFGS are taken.
+        keep._stopping = fit.step == 60
+        keep(fit)
+    with pytest.raises(Interrupted, match='stopped at step 60, '):
+        Fit(stopped).run(pause)
+    fit = Fit(resumed)
+    keeper().load(fit)
+    fit.run()
+    assert fit.history == history.history
+    for one, other in zip(whole.module.parameters(), resumed.module.parameters(), strict=True):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize('config', TAKEN)
+def test_each_option_is_taken_or_refused_by_the_row_of_the_family(
+        tmp_path: Path, monkeypatch, config: str):
+    class Begun(Exception):
+        """Training has begun: every option was taken."""
+
+    class Task:
+        picture = 'picture'
+
+        def __init__(self, *arguments: object):
+            raise Begun
+    monkeypatch.setattr(train, '_TASKS', dict.fromkeys(train._TASKS, Task))
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: True)
+    for option, more in (('device', ['cuda']), ('ensemble', ['3']), ('resume', [])):
+        asked = ['--config', config, '--out', str(tmp_path / 'm.safetensors'), f'--{option}',
+                 *more]
+        if option in TAKEN[config]:
+            with pytest.raises(Begun):
+                train.main(asked)
+        else:
+            with pytest.raises(ParameterError, match=f'--{option}: a .*; leave it out$'):
+                train.main(asked)
+
+
+def test_options_are_tried_with_every_family():
+    families = {load_config(find_config(name)).family.kind for name in TAKEN}
+    assert families == schemas._SCHEMAS.keys()
+    fields = {kind for kind, schema in schemas._SCHEMAS.items() if schema is schemas.FieldConfig}
+    assert fields == FIELDS.keys()
 
 
 @pytest.mark.parametrize(('config', 'option', 'message'), [
@@ -124,6 +207,19 @@ def test_model_is_evaluated_by_motions_that_a_configuration_computes(files: Path
         evaluate.main(['harmonic_oscillator'])
     with pytest.raises(DataError, match='are motions of a body that turns'):
         evaluate.main(['harmonic_oscillator', '--config', 'turning_pendulum'])
+
+
+@pytest.mark.parametrize(('kind', 'message'), [
+    ('lagrangian', r'log.csv \(.*: no accelerations, which the loss euler_lagrange learns from; '),
+    ('control_affine', 'learns what commands do, but the data hold none; ')])
+def test_log_that_lacks_what_a_family_learns_from_is_refused_in_one_line(
+        files: Path, kind: str, message: str):
+    (files / 'log.yaml').write_text(dump_yaml(
+        LOG | {'family': {'kind': kind}, 'loss': FIELDS[kind].get('loss', {
+            'kind': 'vector_field'})}))
+    with pytest.raises(DataError, match=message) as problem:
+        train.main(words(files, 'log', 'm'))
+    assert '\n' not in str(problem.value)
 
 
 def test_unknown_family_is_answered_with_all_there_are(tmp_path: Path):

@@ -139,6 +139,9 @@ def _discrete_euler_lagrange(choice: Any, family: Any, q0: torch.Tensor, q1: tor
 
 
 def _velocities(choice: Any, dataset: Dataset) -> Batch:
+    if dataset.accelerations is None:
+        raise DataError(f'{dataset.description}: no accelerations, which the loss euler_lagrange '
+                        'learns from; give a bag or exact data, or take another family')
     return Batch((_joined(dataset.q, dataset.dq_dt),), torch.tensor(dataset.accelerations))
 
 
