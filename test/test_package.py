@@ -234,7 +234,8 @@ def test_test_file_asserts_something(path):
 
 @pytest.mark.parametrize('effect', EFFECTS.values(), ids=lambda effect: effect.__name__)
 def test_effect_is_a_file_of_its_own(effect):
-    assert [other for other in EFFECTS.values() if other.__module__ == effect.__module__] == [effect]
+    assert [other for other in EFFECTS.values()
+            if other.__module__ == effect.__module__] == [effect]
 
 
 def test_completion_offers_the_public_names_and_each_is_there():

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.files.limits import parse_json, read_limited
-from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.files.yaml_text import one_line
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
