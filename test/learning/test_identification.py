@@ -237,7 +237,7 @@ def test_networks_add_to_the_body_what_was_chosen(residual):
      "joints names 'knee': no such joint moves; moving joints: shoulder, elbow"),
     (f'family: {{kind: rigid_body, file: {ARM}, residual: energy}}', 'residual'),
     (f'family: {{kind: rigid_body, file: {ARM}}}\nloss: {{kind: forward}}',
-     'loss: forward fits no rigid_body; take inverse or trajectory'),
+     'loss: forward does not train the family rigid_body; valid: trajectory, inverse'),
     (f'family: {{kind: rigid_body, file: {ARM}, friction: {{network: true}}}}',
      'take residual: friction'),
     ('family: {kind: mechanical}\ncoordinates: [{name: a}]',

@@ -198,7 +198,7 @@ def test_existing_files_are_never_overwritten(tmp_path):
     (['--config', 'none'], 'shipped: air_track, '),
     (['--config', 'none.yaml'], 'none.yaml: no such file; give the path of a training '
      'configuration, or the name of a shipped one: air_track, '),
-    (['--config', 'air_track'], 'data.path is empty; pass the log with --data FILE, which is '
+    (['--config', 'air_track'], 'data.path is empty; pass the file with --data FILE, which is '
      'real_linear_h_1.txt of the supplement of Schmidt and Lipson'),
     (['--config', 'air_track', '--data', 'none.txt'], 'none.txt: no such data file'),
     (['--config', 'harmonic_oscillator', '--data', 'log.txt'], 'its data is exact'),
