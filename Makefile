@@ -13,6 +13,7 @@ TORCH ?=
 SCENE ?= harmonic_oscillator
 DURATION ?= 20
 ARGS ?=
+NAME ?=
 OUT ?= docs
 # Nobody else's graph is disturbed unless that is asked for.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -27,7 +28,7 @@ RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
 	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
-.PHONY: help build run test test-core test-nodes bench accuracy hard-cases docs clean distclean
+.PHONY: help build run test test-core test-nodes bench accuracy hard-cases study docs clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
@@ -35,6 +36,7 @@ help:
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
 	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure what accuracy costs; hours'
 	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
+	@echo 'make study [NAME=... ARGS=...]                 run another study; without NAME, list them'
 	@echo 'make docs                                      build the site into docs/_build/html'
 	@echo 'make build [TORCH=cpu|cuda|any|none]           set up .venv and build the package'
 	@echo 'make clean                                     remove what was built'
@@ -83,22 +85,20 @@ bench:
 	$(VENV) run train bench
 	$(BUILD)
 	@$(ENVIRONMENT); $(ONE_THREAD); \
-	export PYTHONPATH="$(CURDIR)/test$${PYTHONPATH:+:$$PYTHONPATH}"; \
+	export PYTHONPATH="$(CURDIR)/test:$(CURDIR)/docs$${PYTHONPATH:+:$$PYTHONPATH}"; \
 	exec .venv/bin/python -P -m benchmarks.bench --out '$(OUT)' $(ARGS)
 
-# What is measured already is kept in work_precision/, so that it can be interrupted.
-accuracy:
-	$(VENV) run train bench
+# The studies of docs/studies, of the package that was built. The long ones keep what they have
+# measured in a folder of their name, and go on from there after an interruption.
+study: WORDS = $(NAME)
+accuracy: WORDS = work_precision --all --peers --out work_precision --docs '$(OUT)'
+hard-cases: WORDS = hard_cases --out hard_cases --docs '$(OUT)'
+study accuracy hard-cases:
+	$(VENV) run train $(if $(filter accuracy,$@),bench)
 	$(BUILD)
 	@$(ENVIRONMENT); $(ONE_THREAD); \
-	exec $(RUNNABLE)/work_precision --all --peers --out work_precision --docs '$(OUT)' $(ARGS)
-
-# What is there already is kept in hard_cases/, so that it can be interrupted.
-hard-cases:
-	$(VENV) run train
-	$(BUILD)
-	@$(ENVIRONMENT); $(ONE_THREAD); \
-	exec $(RUNNABLE)/hard_cases --out hard_cases --docs '$(OUT)' $(ARGS)
+	export PYTHONPATH="$(CURDIR)/docs$${PYTHONPATH:+:$$PYTHONPATH}"; \
+	exec .venv/bin/python -P -m studies $(WORDS) $(ARGS)
 
 # Warnings are errors, links within the site among them.
 docs:

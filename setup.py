@@ -18,15 +18,11 @@ TRAIN = ['plotly>=6,<7', 'torch>=2.3,<3', 'tqdm>=4.60']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [
-    'bag_to_model = hnn_vi_ros.cli:bag_to_model',
     'evaluate = hnn_vi_ros.cli:evaluate',
-    'hard_cases = hnn_vi_ros.cli:hard_cases',
     'hover = hnn_vi_ros.cli:hover',
     'identify = hnn_vi_ros.cli:identify',
     'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
     'listener = hnn_vi_ros.cli:listener',
-    'paper_figures = hnn_vi_ros.cli:paper_figures',
-    'published_tables = hnn_vi_ros.cli:published_tables',
     'recover_bag = hnn_vi_ros.cli:recover_bag',
     'replay = hnn_vi_ros.cli:replay',
     'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
@@ -34,7 +30,6 @@ FOR_ROS = [
     'simulator = hnn_vi_ros.cli:simulator',
     'sweep = hnn_vi_ros.cli:sweep',
     'train = hnn_vi_ros.cli:train',
-    'work_precision = hnn_vi_ros.cli:work_precision',
 ]
 
 
@@ -85,7 +80,7 @@ setup(
     name=NAME,
     version='0.2.0',
     packages=find_packages(exclude=['test', 'test.*']),
-    package_data={NAME: ['py.typed', 'studies/*.html']},
+    package_data={NAME: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (str(SHARE), ['package.xml']),
@@ -106,7 +101,7 @@ setup(
         'setuptools',
     ],
     extras_require={
-        # What training and the studies take besides.
+        # What training takes besides.
         'train': TRAIN,
         # What tables and completion take besides.
         'tables': ['pandas>=2.2', 'xarray>=2024.1'],

@@ -108,31 +108,6 @@ def import_checkpoint() -> NoReturn:
     _run('import_checkpoint')
 
 
-def bag_to_model() -> NoReturn:
-    """Record the double pendulum, train on the bag, simulate what was learned."""
-    _run('bag_to_model')
-
-
-def paper_figures() -> NoReturn:
-    """Regenerate the figures of the paper."""
-    _run('paper_figures')
-
-
-def published_tables() -> NoReturn:
-    """Measure our models where published ones were measured."""
-    _run('published_tables')
-
-
-def work_precision() -> NoReturn:
-    """Measure what accuracy costs."""
-    _run('work_precision')
-
-
-def hard_cases() -> NoReturn:
-    """Run the fourteen hard cases."""
-    _run('hard_cases')
-
-
 def scene() -> NoReturn:
     """Check, list or explain scenes."""
     _run('scene')
@@ -189,7 +164,8 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     except FileNotFoundError:
         sys.exit(f'{shown}: the working directory was removed; change to one that exists')
     try:
-        status = _call(name, argv, shown)
+        _answer_at_once(name, argv)
+        status = run_module(module_of(name, argv), argv, shown)
     except SystemExit as end:
         # From argparse, which has printed help, or what is wrong.
         status = end.code
@@ -203,11 +179,26 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     sys.exit(status)
 
 
-def _call(name: str, argv: list[str], shown: str) -> int | str | None:
-    """Return the status of a module's ``main``; of an error that a user can mend, one line."""
+def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
+    """
+    Run the ``main`` of a module.
+
+    Parameters
+    ----------
+    module : str
+        Imported now.
+    argv : list of str
+        Its arguments.
+    shown : str
+        What begins the line of an error.
+
+    Returns
+    -------
+    int, str or None
+        The status to exit with; one line where a user can mend what is wrong.
+
+    """
     try:
-        _answer_at_once(name, argv)
-        module = module_of(name, argv)
         if module.startswith('hnn_vi_ros.ros.'):
             # Before any library of ROS is loaded: some end the process.
             check_ros_environment()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.learning.weights import check_weights, OnWeights, with_weights
+from hnn_vi_ros.learning.families.weights import check_weights, OnWeights, with_weights
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
 from hnn_vi_ros.run.dependences import Dependence
 from hnn_vi_ros.run.recorders import check_memory

@@ -20,13 +20,16 @@ settings.register_profile('any machine', deadline=None,
                           suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('any machine')
 
+# The studies of the pages stand beside these, in no package that is installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'docs'))
+
 # Where several processes share the files, these begin first, so that none of them is left over for
 # one process at the end: those that take more than 20 s of a processor where nothing is compiled
 # yet, and those of nodes that take as long by the clock.
 LONGEST = (
-    'studies/test_work_precision.py', 'hard_cases/test_hard_cases.py', 'test_planted_faults.py',
-    'studies/test_scene_tool.py', 'accuracy/test_calibration.py', 'lockstep/test_fused.py',
-    'simulation/test_assembly.py', 'test_flake8.py', 'test_cli.py', 'learning/test_rigid_body.py',
+    'studies/test_work_precision.py', 'studies/test_hard_cases.py', 'test_planted_faults.py',
+    'commands/test_scene_tool.py', 'accuracy/test_calibration.py', 'simulation/test_assembly.py',
+    'test_flake8.py', 'test_cli.py', 'learning/test_rigid_body.py',
     'learning/test_machine_training.py', 'learning/test_input_map.py',
     'learning/test_family_training.py', 'models/test_mechanical_mean.py',
     'models/test_confined.py', 'learning/test_train.py', 'test_mypy.py',

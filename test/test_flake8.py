@@ -15,7 +15,8 @@ def test_python_files_satisfy_ament_flake8(monkeypatch, tmp_path):
     ament_flake8 = pytest.importorskip('ament_flake8.main', reason='needs ament_flake8')
     # Named one by one: the linter would walk into .venv/, build/, install/ and docs/_build/.
     sources = [*map(str, (ROOT / 'docs').glob('*.py')),
-               *(str(ROOT / name) for name in ('hnn_vi_ros', 'launch', 'setup.py', 'test'))]
+               *(str(ROOT / name)
+                 for name in ('docs/studies', 'hnn_vi_ros', 'launch', 'setup.py', 'test'))]
     # It compares each file with every folder below the current one whose name begins with . or _,
     # of which .venv/ has thousands: from a folder without any.
     monkeypatch.chdir(tmp_path)

@@ -44,6 +44,6 @@ for name in {shipped_names('model')!r}:
 
 @pytest.mark.parametrize('module', [
     'bags.recover_bag', 'ros.listener_node', 'ros.replay_node', 'ros.rerun_bridge',
-    'ros.simulator_node', 'studies.scene_tool', 'viewer.rerun_sink'])
+    'ros.simulator_node', 'commands.scene_tool', 'viewer.rerun_sink'])
 def test_what_runs_is_imported_without_the_extra_of_training(module):
     assert status_of(f'import hnn_vi_ros.{module}') == 0

@@ -21,14 +21,18 @@ PACKAGE = ROOT / 'hnn_vi_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 TEST_FILES = sorted((ROOT / 'test').rglob('test_*.py'))
 PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.py',
-                *sorted((ROOT / 'launch').glob('*.py')), *sorted((ROOT / 'docs').glob('*.py'))]
+                *sorted((ROOT / 'launch').glob('*.py')), *sorted((ROOT / 'docs').glob('*.py')),
+                *sorted((ROOT / 'docs' / 'studies').glob('*.py'))]
 
 # The rooms and the modules beside them, from the ground up; each imports only what is before it.
 FLOORS = (
     'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
     'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
     'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch',
-    'sweeps', 'envs', 'studies', 'ros', 'commands', 'cli', '__main__', '__init__')
+    'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
+# Inside learning, in the same way; the identification of scenes is on one floor.
+LEARNING_FLOORS = ('arguments', 'data', 'families', 'fit', 'inertias', 'judging', 'imports',
+                   'tasks', 'train', 'evaluate', 'measured_force', 'identify')
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -43,14 +47,9 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
-    'torch': r'learning/(families/)?\w+\.py|models/torch_module\.py|studies/peers\.py'
-             r'|torch\.py|lockstep/\w+\.py|run/(device_ensemble|torch_functions)\.py',
-    'triton': r'lockstep/triton_kernels\.py',
-    'torchdiffeq': r'studies/peers\.py',
-    'jax': r'studies/(turning_)?peers\.py',
-    'diffrax': r'studies/(turning_)?peers\.py',
-    'mujoco': r'studies/turning_peers\.py',
-    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/bag_signals\.py',
+    'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
+             r'|lockstep/\w+\.py|run/device_ensemble\.py',
+    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'gymnasium': r'envs\.py',
@@ -58,12 +57,12 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/\w+\.py|studies/\w+\.py|run/trajectory\w*\.py',
+    'matplotlib': r'learning/(\w+/)?\w+\.py|run/trajectory\w*\.py'
+                  r'|commands/(cost_figure|label_placement)\.py',
     'pandas': r'run/trajectory\w*\.py',
-    'PIL': r'studies/work_precision_figure\.py',
     'xarray': r'run/trajectory\w*\.py',
     'shtab': r'commands/completion\.py',
-    'tqdm': r'learning/\w+\.py|studies/\w+\.py',
+    'tqdm': r'learning/(\w+/)?\w+\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',
@@ -119,11 +118,22 @@ def test_imports_run_downwards(path):
         assert FLOORS.index(room) <= FLOORS.index(own), f'{own} imports {module}'
 
 
+@pytest.mark.parametrize('path', sorted((PACKAGE / 'learning').rglob('*.py')), ids=relative)
+def test_imports_inside_learning_run_downwards(path):
+    def floor(module: str) -> int:
+        box = module.split('.')[1]
+        return LEARNING_FLOORS.index('identify' if box.startswith('identify') else box)
+    own = name_of(path)
+    for module in own_imports(path) if own != 'learning' else ():
+        if module.startswith('learning.'):
+            assert floor(module) <= floor(own), f'{own} imports {module}'
+
+
 def test_tests_stand_in_the_rooms_of_what_they_test():
     folders = {path.relative_to(ROOT / 'test').parts[0] for path in TEST_FILES
                if path.parent != ROOT / 'test'}
-    # Beside them, what is asked of all methods and effects, and the study of the hard cases.
-    assert folders - {'verification', 'hard_cases'} <= set(FLOORS) - {'__init__'}
+    # Beside them, what is asked of all methods and effects, and the studies of docs/studies.
+    assert folders - {'verification', 'studies'} <= set(FLOORS) - {'__init__'}
 
 
 def test_no_module_imports_itself_around_a_circle():
@@ -137,13 +147,13 @@ def test_no_module_imports_itself_around_a_circle():
 
 
 def test_what_a_registry_lists_is_imported_by_it_alone():
-    # A new one is its file and its row; only what is about some of them, as a study is, and not
-    # about any scene, knows those by name.
+    # A new one is its file and its row; only what is about some of them, and not about any scene,
+    # knows those by name.
     listed = {cls.__module__.partition('.')[2] for registry in REGISTRIES.values()
               for cls in registry.values()}
     for path in MODULES:
         own = name_of(path)
-        if not own.startswith(('studies.', 'learning.')) and own not in REGISTRIES:
+        if not own.startswith(('learning.', 'commands.robot_scene')) and own not in REGISTRIES:
             assert not own_imports(path) & listed, f'{own} imports one of them by name'
 
 

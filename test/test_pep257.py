@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_docstrings_satisfy_ament_pep257(capfd):
     ament_pep257 = pytest.importorskip('ament_pep257.main', reason='needs ament_pep257')
     # Named one by one: the linter would walk into .venv/, build/ and install/.
-    sources = [str(ROOT / name) for name in ('hnn_vi_ros', 'launch', 'setup.py', 'test')]
+    sources = [str(ROOT / name)
+               for name in ('docs/studies', 'hnn_vi_ros', 'launch', 'setup.py', 'test')]
     code = ament_pep257.main(argv=sources)
     captured = capfd.readouterr()
     assert code == 0, '\n'.join(

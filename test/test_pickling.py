@@ -27,7 +27,7 @@ from hnn_vi_ros.scene.choices import load_code
 import numpy as np
 import pytest
 
-OF_OTHERS = ('rclpy', 'torch', 'gymnasium', 'ray', 'rerun', 'plotly', 'tqdm', 'triton')
+OF_OTHERS = ('rclpy', 'torch', 'gymnasium', 'ray', 'rerun', 'plotly', 'tqdm')
 
 
 def again(value: Any) -> Any:

@@ -8,13 +8,12 @@ import re
 
 from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.studies import arguments
 import pytest
+from studies import hard_cases
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
 # These name the machine, whose processors are all that it has.
-OF_THE_MACHINE = {'processors.py', 'accuracy/calibration.py', 'studies/results.py',
-                  'commands/doctor.py'}
+OF_THE_MACHINE = {'processors.py', 'accuracy/calibration.py', 'commands/doctor.py'}
 
 
 @pytest.mark.skipif(not hasattr(os, 'sched_setaffinity'), reason='takes affinities, as Linux has')
@@ -23,7 +22,7 @@ def test_a_process_that_is_bound_to_one_processor_has_one(capsys):
     os.sched_setaffinity(0, {min(before)})
     try:
         assert usable_processors() == 1
-        assert arguments.hard_cases().parse_args([]).jobs == 1
+        assert hard_cases.parser().parse_args([]).jobs == 1
         doctor.main([])
         assert 'of which 1 for this process' in capsys.readouterr().out
     finally:

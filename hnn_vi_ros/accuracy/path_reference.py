@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path that trials are measured against, and how far it can be known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
@@ -18,12 +18,15 @@ import numpy as np
 _LEAST, _MOST, _FEW = 320, 2000, 40
 _SLOW = 1_000_000
 # References may take this many times the gradients of a trial.
-_PATIENCE = 6
+PATIENCE = 6
 # A reference is good enough when it is known to this share of the tolerance, and usable up to
 # half.
 _KNOWN, _USABLE = 0.02, 0.5
 # Refinements without progress after which round-off is what is left, or chaos.
 _STUCK = 3
+# A path that is known less well than this share of its size is none.
+_VERIFIED = 1e-4
+_EPS = float(np.finfo(np.float64).eps)
 # Each refinement's number of steps over that of the one before.
 _RATIO = 1.5
 _CHUNK = 20
@@ -83,16 +86,33 @@ class PathReference:
 
     Parameters
     ----------
+    instants : Instants
+        Up to the horizon.
     states : np.ndarray, shape (n, 2 d)
-        (q, p) at the first n instants.
+        (q, p) at the first n instants; of a rotation 2 d less one.
     accuracy : float
-        The largest difference from the one before it.
+        The largest error: of a formula a bound, else the largest difference from the path that
+        was found before it.
+    how : str
+        What it was computed by.
 
     """
 
     instants: Instants
     states: np.ndarray
     accuracy: float
+    how: str
+
+    @property
+    def horizon(self) -> float:
+        """Return how far it goes, or as far as was wanted where it goes nowhere [s]."""
+        instants, count = self.instants, len(self.states) or self.instants.count
+        return instants.base * instants.stride * count / instants.density
+
+    @property
+    def verified(self) -> bool:
+        """Return whether errors can be measured against the path: in chaos they soon cannot."""
+        return self.accuracy <= _VERIFIED * np.abs(self.states).max(initial=1e-300)
 
 
 def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float,
@@ -117,8 +137,90 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
         Round-off or chaos, which is measured, keeps it from being known so well.
 
     """
-    limit = _PATIENCE * problem.gradients
+    limit = PATIENCE * problem.gradients
     instants = Instants.of(tolerance.horizon, base, _LEAST if limit >= _SLOW else _FEW)
+    best = refined_path(problem, instants, known, limit, _KNOWN * tolerance.error)
+    if best is None or best.accuracy > _USABLE * tolerance.error:
+        raise CalibrationError(_refusal(problem, tolerance, known, best))
+    return best
+
+
+def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurvey,
+                   limit: float) -> PathReference:
+    """
+    Return the path as well as it can be known: by a formula, or refined until that is no better.
+
+    Parameters
+    ----------
+    problem : InitialValueProblem
+        What is simulated.
+    horizon : float
+        Until when [s].
+    known : PathSurvey
+        Of the path.
+    limit : float
+        Gradients that a run may take; the path may end sooner for that.
+
+    Returns
+    -------
+    PathReference
+        One without states where no path is known at all.
+
+    """
+    instants = Instants.of(horizon, horizon, _FEW)
+    found = None
+    # Random numbers are others at each step size.
+    if not any(effect.random for effect in problem.effects):
+        found = exact_path(problem, instants) or refined_path(
+            problem, instants, known, limit, shorten=False)
+    if found is None:
+        return PathReference(
+            instants, np.empty((0, problem.q.size + problem.p.size)), math.inf, '')
+    # Two paths may agree by chance to the last digit, which is rounded.
+    return replace(found, accuracy=max(found.accuracy, _EPS * np.abs(found.states).max()))
+
+
+def exact_path(problem: InitialValueProblem, instants: Instants) -> PathReference | None:
+    """Return the path that a formula gives; None where none is known, or an effect acts."""
+    hamiltonian = problem.hamiltonian
+    t = instants.gap * np.arange(1, instants.count + 1)
+    motion = None if problem.effects else hamiltonian.exact_motion(problem.q, problem.p, t)
+    if motion is None:
+        return None
+    # A phase is known to about two eps, and a value to one.
+    speed = np.abs(hamiltonian.gradient(*np.split(motion.path, 2, axis=1))).max()
+    rounding = _EPS * (np.abs(motion.path).max() + 2.0 * motion.condition * speed * t[-1])
+    return PathReference(instants, motion.path, float(rounding), f'exact: {motion.formula}')
+
+
+def refined_path(problem: InitialValueProblem, instants: Instants, known: PathSurvey,
+                 limit: float, wanted: float = 0.0, shorten: bool = True
+                 ) -> PathReference | None:
+    """
+    Return the path by ever smaller steps, up to where they no longer bring it nearer.
+
+    Parameters
+    ----------
+    problem : InitialValueProblem
+        What is simulated.
+    instants : Instants
+        Where it is wanted; it may end sooner.
+    known : PathSurvey
+        Of the path: the method, and the first step.
+    limit : float
+        Gradients that a run may take.
+    wanted : float, optional
+        Accuracy that is enough; by default, all that can be had.
+    shorten : bool, optional
+        Whether it may end sooner to be known better: smaller steps do not come so far by as many
+        gradients.
+
+    Returns
+    -------
+    PathReference or None
+        The two paths that agree best; None where no two are known.
+
+    """
     steps = max(1, math.ceil(instants.gap / known.step_size))
     before, best, last, stuck = None, None, math.inf, 0
     while stuck < _STUCK:
@@ -127,20 +229,21 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
             stuck += 1
         elif before is not None:
             n = min(len(states), len(before))
+            if best is not None and n < len(best.states) and not shorten:
+                break
             distance = float(np.abs(states[:n] - before[:n]).max())
             stuck = 0 if distance < 0.5 * last else stuck + 1
             last = min(last, distance)
             if best is None or distance < best.accuracy:
-                best = PathReference(instants, states[:n], distance)
-            if distance <= _KNOWN * tolerance.error or n < min(instants.count, _FEW):
+                best = PathReference(instants, states[:n], distance, (
+                    f'{known.method}, h = {instants.gap / steps:.3g} s, checked by refining'))
+            if distance <= wanted or n < min(instants.count, _FEW):
                 break
         before, steps = states, math.ceil(_RATIO * steps)
-    if best is None or best.accuracy > _USABLE * tolerance.error:
-        raise CalibrationError(_refusal(problem, tolerance, known, best))
     return best
 
 
-def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: int, limit: int
+def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: int, limit: float
           ) -> np.ndarray | None:
     """Return the states at the instants, as many as gradients allow; None if a step fails."""
     simulation = problem.simulation(method, instants.gap / steps)
@@ -207,7 +310,7 @@ class PathJudge:
         every, apart = instants.met(round(instants.base / simulation.step_size))
         reference = states[apart - 1::apart]
         extent = len(reference) * apart * instants.gap
-        most = min(4.0 * _PATIENCE * self._limit, bound * extent)
+        most = min(4.0 * PATIENCE * self._limit, bound * extent)
         errors: list[float] = []
         cost, done = math.inf, 0
         while done < len(reference):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Survey of a whole path: how short steps must be, how strong forces and energies are."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import math
 
@@ -12,8 +12,10 @@ from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# What surveys a path: the first of these that takes the effects.
-_SURVEYORS = ('gauss16', 'gauss4', 'generalized_leapfrog', 'stormer_verlet', 'variational_euler')
+# What surveys a path: the first of these that takes H and the effects. The calibration takes those
+# among which it chooses; the others are for rotations, and for coordinates that are not canonical.
+SURVEYORS = ('gauss16', 'gauss4', 'generalized_leapfrog', 'stormer_verlet', 'variational_euler')
+EVERY_SURVEYOR = (*SURVEYORS, 'lie_gauss16', 'lie_leapfrog', 'rk4')
 # A path is resolved when half the step changes none of its figures by more than this share; and
 # where energy is conserved, when its error is below this share of its scale.
 _AGREED = 0.1
@@ -50,7 +52,8 @@ class PathSurvey:
     strongest: float
 
 
-def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSurvey:
+def survey(problem: InitialValueProblem, horizon: float, base: float,
+           surveyors: Sequence[str] = SURVEYORS) -> PathSurvey:
     """
     Follow a path with ever shorter steps until its figures are known.
 
@@ -62,6 +65,8 @@ def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSur
         How far, if gradients allow [s].
     base : float
         A time that the steps divide [s].
+    surveyors : sequence of str, optional
+        Methods, of which the first that fits is taken.
 
     Raises
     ------
@@ -71,7 +76,7 @@ def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSur
         No method takes the effects.
 
     """
-    method = _surveyor(problem, base)
+    method = _surveyor(problem, base, surveyors)
     parts = parts_for(base / min(base, time_scale(problem)))
     before, failure = None, None
     for _ in range(_HALVINGS):
@@ -87,9 +92,9 @@ def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSur
                            f'path: {reason}')
 
 
-def _surveyor(problem: InitialValueProblem, base: float) -> str:
+def _surveyor(problem: InitialValueProblem, base: float, surveyors: Sequence[str]) -> str:
     refusal = None
-    for method in _SURVEYORS:
+    for method in surveyors:
         try:
             problem.simulation(method, base)
         except UnsupportedSystem as problem_of_method:
@@ -106,7 +111,8 @@ def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
     """Return the figures by steps of one size, and the energy's error over its scale."""
     simulation = problem.simulation(method, h)
     states = np.concatenate(list(_states(problem, simulation, horizon)))
-    q, p = np.split(states, 2, axis=1)
+    # A rotation has one column less in p than in q.
+    q, p = np.split(states, [problem.q.size], axis=1)
     hamiltonian = simulation.hamiltonian
     every = math.ceil(len(q) / _SAMPLES)
     scale = energy_scale(hamiltonian, q[::every], p[::every]) or 1.0

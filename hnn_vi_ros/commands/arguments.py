@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of what only ``hnn`` has; import nothing of what it works with."""
+"""The command lines of this room; this file imports none of the libraries that the work takes."""
 
 from pathlib import Path
 
@@ -36,6 +36,64 @@ def run() -> Parser:
         'write a recording for the rerun viewer: .rrd'))
     parser.add_argument('--csv', type=Path, metavar='FILE', help=(
         'write the samples as text: a column each for t, coordinates, momenta and H'))
+    return parser
+
+
+def scene() -> Parser:
+    """Return the parser of ``scene``."""
+    parser = Parser('scene', (
+        'Check, list, explain and compile scenes, write one for a robot; print their schema.'), [
+        'ros2 run hnn_vi_ros scene --list',
+        'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
+        'ros2 run hnn_vi_ros scene --explain double_pendulum',
+        'ros2 run hnn_vi_ros scene --compile my_scene.yaml',
+        'ros2 run hnn_vi_ros scene --new my_robot.urdf --out my_scene.yaml'])
+    # argparse would keep a group of exclusive options on one line, however long.
+    parser.usage = ('scene [-h] [--version] (--check NAME [NAME ...] | --list | --schema |\n'
+                    '             --explain NAME | --compile [NAME ...] |\n'
+                    '             --new URDF [--out SCENE])')
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument('--check', nargs='+', metavar='NAME', help=(
+        'say of each scene, a shipped name or a file, whether it is valid'))
+    task.add_argument('--list', action='store_true', help='name the shipped scenes')
+    task.add_argument('--schema', action='store_true', help=(
+        'print the JSON schema by which editors complete and check scenes'))
+    task.add_argument('--explain', metavar='NAME', help=(
+        'print what a scene simulates, and measure what each of its effects adds to a step'))
+    task.add_argument('--compile', nargs='*', metavar='NAME', help=(
+        'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
+        'first start need not'))
+    task.add_argument('--new', metavar='URDF', help=(
+        'write a scene for a robot, a path or package://PACKAGE/PATH: its joints, their limits '
+        'and friction, and where it rests'))
+    parser.add_argument('--out', type=Path, metavar='SCENE', help=(
+        'the file that --new writes, which must not exist (default: ROBOT.yaml)'))
+    return parser
+
+
+def cost() -> Parser:
+    """Return the parser of ``cost``."""
+    parser = Parser('cost', (
+        'Measure what accuracy costs in a scene: the error of methods and step sizes, and the '
+        'time they take.'), [
+            'hnn cost pendulum', 'hnn cost kepler --error 1e-6 --plot kepler.png',
+            'hnn cost my_scene.yaml --duration 60 --seconds 300 --csv costs.csv'], (
+        'The error is the largest deviation of a coordinate or momentum from a reference, in SI '
+        'units. Where no\npath is known so long, as in chaos, it is that of the energy, over the '
+        'size of the energies in play.\nTimes are those of the processor. Exit status: 0; 1 if '
+        'no method holds --error.'))
+    complete_by(parser.add_argument('scene', metavar='SCENE', help=(
+        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
+    parser.add_argument('--error', type=float, metavar='E', help=(
+        'say what to take for an error of this size'))
+    parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
+                        help='simulated time [s] (default: 10)')
+    parser.add_argument('--seconds', type=seconds, default=60.0, metavar='SECONDS', help=(
+        'processor time that may be taken, about, compilation included [s] (default: 60)'))
+    parser.add_argument('--plot', type=Path, metavar='FILE', help=(
+        'draw error against time: .png, .svg or .pdf'))
+    parser.add_argument('--csv', type=Path, metavar='FILE', help=(
+        'write every method and step size as a line of text'))
     return parser
 
 

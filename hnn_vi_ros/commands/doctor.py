@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Report of what is installed here, and what does not work and why."""
+"""Report of the installation: what is there, and what does not work and why."""
 
 from collections.abc import Iterator
 from importlib import metadata
@@ -20,7 +20,7 @@ from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.ros.environment import check_ros_environment
 from hnn_vi_ros.version import __version__
 
-# What is imported, by what it is installed as; what simulating takes, and what some of it takes.
+# Import names with the names on PyPI: packages that simulating needs, and optional ones.
 _NEEDED = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'scipy': 'scipy',
            'pydantic': 'pydantic', 'yaml': 'PyYAML', 'safetensors': 'safetensors',
            'mcap': 'mcap', 'contourpy': 'contourpy'}

@@ -10,7 +10,7 @@ from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.scene import load_scene
 
-# By which editors find the schema; in a shipped scene it lies beside its folder.
+# The line by which editors find the schema; shipped scenes name it by a relative path.
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 
 
@@ -23,7 +23,7 @@ def main(argv: list[str]) -> int:
     schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
     text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
     for name, file in scene.model_files().items():
-        # What it names from its own folder is not found from that of the copy.
+        # Paths relative to the folder of the original would not be found from the copy.
         if '/' in name and '://' not in name:
             text = text.replace(name, str(file.resolve()))
     write_new_scene(path, text)

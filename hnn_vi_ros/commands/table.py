@@ -11,27 +11,23 @@ from hnn_vi_ros.errors import did_you_mean
 
 # Each executable, and the module whose ``main(argv)`` it calls.
 EXECUTABLES = {
-    'bag_to_model': 'hnn_vi_ros.studies.bag_to_model',
     'evaluate': 'hnn_vi_ros.learning.evaluate',
-    'hard_cases': 'hnn_vi_ros.studies.hard_cases',
     'hover': 'hnn_vi_ros.ros.hover_node',
     'identify': 'hnn_vi_ros.learning.identify',
-    'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
+    'import_checkpoint': 'hnn_vi_ros.learning.imports.import_checkpoint',
     'listener': 'hnn_vi_ros.ros.listener_node',
-    'paper_figures': 'hnn_vi_ros.studies.paper_figures',
-    'published_tables': 'hnn_vi_ros.studies.published_tables',
     'recover_bag': 'hnn_vi_ros.bags.recover_bag',
     'replay': 'hnn_vi_ros.ros.replay_node',
     'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
-    'scene': 'hnn_vi_ros.studies.scene_tool',
+    'scene': 'hnn_vi_ros.commands.scene_tool',
     'simulator': 'hnn_vi_ros.ros.simulator_node',
     'sweep': 'hnn_vi_ros.sweeps.sweep',
     'train': 'hnn_vi_ros.learning.train',
-    'work_precision': 'hnn_vi_ros.studies.work_precision',
 }
 # What only ``hnn`` has comes first: it is what a user without ROS begins with.
 COMMANDS = {
     'run': 'hnn_vi_ros.commands.run',
+    'cost': 'hnn_vi_ros.commands.cost',
     'new_scene': 'hnn_vi_ros.commands.new_scene',
     'doctor': 'hnn_vi_ros.commands.doctor',
     'completion': 'hnn_vi_ros.commands.completion',
@@ -48,7 +44,8 @@ def module_of(name: str, argv: Sequence[str]) -> str:
 
 def parser_of(name: str) -> Parser:
     """Return the parser of a command, without the libraries that its work takes."""
-    arguments = import_module(f'{COMMANDS[name].rpartition(".")[0]}.arguments')
+    room = COMMANDS[name].split('.')[1]
+    arguments = import_module(f'hnn_vi_ros.{room}.arguments')
     return getattr(arguments, name)()
 
 
@@ -66,7 +63,7 @@ def hnn() -> Parser:
 
 
 def first_line(parser: Parser) -> str:
-    """Return the first sentence of what a command does, as far as a line goes."""
+    """Return the first paragraph of a command's description, as one line."""
     return ' '.join((parser.description or '').partition('\n\n')[0].split())
 
 

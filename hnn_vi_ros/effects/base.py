@@ -140,6 +140,8 @@ class Effect(ABC):
         Whether it can act on several trajectories that step together.
     turns : bool
         Whether it can act on systems with rotations.
+    random : bool
+        Whether it draws random numbers.
     limits : bool
         Whether its parameters are stops at the limits of joints, which commands must respect.
     knots : int
@@ -155,6 +157,7 @@ class Effect(ABC):
     single: ClassVar[bool] = False
     lockstep: ClassVar[bool] = True
     turns: ClassVar[bool] = False
+    random: ClassVar[bool] = False
     limits: ClassVar[bool] = False
     knots: ClassVar[int] = 0
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
@@ -316,8 +319,7 @@ class Force(Effect):
 
     References
     ----------
-    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001,
-    part 3.
+    J. Marsden, M. West, Discrete mechanics and variational integrators, Acta Numerica 2001, 3.
 
     """
 

@@ -99,7 +99,7 @@ class Thermostat(StepEffect):
 
     """
 
-    acts, single, lockstep = Place.MIDDLE, True, False
+    acts, single, lockstep, random = Place.MIDDLE, True, False, True
     excludes = {Place.MANIFOLD: 'because its impulses would lead off the constraints'}
 
     def __init__(self, temperature: float, rate: float | list[float],

@@ -16,7 +16,9 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Any, BinaryIO
+import pickletools
+import re
+from typing import Any, BinaryIO, IO
 import zipfile
 import zlib
 
@@ -37,6 +39,11 @@ _LONGEST_ARRAY_HEADER = 10_000
 # What zipfile and numpy raise of what is no archive of plain arrays.
 _NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, MemoryError, TypeError,
                KeyError, zipfile.BadZipFile, zlib.error)
+# What of a pickle names something; and what those of tensors name.
+_NAMING = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
+_PLAIN = re.compile(r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|'
+                    r'torch\.storage \w+|torch\.serialization _get_layout|'
+                    r'torch\.nn\.parameter Parameter')
 
 
 @contextmanager
@@ -232,3 +239,31 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
                          'bytes')
         content.seek(0)
         return npy.read_array(content, allow_pickle=False)
+
+
+def check_pickles(path: Path) -> None:
+    """
+    Raise ValueError where a file of torch.save names anything but what tensors are made of.
+
+    ``weights_only`` runs no code of others, but it makes a bytearray, or an empty tensor, of any
+    size that is asked for.
+    """
+    with path.open('rb') as stream:
+        if not zipfile.is_zipfile(stream):
+            stream.seek(0)
+            # A magic number, a version, the system, what was saved, and the names of its storages.
+            for _ in range(5):
+                _check_pickle(stream)
+            return
+        with zipfile.ZipFile(stream) as archive:
+            for member in archive.infolist():
+                if member.filename.endswith('data.pkl'):
+                    with archive.open(member) as content:
+                        _check_pickle(content)
+
+
+def _check_pickle(stream: IO[bytes]) -> None:
+    for code, argument, _ in pickletools.genops(stream):
+        if code.name in _NAMING and not (
+                code.name == 'GLOBAL' and _PLAIN.fullmatch(str(argument))):
+            raise ValueError(f'it names {str(argument)[:80]}')

@@ -4,14 +4,18 @@
 
 import io
 import os
+import shutil
 import signal
 import sys
+import time
 from typing import Any, TextIO
 
 from hnn_vi_ros.errors import printable
 
 # By which a user or the system ends a process in good order; the last when its terminal closes.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# How often a line of progress is written on a terminal, and elsewhere [s].
+_TERMINAL, _ELSEWHERE, _BAR = 0.2, 10.0, 24
 
 
 class _Lossy(io.FileIO):
@@ -96,6 +100,36 @@ def lost_output() -> tuple[OSError | None, bool]:
     sys.stdout.flush()
     buffer: Any = sys.stdout.buffer
     return buffer.raw.problem, buffer.raw.matters
+
+
+class ProgressLine:
+    """Line on standard error, rewritten in place on a terminal; elsewhere one every 10 s."""
+
+    def __init__(self) -> None:
+        self._terminal, self._shown = sys.stderr.isatty(), False
+        self._interval = _TERMINAL if self._terminal else _ELSEWHERE
+        self._next = time.monotonic() + self._interval
+
+    def show(self, share: float, what: str) -> None:
+        """Show how much is done, from 0 to 1, and what is being done, if it is time to."""
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + self._interval
+        text = f'{share:4.0%}  {what}'
+        if self._terminal:
+            done = round(_BAR * share)
+            text = f'[{"#" * done}{"." * (_BAR - done)}] {text}'
+            # A line that is wrapped would not be cleared as a whole.
+            rewrite_line(sys.stderr, text[:shutil.get_terminal_size().columns - 1])
+            self._shown = True
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Clear the line: what is printed next takes its place."""
+        if self._shown:
+            rewrite_line(sys.stderr, '')
 
 
 def _guarded(number: int, stream: TextIO | None) -> _Plain:

@@ -7,12 +7,32 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
+
+
+class ExactMotion(NamedTuple):
+    """
+    Motion that a formula gives.
+
+    Parameters
+    ----------
+    path : np.ndarray, shape (n, 2 d)
+        (q, p) at each instant.
+    condition : float
+        Relative error of its period, over that of the energy.
+    formula : str
+        What it is computed by.
+
+    """
+
+    path: np.ndarray
+    condition: float
+    formula: str
 
 
 class Hamiltonian(ABC):
@@ -69,6 +89,20 @@ class Hamiltonian(ABC):
     @property
     def scheme(self) -> tuple[str, float] | None:
         """Return the method and step size [s] that H was learned through and is right for."""
+        return None
+
+    def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
+        """
+        Return the motion from (q, p) at instants, where a formula is known; else None.
+
+        Parameters
+        ----------
+        q, p : np.ndarray, shape (d,)
+            Initial state.
+        t : np.ndarray, shape (n,)
+            Instants [s].
+
+        """
         return None
 
     @property

@@ -3,8 +3,9 @@
 """The harmonic oscillator, the paper's example."""
 
 from functools import cached_property
+import math
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, ExactMotion, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -36,6 +37,14 @@ class HarmonicOscillator(Hamiltonian):
     def __init__(self, mass: float = 1.0, stiffness: float = 1.0):
         check_positive(mass=mass, stiffness=stiffness)
         self.mass, self.stiffness = float(mass), float(stiffness)
+
+    def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion:
+        """Return the motion, of angular frequency sqrt(k / m); see Hamiltonian."""
+        inertia = math.sqrt(self.mass * self.stiffness)
+        phase = math.sqrt(self.stiffness / self.mass) * t[:, None]
+        sine, cosine = np.sin(phase), np.cos(phase)
+        path = np.hstack([q * cosine + p / inertia * sine, p * cosine - q * inertia * sine])
+        return ExactMotion(path, 1.0, 'sine and cosine')
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -4,8 +4,9 @@
 
 from collections.abc import Callable
 from functools import cached_property
+import math
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, ExactMotion, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
@@ -48,6 +49,41 @@ class Kepler(Hamiltonian):
     def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
         """Return the angular momentum [kg m^2/s]."""
         return {'angular_momentum': lambda q, p: float(q[0] * p[1] - q[1] * p[0])}
+
+    def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
+        """
+        Return an ellipse by Kepler's equation for the change E of the eccentric anomaly.
+
+            n t = E - (1 - r0 / a) sin E + (q . p) / sqrt(mu a) (1 - cos E)
+
+        and from there by Lagrange's f and g (Battin, An Introduction to the Mathematics and
+        Methods of Astrodynamics, section 4.3). None for an orbit that is open, or meets the
+        centre.
+        """
+        mu, r0, squared = self.mu, float(np.hypot(*q)), float(p @ p)
+        inverse = 2.0 / r0 - squared / mu
+        if inverse <= 0.0 or q[0] * p[1] == q[1] * p[0]:
+            return None
+        a = 1.0 / inverse
+        n = math.sqrt(mu / a ** 3)
+        radial, along = 1.0 - r0 / a, float(q @ p) / math.sqrt(mu * a)
+        mean = np.remainder(n * t, 2.0 * math.pi)
+        low, high = mean - 4.0, mean + 4.0
+        # Bisection: Newton's method would fail next to the pericentre of a narrow ellipse.
+        for _ in range(64):
+            middle = 0.5 * (low + high)
+            ahead = (middle - radial * np.sin(middle)
+                     + 2.0 * along * np.sin(0.5 * middle) ** 2) > mean
+            low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
+        change = 0.5 * (low + high)
+        versine = 2.0 * np.sin(0.5 * change) ** 2
+        r = a * (1.0 - radial * np.cos(change) + along * np.sin(change))
+        f, g = 1.0 - a / r0 * versine, (mean - change + np.sin(change)) / n
+        f_dot, g_dot = -math.sqrt(mu * a) / (r * r0) * np.sin(change), 1.0 - a / r * versine
+        path = np.hstack([np.outer(f, q) + np.outer(g, p),
+                          np.outer(f_dot, q) + np.outer(g_dot, p)])
+        # 1 / a is a difference, and its relative error that of the period.
+        return ExactMotion(path, 1.5 * a * (2.0 / r0 + squared / mu), "Kepler's equation")
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -3,12 +3,16 @@
 """The plane pendulum, the smallest nonlinear mechanism."""
 
 from functools import cached_property
+import math
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, ExactMotion, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+# Next to its separatrix the elliptic functions lose their digits.
+_SEPARATRIX = 1e-9
 
 
 class Pendulum(Hamiltonian):
@@ -51,6 +55,40 @@ class Pendulum(Hamiltonian):
     def barrier(self) -> tuple[str, float]:
         """Return the separatrix and its energy [J]."""
         return 'separatrix', 2.0 * self.mass * self.gravity * self.length
+
+    def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
+        """
+        Return a swing or a turn by Jacobi's elliptic functions; None next to the separatrix.
+
+        With k^2 = H / (2 m g l), a swing (k < 1) has sin(q / 2) = k sn(omega t + u0 | k^2) and a
+        turn (k > 1) has q / 2 = am(k omega t + u0 | 1 / k^2), where omega^2 = g / l.
+        """
+        # Imported here: who only reads a scene needs no special functions.
+        from scipy.special import ellipj, ellipk, ellipkinc
+        omega = math.sqrt(self.gravity / self.length)
+        top = 2.0 * omega * self.mass * self.length ** 2
+        turns = round(float(q[0]) / (2.0 * math.pi))
+        half = 0.5 * (float(q[0]) - 2.0 * math.pi * turns)
+        sine, speed = math.sin(half), float(p[0]) / top
+        m = sine * sine + speed * speed
+        if abs(m - 1.0) < _SEPARATRIX:
+            return None
+        k = math.sqrt(m)
+        if m < 1.0:
+            start = ellipkinc(math.atan2(sine, speed), m)
+            sn, cn, _, _ = ellipj(np.remainder(omega * t + start, 4.0 * ellipk(m)), m)
+            angle, momentum = 2.0 * np.arcsin(k * sn), top * k * cn
+        else:
+            sign = math.copysign(1.0, speed)
+            u = k * omega * t + ellipkinc(sign * half, 1.0 / m)
+            period = 2.0 * ellipk(1.0 / m)
+            whole = np.floor(u / period)
+            _, _, dn, amplitude = ellipj(u - whole * period, 1.0 / m)
+            angle = 2.0 * sign * (amplitude + math.pi * whole)
+            momentum = sign * top * k * dn
+        path = np.column_stack([angle + 2.0 * math.pi * turns, momentum])
+        # How much longer a swing takes for a change of its energy.
+        return ExactMotion(path, max(1.0, 1.0 / abs(1.0 - m)), 'Jacobi elliptic functions')
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -9,6 +9,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
+class Node(NamedTuple):
+    """
+    A stage that begins where those before it have ended, by shares of the step size.
+
+    From (x, c), which are q and p before the first node, it finds Q and P, and goes on:
+
+        Q = x + a h H_p(Q, P),  P = c - b h H_q(Q, P)
+        x <- x + u h H_p(Q, P),  c <- c - w h H_q(Q, P)
+    """
+
+    a: float
+    b: float
+    u: float
+    w: float
+
+
 class PartitionedTableau(NamedTuple):
     """
     The coefficients of a step of s stages Z_i = (Q_i, P_i), one set for q and one for p.
@@ -38,6 +54,24 @@ class PartitionedTableau(NamedTuple):
     def stages(self) -> int:
         """Return s."""
         return self.q_weights.size
+
+    def nodes(self) -> list[Node]:
+        """
+        Return the stages one after another.
+
+        Raises
+        ------
+        ValueError
+            A stage does not begin where those before it have ended, or depends on later ones.
+
+        """
+        for matrix, weights in ((self.q_matrix, self.q_weights), (self.p_matrix, self.p_weights)):
+            ended = np.tril(np.tile(weights, (self.stages, 1)), -1)
+            if (matrix - np.diag(np.diag(matrix)) != ended).any():
+                raise ValueError('the stages cannot be solved one after another')
+        return [Node(*map(float, numbers)) for numbers in zip(
+            np.diag(self.q_matrix), np.diag(self.p_matrix), self.q_weights, self.p_weights,
+            strict=True)]
 
 
 def tableau(q_matrix: ArrayLike, p_matrix: ArrayLike, q_weights: ArrayLike,

@@ -8,7 +8,7 @@ from hnn_vi_ros.command_line import complete_by, named, Parser
 
 # Which outputs of an imported network are H, and the order of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
-# Of measured forces, as in learning/motions.py.
+# Of measured forces, as in learning/data/runs.py.
 INPUTS = ('held', 'interpolated')
 # As in hamiltonians/activations.py, which takes the compiler to import.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
@@ -74,11 +74,12 @@ def evaluate() -> Parser:
     parser.add_argument('model', metavar='MODEL|SCENE', help=(
         'a .safetensors file, with its friction and a force on each coordinate; or the name or '
         'the YAML file of a scene'))
-    parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
+    parser.add_argument('--data', nargs='+', default=[], metavar='FILE', help=(
         'bags with joint states; or NPZ[:RUN,...], arrays of t [s], q, dq/dt and the forces of '
-        'the motors, or RUN/t, ... of several runs'))
-    parser.add_argument('--config', type=Path, metavar='FILE', help=(
-        'a training configuration whose data section says how --data is read'))
+        'the motors, or RUN/t, ... of several runs; or, with --config, files of its format'))
+    complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
+        'a training configuration of any family, whose data section says how --data is read, and '
+        'names files or computes motions where there is no --data')), named('training'))
     parser.add_argument('--keys', metavar='T,Q,V[,TAU]', help=(
         'names of the arrays; without the last, no forces act (default: t,q,dq,tau)'))
     parser.add_argument('--joints', metavar='NAME,...', help=(

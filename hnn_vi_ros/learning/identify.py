@@ -19,6 +19,10 @@ from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.runs import Motion, steps_between
+from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.identify_fit import fit, Problem, search, Solution
 from hnn_vi_ros.learning.identify_input import check_times
 from hnn_vi_ros.learning.identify_numbers import free_scene, FreeScene, STATES
@@ -26,10 +30,6 @@ from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.identify_windows import Windows
-from hnn_vi_ros.learning.motion_arrays import ArraysData, keys_of, split_runs
-from hnn_vi_ros.learning.motion_bags import BagMotions
-from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 
@@ -199,7 +199,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.machine_config import load_machine
+        from hnn_vi_ros.learning.fit.config import load_machine
         path, data = options.config, load_machine(options.config).data
     else:
         path, data = split_runs(options.data[0])[0], guessed(options.data[0])

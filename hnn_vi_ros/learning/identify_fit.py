@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
-from hnn_vi_ros.learning.evaluation import momentum
+from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.learning.data.runs import Motion
 from hnn_vi_ros.learning.identify_noise import first_length, first_noise, least_noise
 from hnn_vi_ros.learning.identify_numbers import FreeScene
 from hnn_vi_ros.learning.identify_windows import Prediction, Windows, windows_of
-from hnn_vi_ros.learning.motions import Motion
 import numpy as np
 from scipy.optimize import least_squares
 

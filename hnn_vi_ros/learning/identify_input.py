@@ -8,7 +8,7 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.data.runs import Motion
 import numpy as np
 
 # Of a step: times of samples that are further from whole steps shift the phase of a drive.

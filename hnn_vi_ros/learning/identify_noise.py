@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.motions import Motion
+from hnn_vi_ros.learning.data.runs import Motion
 import numpy as np
 
 # Least noise, of the range of what is measured: rounding has no smaller one.

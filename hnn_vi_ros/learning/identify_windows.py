@@ -10,14 +10,13 @@ import math
 from hnn_vi_ros.effects.base import Effect, Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
-from hnn_vi_ros.errors import (
-    HnnViRosError, StateError, StepFailure, UnsupportedSystem)
+from hnn_vi_ros.errors import HnnViRosError, StateError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.learning.data.runs import Motion, steps_between
 from hnn_vi_ros.learning.identify_input import command_names, impulse
 from hnn_vi_ros.learning.identify_numbers import DELAY, FreeScene
 from hnn_vi_ros.learning.measured_force import MeasuredForce
-from hnn_vi_ros.learning.motions import Motion, steps_between
 from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.dependences import Dependence, difference, OnNumber, sum_of
 from hnn_vi_ros.run.derivatives import Change, DifferentiableRun

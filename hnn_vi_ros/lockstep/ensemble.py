@@ -12,7 +12,7 @@ from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK
 from hnn_vi_ros.integrators.gauss import Tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.lockstep.devices import kernels_of, open_device, STEPS
+from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.gradient import make_gradient
 from hnn_vi_ros.lockstep.steps import first_state, Progress, State, step_of, System
 from hnn_vi_ros.processors import heed
@@ -20,10 +20,6 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
 import torch
-
-
-# The most steps of one launch, where it takes several: a GPU with a display allows it seconds.
-_AT_ONCE = 1000
 
 
 class Counts(NamedTuple):
@@ -68,7 +64,7 @@ class Recorded(NamedTuple):
 
 class LockstepEnsemble:
     """
-    Many trajectories of one scene, each of which is solved by itself.
+    Many trajectories of one scene, each solved by itself.
 
     A step that the method's own solver does not take is taken by ``Simulation``, for that
     trajectory alone, with all its fallbacks: by Newton's method, by continuation, in sub-steps.
@@ -84,7 +80,7 @@ class LockstepEnsemble:
     Raises
     ------
     UnsupportedSystem
-        An effect, H or the method has no step on a device; says what has.
+        An effect, H or the method has no step on a device.
     ValueError, ParameterError
         There is no such device.
 
@@ -105,13 +101,8 @@ class LockstepEnsemble:
         options: SolverOptions | Tableau = integrator.options(dimension=hamiltonian.dimension)
         options = options.solver if isinstance(options, Tableau) else options
         self._system = System(
-            make_gradient(hamiltonian, self._device, kernels_of(device)), hamiltonian.dimension,
+            make_gradient(hamiltonian, self._device), hamiltonian.dimension,
             hamiltonian.kernel.gradient_scale, step_size, options)
-        self._launch, self._at_once = self._take_one, 1
-        if kernels_of(device) == STEPS:
-            from hnn_vi_ros.lockstep.many_steps import ManySteps
-            many = ManySteps(hamiltonian, integrator, step_size, options, self._device)
-            self._launch, self._at_once = many.take, _AT_ONCE
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be copied or pickled."""
@@ -136,12 +127,11 @@ class LockstepEnsemble:
         state = first_state(self._system, self._integrator, z)
         out = np.full((len(samples), 2 * d, m), np.nan)
         counts, failures = Counts(*np.zeros((4, m), dtype=np.int64)), dict[int, StepFailure]()
-        progress = Progress(*torch.zeros((3, m), dtype=torch.int64, device=self._device))
+        progress = Progress(*torch.zeros((2, m), dtype=torch.int64, device=self._device))
         rows, steps, last = np.arange(m), 0, samples[-1] if samples else 0
         while steps < last and len(rows):
-            end = min(steps + self._at_once, *(k for k in samples if k > steps))
-            progress.todo.fill_(end - steps)
-            state, steps = self._advanced(state, progress, end, rows, counts, failures), end
+            steps += 1
+            state = self._advanced(state, progress, steps, rows, counts, failures)
             if len(failures) > m - len(rows):
                 left = [k for k, row in enumerate(rows) if row not in failures]
                 chosen = torch.tensor(left, dtype=torch.int64, device=self._device)
@@ -156,42 +146,38 @@ class LockstepEnsemble:
         q_out, p_out = out.transpose(0, 2, 1)[..., :d], out.transpose(0, 2, 1)[..., d:]
         return Recorded(np.ascontiguousarray(q_out), np.ascontiguousarray(p_out), failures, counts)
 
-    def _advanced(self, state: State, progress: Progress, end: int, rows: np.ndarray,
+    def _advanced(self, state: State, progress: Progress, steps: int, rows: np.ndarray,
                   counts: Counts, failures: dict[int, StepFailure]) -> State:
-        """Return the state when nothing is to do, with what ``Simulation`` has taken of it."""
-        while progress.todo.any():
-            heed()
-            state, outcome = self._launch(state, progress, end)
-            for k in (outcome != OK).nonzero()[:, 0].tolist():
-                row, steps = int(rows[k]), end - int(progress.todo[k])
-                try:
-                    z, slope = self._take_alone(state.z[:, k].cpu().numpy(), row, steps, counts)
-                except StepFailure as failure:
-                    failures[row] = failure.dated(steps * self._h)
-                    progress.todo[k] = 0
-                    continue
-                state.z[:, k], state.slope[:, k] = (
-                    torch.from_numpy(part).to(self._device) for part in (z, slope))
-                # What came before is no guide to the next start.
-                state.carry[:, k], state.counts[:, k] = 0.0, 0
-                progress.todo[k] -= 1
+        """Return the state after so many steps: the last step may be one that Simulation took."""
+        heed()
+        state, outcome = self._take_one(state, progress, steps)
+        for k in (outcome != OK).nonzero()[:, 0].tolist():
+            row = int(rows[k])
+            try:
+                z, slope = self._take_alone(state.z[:, k].cpu().numpy(), row, steps, counts)
+            except StepFailure as failure:
+                failures[row] = failure.dated((steps - 1) * self._h)
+                continue
+            state.z[:, k], state.slope[:, k] = (
+                torch.from_numpy(part).to(self._device) for part in (z, slope))
+            # What came before is no guide to the next start.
+            state.carry[:, k], state.counts[:, k] = 0.0, 0
         return state
 
-    def _take_one(self, state: State, progress: Progress, end: int
+    def _take_one(self, state: State, progress: Progress, steps: int
                   ) -> tuple[State, torch.Tensor]:
         """Take a step of each; return the states after it, or before one that is not solved."""
         after, outcome, gradients = self._step(self._system, state)
         finite = (after.z.isfinite() & after.slope.isfinite()).all(dim=0)
         outcome = torch.where((outcome == OK) & ~finite, NOT_FINITE, outcome)
         taken = outcome == OK
-        progress.todo.sub_(taken.long())
         more = gradients > progress.most
-        progress.most[more], progress.at[more] = gradients[more], end
+        progress.most[more], progress.at[more] = gradients[more], steps
         return after._replace(z=torch.where(taken, after.z, state.z)), outcome
 
     def _take_alone(self, z: np.ndarray, row: int, steps: int, counts: Counts
                     ) -> tuple[np.ndarray, np.ndarray]:
-        """Take a step after others by compiled loops; return z and (H_q, H_p) after it."""
+        """Take the step of that number by compiled loops; return z and (H_q, H_p) after it."""
         q, p = np.split(z, 2)
         if self._alone is None:
             self._alone = Simulation(self._hamiltonian, self._integrator, self._h, q, p,
@@ -202,7 +188,7 @@ class LockstepEnsemble:
         counts.rescued[row] += alone.rescued
         counts.several_solutions[row] += alone.several_solutions
         if alone.costliest[0] > counts.costliest[row]:
-            counts.costliest[row], counts.at[row] = alone.costliest[0], steps + 1
+            counts.costliest[row], counts.at[row] = alone.costliest[0], steps
         return np.append(alone.q, alone.p), np.append(alone.dH_dq, alone.dH_dp)
 
 

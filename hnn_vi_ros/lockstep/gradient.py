@@ -17,7 +17,7 @@ from itertools import pairwise
 
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.lockstep.devices import captured, FUSED, TORCH
+from hnn_vi_ros.lockstep.devices import captured
 from hnn_vi_ros.lockstep.solvers import dot
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
@@ -31,7 +31,7 @@ import torch
 
 # Numbers in an array of activations on the processor, which stays in a second-level cache; and the
 # states of a batch there at most, and at least. The last is a multiple of the blocks of 8, 12, 24
-# or 64 columns that BLAS multiplies at once: in what is left over it adds in another order.
+# or 64 columns that BLAS multiplies at once: in the remainder it adds in another order.
 _NUMBERS, _MOST, _LEAST = 80_000, 960, 192
 # Sizes of batches on a GPU; each has a graph of its own.
 _BUCKETS = tuple(2**k for k in range(8, 18))
@@ -41,8 +41,7 @@ Gradient = Callable[[torch.Tensor], torch.Tensor]
 _Slope = Callable[[torch.Tensor, torch.Tensor], None]
 
 
-def make_gradient(hamiltonian: Hamiltonian, device: torch.device, kernels: str = TORCH
-                  ) -> Gradient:
+def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
     """
     Return the gradient of H on a device.
 
@@ -52,8 +51,6 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device, kernels: str =
         Whose energy is that of perceptrons of (q, p), of q, or of p.
     device : torch.device
         Where states are.
-    kernels : str, optional
-        See ``kernels_of``.
 
     Raises
     ------
@@ -63,12 +60,11 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device, kernels: str =
     """
     def of(layers: Layers) -> PerceptronGradient:
         assert isinstance(hamiltonian, LearnedHamiltonian), 'only such have layers'
-        return PerceptronGradient(layers, hamiltonian.checkpoint.card.activation, device,
-                                  kernels)
+        return PerceptronGradient(layers, hamiltonian.checkpoint.card.activation, device)
 
     match hamiltonian:
         case ConfinedHamiltonian():
-            return _confined(make_gradient(hamiltonian.base, device, kernels), hamiltonian, device)
+            return _confined(make_gradient(hamiltonian.base, device), hamiltonian, device)
         case NeuralHamiltonian():
             return of(hamiltonian.checkpoint.networks['energy'])
         case SeparableHamiltonian():
@@ -122,14 +118,11 @@ class PerceptronGradient:
         What stands between its layers.
     device : torch.device
         Where states are.
-    kernels : str, optional
-        See ``kernels_of``.
 
     """
 
-    def __init__(self, layers: Layers, activation: str, device: torch.device,
-                 kernels: str = TORCH):
-        self._device, self._activation, self._fused = device, activation, kernels == FUSED
+    def __init__(self, layers: Layers, activation: str, device: torch.device):
+        self._device, self._activation = device, activation
         *weights, last = (torch.from_numpy(np.ascontiguousarray(w)).to(device)
                           for w in layers.weights)
         biases = (torch.from_numpy(b).to(device) for b in layers.biases[:-1])
@@ -137,11 +130,6 @@ class PerceptronGradient:
         self._last, self._inputs = last.T.contiguous(), layers.weights[0].shape[1]
         widest = max(len(w) for w in weights)
         size = max(min(_NUMBERS // widest, _MOST) // _LEAST, 1) * _LEAST
-        if self._fused:
-            from hnn_vi_ros.lockstep.fused import check_network, COLUMNS
-            check_network(layers, activation)
-            # Its blocks have one size anyway, and the interpreter takes them one by one.
-            size = COLUMNS
         self._buckets = _BUCKETS if device.type == 'cuda' else (size,)
         self._batches: dict[int, _Batch] = {}
 
@@ -150,8 +138,7 @@ class PerceptronGradient:
         out = torch.empty_like(x)
         for first, end, size in self._parts(x.shape[1]):
             if size not in self._batches:
-                self._batches[size] = _Batch(self._layers, self._last, self._activation, size,
-                                             self._fused)
+                self._batches[size] = _Batch(self._layers, self._last, self._activation, size)
             batch = self._batches[size]
             batch.inputs[:, :end - first] = x[:, first:end]
             batch.inputs[:, end - first:] = 0.0
@@ -172,7 +159,7 @@ class _Batch:
     """The passes of a fixed number of states, in arrays that stay where they are."""
 
     def __init__(self, layers: list[tuple[torch.Tensor, torch.Tensor]], last: torch.Tensor,
-                 activation: str, size: int, fused: bool):
+                 activation: str, size: int):
         device, self._layers, self._last = last.device, layers, last
 
         def empty(n: int) -> torch.Tensor:
@@ -183,36 +170,23 @@ class _Batch:
         self._one = torch.ones((), dtype=torch.float64, device=device)
         self._activate = {'tanh': self._tanh, 'sine': self._sine, 'softplus': self._softplus,
                           'relu': self._relu}[activation]
-        # How many layers the first pass and the last one take; of two, weighed by the output.
-        self._taken, (self._begin, self._end) = 1, (self._first_layer, self._first_slope)
-        if fused:
-            from hnn_vi_ros.lockstep.fused import passes
-            self._taken, (self._begin, self._end) = 2, passes(
-                layers, last, self._values, self._slopes, self.inputs, self.gradient)
         self.run = captured(self._propagate, device)
 
     def _propagate(self) -> None:
         """Fill the gradient."""
-        self._begin()
-        rest = list(zip(self._layers, self._values, self._slopes, strict=True))[self._taken - 1:]
+        (first, bias), rest = self._layers[0], list(zip(
+            self._layers, self._values, self._slopes, strict=True))
+        torch.addmm(bias, first, self.inputs, out=self._values[0])
+        self._activate(self._values[0], self._slopes[0])
         for (_, before, _), ((weight, bias), value, slope) in pairwise(rest):
             torch.addmm(bias, weight, before, out=value)
             self._activate(value, slope)
-        if len(self._layers) > 2 or self._taken == 1:
-            torch.mul(self._slopes[-1], self._last, out=self._slopes[-1])
+        torch.mul(self._slopes[-1], self._last, out=self._slopes[-1])
         # The values are not needed again: in their place what is propagated back.
         for ((weight, _), _, slope), (_, value, before) in pairwise(reversed(rest)):
             torch.mm(weight.T, slope, out=value)
             torch.mul(before, value, out=before)
-        self._end()
-
-    def _first_layer(self) -> None:
-        (weight, bias), value, slope = self._layers[0], self._values[0], self._slopes[0]
-        torch.addmm(bias, weight, self.inputs, out=value)
-        self._activate(value, slope)
-
-    def _first_slope(self) -> None:
-        torch.mm(self._layers[0][0].T, self._slopes[0], out=self.gradient)
+        torch.mm(first.T, self._slopes[0], out=self.gradient)
 
     def _tanh(self, z: torch.Tensor, slope: torch.Tensor) -> None:
         torch.tanh(z, out=z)
@@ -229,6 +203,6 @@ class _Batch:
         torch.add(positive, z.abs_().neg_().exp_().log1p_(), out=z)
 
     def _relu(self, z: torch.Tensor, slope: torch.Tensor) -> None:
-        # Of NaN, NaN.
+        # NaN stays NaN.
         torch.where(z > 0.0, self._one, torch.where(z <= 0.0, 0.0 * self._one, z), out=slope)
         torch.clamp_min(z, 0.0, out=z)

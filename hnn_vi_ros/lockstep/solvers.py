@@ -226,7 +226,7 @@ def solve(iteration: Iteration, equation: Equation, known: Known, x: torch.Tenso
     equation : callable
         Returns G(x), shape (N, m), and what it found on the way, shape (..., m).
     known : tuple of torch.Tensor, each (..., m)
-        What it takes first.
+        Its first argument.
     x : torch.Tensor, shape (N, m)
         First guesses.
     scales : Scales

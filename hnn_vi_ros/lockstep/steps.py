@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steps of variational methods for many trajectories; the methods' own files have formulas."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -12,6 +12,8 @@ from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, OK
 from hnn_vi_ros.integrators.equations import LEAST_SCALE
 from hnn_vi_ros.integrators.gauss import Gauss, gauss_tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.partitioned import Node
 from hnn_vi_ros.integrators.solvers import fixed_point, QUICK, secant, SolverOptions
 from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX
 from hnn_vi_ros.lockstep.gradient import Gradient
@@ -34,7 +36,7 @@ class State(NamedTuple):
     counts : torch.Tensor, shape (K, m)
         How many earlier solutions of each of K equations there are.
     earlier : tuple of torch.Tensor, each (..., m)
-        What is kept of them.
+        Their values.
 
     """
 
@@ -45,7 +47,7 @@ class State(NamedTuple):
     earlier: tuple[torch.Tensor, ...]
 
     def of(self, chosen: torch.Tensor) -> 'State':
-        """Return those of some trajectories."""
+        """Return the states of some trajectories."""
         return State(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
                      self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
@@ -56,14 +58,11 @@ class Progress(NamedTuple):
 
     Parameters
     ----------
-    todo : torch.Tensor
-        Steps that are to do.
     most, at : torch.Tensor
         The most gradients of a step, and its number.
 
     """
 
-    todo: torch.Tensor
     most: torch.Tensor
     at: torch.Tensor
 
@@ -199,31 +198,32 @@ def _half_step(system: System, h: float, which: int, held: torch.Tensor, base: t
             remembered(counts, earlier, solved.x - base))
 
 
-def _variational_euler(system: System, state: State) -> Stepped:
-    (q, p), (q_carry, p_carry) = state.z.chunk(2), state.carry.chunk(2)
-    H_q, H_p = state.slope.chunk(2)
-    q1, q1_carry = plus(q, q_carry, system.h * H_p)
-    solved, p1_carry, (counts, earlier) = _half_step(
-        system, system.h, 0, q1, p, p_carry, H_q, (state.counts[0], state.earlier[0]))
-    return Stepped(State(torch.cat([q1, solved.x]), torch.cat([q1_carry, p1_carry]), solved.found,
-                         counts[None], (earlier,)), solved.outcome, solved.iterations)
-
-
-def _generalized_leapfrog(system: System, state: State) -> Stepped:
-    (q, p), (q_carry, p_carry), half = state.z.chunk(2), state.carry.chunk(2), 0.5 * system.h
-    first, carry, kept = _half_step(
-        system, half, 0, q, p, p_carry, state.slope[:system.d], (state.counts[0],
-                                                                 state.earlier[0]))
-    H_p = first.found[system.d:]
-    half_q, half_carry = plus(q, q_carry, half * H_p)
-    second, q1_carry, kept_too = _half_step(
-        system, half, 1, first.x, half_q, half_carry, H_p, (state.counts[1], state.earlier[1]))
-    p1, p1_carry = plus(first.x, carry, -half * second.found[:system.d])
-    return Stepped(
-        State(torch.cat([second.x, p1]), torch.cat([q1_carry, p1_carry]), second.found,
-              torch.stack([kept[0], kept_too[0]]), (kept[1], kept_too[1])),
-        torch.where(first.outcome == OK, second.outcome, first.outcome),
-        first.iterations + second.iterations)
+def _one_by_one(system: System, state: State, nodes: Sequence[Node]) -> Stepped:
+    """Take a step of a method whose nodes are implicit in q or p alone, one after another."""
+    x, carry, gradient = [*state.z.chunk(2)], [*state.carry.chunk(2)], state.slope
+    kept: list[_Pair] = []
+    outcome, iterations = torch.full_like(state.counts[0], OK), torch.zeros_like(state.counts[0])
+    for a, b, u, w in nodes:
+        moves = u, w
+        if a or b:
+            # Implicit in p, which = 0, or in q, which = 1; the other one is held.
+            which, k = int(bool(a)), len(kept)
+            own, other = (1, 0) if which == 0 else (0, 1)
+            solved, carry[own], history = _half_step(
+                system, (a or b) * system.h, which, x[other], x[own], carry[own],
+                gradient.chunk(2)[which], (state.counts[k], state.earlier[k]))
+            x[own], gradient = solved.x, solved.found
+            kept.append(history)
+            outcome = torch.where(outcome == OK, solved.outcome, outcome)
+            iterations = iterations + solved.iterations
+            moves = u - a, w - b
+        H_q, H_p = gradient.chunk(2)
+        for own, move, rate in ((0, moves[0], H_p), (1, -moves[1], H_q)):
+            if move:
+                x[own], carry[own] = plus(x[own], carry[own], move * system.h * rate)
+    counts, earlier = zip(*kept, strict=True)
+    return Stepped(State(torch.cat(x), torch.cat(carry), gradient, torch.stack(counts), earlier),
+                   outcome, iterations)
 
 
 def _turned(gradient: torch.Tensor, dim: int = 0) -> torch.Tensor:
@@ -283,9 +283,8 @@ def _gauss(system: System, state: State, stages: int) -> Stepped:
                    solved.outcome, stages * solved.iterations)
 
 
-_STEPS: dict[str, Step] = {
-    'variational_euler': _variational_euler, 'generalized_leapfrog': _generalized_leapfrog,
-    'implicit_midpoint': _implicit_midpoint}
+# The methods whose nodes are implicit in q or p alone.
+_ONE_BY_ONE = 'variational_euler', 'generalized_leapfrog'
 
 
 def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
@@ -301,13 +300,16 @@ def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
     if isinstance(integrator, Gauss):
         stages = integrator.stages
         return lambda system, state: _gauss(system, state, stages)
-    name = method_name(integrator)
-    if name not in _STEPS:
-        able = methods_that(lambda method: isinstance(method, Gauss) or method_name(
-            method) in _STEPS, hamiltonian)
+    if isinstance(integrator, ImplicitMidpoint):
+        return _implicit_midpoint
+    name, tableau = method_name(integrator), integrator.partitioned
+    if name not in _ONE_BY_ONE or tableau is None:
+        able = methods_that(lambda method: isinstance(method, Gauss | ImplicitMidpoint) or
+                            method_name(method) in _ONE_BY_ONE, hamiltonian)
         raise UnsupportedSystem(f'{name} has no step for many trajectories on a device; leave '
                                 f'device out; methods that have: {able}')
-    return _STEPS[name]
+    nodes = tableau.nodes()
+    return lambda system, state: _one_by_one(system, state, nodes)
 
 
 def first_state(system: System, integrator: ImplicitIntegrator, z: torch.Tensor) -> State:

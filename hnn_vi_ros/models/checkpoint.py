@@ -56,6 +56,17 @@ class Layers(NamedTuple):
     weights: tuple[np.ndarray, ...]
     biases: tuple[np.ndarray, ...]
 
+    @property
+    def widths(self) -> list[int]:
+        """Return the numbers of inputs and of the outputs of each layer."""
+        return [self.weights[0].shape[1], *map(len, self.weights)]
+
+
+def widths_of(networks: Mapping[str, Layers]) -> dict[str, Any]:
+    """Return the entry of a card for the widths of networks; one alone is not named there."""
+    widths = {name: layers.widths for name, layers in networks.items()}
+    return {'networks': widths} if len(widths) > 1 else {'widths': next(iter(widths.values()))}
+
 
 @dataclass(frozen=True)
 class Checkpoint:

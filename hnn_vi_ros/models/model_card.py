@@ -42,6 +42,18 @@ class Box(StrictModel):
                     f'[{low:g}, {high:g}] is not an interval of positive, finite size')
         return self
 
+    @classmethod
+    def of(cls, q: np.ndarray, p: np.ndarray) -> 'Box':
+        """Return the bounds of states, of shape (N, d) each."""
+        return cls(**{name: np.stack([part.min(axis=0), part.max(axis=0)], axis=-1).tolist()
+                      for name, part in (('q', q), ('p', p))})
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper bounds of states (q, p), shape (2 d,) each."""
+        low, high = np.concatenate([self.q, self.p]).T
+        return low, high
+
 
 class Scheme(StrictModel):
     """A one-step map."""

@@ -229,7 +229,7 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     device : str, optional
         ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch, with each trajectory solved
         by itself, in place of compiled loops; see docs/scale.md. For an H of perceptrons, without
-        effects, and some of the methods. ``'cuda/fused'`` and ``'cuda/steps'`` take other kernels.
+        effects, and some of the methods.
 
     Returns
     -------

@@ -41,9 +41,9 @@ def sweep() -> Parser:
         'spread the shards over a Ray cluster: its address, auto for the one that this machine '
         'belongs to, or local for one of this machine alone'))
     parser.add_argument('--device', metavar='DEVICE', help=(
-        'take the steps in torch, thousands of trajectories together: on cuda, cuda:N or cpu, '
-        'with other kernels by /fused or /steps at its end; for models that are networks, without '
-        'effects (default: compiled loops on the processor)'))
+        'take the steps in torch, thousands of trajectories together: on cuda, cuda:N or cpu; '
+        'for models that are networks, without effects (default: compiled loops on the '
+        'processor)'))
     parser.add_argument('--episodes', choices=('mcap', 'lerobot'), help=(
         'write trajectories one by one in place of shards: bags like those of the simulator, or a '
         'LeRobot dataset (v3.0)'))

@@ -11,7 +11,6 @@ import json
 from math import prod
 from pathlib import Path
 import platform
-import re
 from typing import Any
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
@@ -104,7 +103,7 @@ class SweepPlan:
         most = _MOST_NUMBERS // (2 * self.hamiltonian.dimension * self.samples)
         if self.device is None:
             return min(BLOCK, most)
-        together = _ON_DEVICE[re.split('[:/]', self.device)[0]]
+        together = _ON_DEVICE[self.device.partition(':')[0]]
         return min(together, most, self.sweep.shard_size or together)
 
     @cached_property

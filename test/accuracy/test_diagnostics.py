@@ -14,9 +14,9 @@ from hnn_vi_ros.integrators.composition import Composition, Yoshida4
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
-from hnn_vi_ros.studies.variants import Undersolved
 import numpy as np
 import pytest
+from studies.variants import Undersolved
 
 Q, P, H = np.array([0.7]), np.array([-1.2]), 0.05
 TAO = Uncompiled(HAMILTONIANS['tao']())

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.studies import peers
 import numpy as np
+from studies import peers
 
 # solve(duration, tolerance) returns (q, p) at the end, shape (2 d,).
 Solve = Callable[[float, float], np.ndarray]

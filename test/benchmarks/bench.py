@@ -13,7 +13,7 @@ import time
 from benchmarks.measurement import Row, Settings
 from benchmarks.report import (
     as_json, as_markdown, as_table, Group, measured_here, read_groups, read_rows, write_rows)
-from hnn_vi_ros.studies.results import commit
+from studies.results import commit
 
 # A group of rows: its module, and about how long it takes [s].
 GROUPS = {

@@ -21,10 +21,9 @@ from hnn_vi_ros.accuracy.calibration import calibrate
 from hnn_vi_ros.accuracy.energy_scale import energy_scale
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.studies.references import EXACT
-from hnn_vi_ros.studies.results import commit, machine
 import numpy as np
 from scipy.integrate import solve_ivp
+from studies.results import commit, machine
 
 # Horizons in periods, and errors.
 TOLERANCES = (
@@ -109,10 +108,8 @@ class Truth:
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Return (q, p) at times, shape (n, 2 d)."""
-        exact = EXACT.get(type(self._problem.hamiltonian))
-        if exact is None:
-            return self._solution(times).T
-        return exact(self._problem.hamiltonian, self._problem.q, self._problem.p, times)[0]
+        exact = self._problem.hamiltonian.exact_motion(self._problem.q, self._problem.p, times)
+        return self._solution(times).T if exact is None else exact.path
 
 
 def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, method: Method,

@@ -8,9 +8,9 @@ from itertools import pairwise
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.studies.peers import jax_energy
 import jax
 import numpy as np
+from studies.peers import jax_energy
 
 jax.config.update('jax_enable_x64', True)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import platform
 
 from benchmarks.measurement import Row
-from hnn_vi_ros.studies.results import commit, machine
+from studies.results import commit, machine
 
 _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 'torch',
              'torchdiffeq', 'pin', 'mujoco')

@@ -31,7 +31,8 @@ def hnn(*words: str) -> subprocess.CompletedProcess:
 
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
-    assert set(COMMANDS) - set(EXECUTABLES) == {'run', 'new_scene', 'doctor', 'completion'}
+    assert set(COMMANDS) - set(EXECUTABLES) == {
+        'run', 'cost', 'new_scene', 'doctor', 'completion'}
 
 
 def test_help_tells_all_commands_without_what_they_take():

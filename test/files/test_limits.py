@@ -40,12 +40,12 @@ except HnnViRosError as problem:
 print(peak() - before, file=sys.stderr)
 """
 LOG = """\
-from hnn_vi_ros.learning.measured_log import MeasuredData, read_measured_log
+from hnn_vi_ros.learning.data.text import MeasuredData, read_measured_log
 data = MeasuredData(kind='measured', columns=['t', 'q', 'p', 'v', 'f'], time='t', q=['q'],
                     p=['p'], dq_dt=['v'], dp_dt=['f'])
 """
 MOTIONS = """\
-from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
+from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
 data = LogMotions(columns=['t', 'q'], time='t', q=['q'])
 """
 AXIS = """\
@@ -59,7 +59,7 @@ from hnn_vi_ros.simulation.build import build
 simulation = build(load_scene('exact_pendulum'))
 """
 READERS = {
-    'arrays': ('from hnn_vi_ros.learning.motion_arrays import read_archive', 'read_archive(path)'),
+    'arrays': ('from hnn_vi_ros.learning.data.arrays import Archive', 'Archive(path)'),
     'log': (LOG, 'read_measured_log(path, data)'),
     'motions': (MOTIONS, 'read_log_motions(path, data)'),
     'axis': (AXIS, "FileAxis(FileChoice(kind='file', path=path.name), path.parent, 'axis')"),
@@ -69,9 +69,9 @@ READERS = {
                'SweepFolder(path.parent).record()'),
     'model': ('from hnn_vi_ros.models.checkpoint import load_checkpoint', 'load_checkpoint(path)'),
     'state': (STATE, "restore_state(simulation, path.read_bytes()[:2**26], 'bag')"),
-    'family': ('from hnn_vi_ros.learning.machine_train import own_family', 'own_family(path)'),
+    'family': ('from hnn_vi_ros.learning.fit.config import load_config', 'load_config(path)'),
     'scene': ('from hnn_vi_ros.scene import load_scene', 'load_scene(path)'),
-    'network': ('from hnn_vi_ros.learning.state_dict import read_networks',
+    'network': ('from hnn_vi_ros.learning.imports.state_dict import read_networks',
                 'read_networks(path)'),
 }
 
@@ -197,7 +197,7 @@ ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
         'has no model_card|not a safetensors file'),
     'a state of a million arrays': ('state', 'a.bin', tensors(0, 10**6),
                                     'state.safetensors is damaged'),
-    'a configuration of 1 GB': ('family', 'a.yaml', sparse(10**9), '^read$'),
+    'a configuration of 1 GB': ('family', 'a.yaml', sparse(10**9), 'larger than 1048576 bytes'),
     'a scene of 1 GB': ('scene', 'a.yaml', sparse(10**9), 'larger than 1048576 bytes'),
     'a network that makes 3 GB': ('network', 'a.pt', foreign_pickle, 'not a file of tensors'),
 }

@@ -10,12 +10,13 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.learning import body_training
-from hnn_vi_ros.learning.body_config import BodyStage, load_body
-from hnn_vi_ros.learning.body_data import read_bodies
-from hnn_vi_ros.learning.body_training import fit, joined, network_of, published_loss
+from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.evaluate import main as evaluate
+from hnn_vi_ros.learning.families.choices import BodyStage
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.fit import body
+from hnn_vi_ros.learning.fit.body import BodyProblem, joined, network_of, published_loss
+from hnn_vi_ros.learning.fit.config import load_config
 from hnn_vi_ros.learning.train import main as train
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -90,7 +91,7 @@ def test_body_is_trained_judged_and_run(tmp_path, data: Path, capsys):
 
 
 def judged_loss(source: str, data: Path, model: Path) -> float:
-    settings = load_body(Path(source))
+    settings = load_config(Path(source))
     _, judged, _ = read_bodies(data, settings.data, 'rotation')
     return published_loss(LieGroupNetwork.of(load_checkpoint(model)), settings,
                           joined([motion.windows(4) for motion in judged]))
@@ -98,7 +99,7 @@ def judged_loss(source: str, data: Path, model: Path) -> float:
 
 def learned_loss(source: str, data: Path, model: Path | None = None) -> float:
     """Return the loss of what was learned from, of a model or of a network before training."""
-    settings = load_body(Path(source))
+    settings = load_config(Path(source))
     learned, _, _ = read_bodies(data, settings.data, 'rotation')
     network = network_of(settings, learned) if model is None else LieGroupNetwork.of(
         load_checkpoint(model))
@@ -113,11 +114,11 @@ def test_windows_of_one_array_are_the_motions_of_its_runs(tmp_path, data: Path):
     np.savez(path, train=np.stack(rows[:3], axis=1)[None], test=np.stack(rows[3:], axis=1)[None])
     text = CONFIG.replace('{kind: arrays, tau: null, test_runs: [r3]}',
                           '{kind: windows, interval: 0.02}')
-    settings = load_body(Path(config(tmp_path, text)))
+    settings = load_config(Path(config(tmp_path, text)))
     (learned,), (judged,), _ = read_bodies(path, settings.data, 'rotation')
     assert learned.R.shape == (SAMPLES, 3, 3, 3) and judged.R.shape == (SAMPLES, 1, 3, 3)
     assert learned.windows(4).R.shape == (5, 3 * (SAMPLES - 4), 3, 3)
-    runs, _, _ = read_bodies(data, load_body(Path(config(tmp_path))).data, 'rotation')
+    runs, _, _ = read_bodies(data, load_config(Path(config(tmp_path))).data, 'rotation')
     # R is a sum of four products of numbers below one.
     assert (learned.R[:, 1] - runs[1].R[:, 0]).abs().max() <= 1e-15
     assert (learned.v[:, 1] == runs[1].v[:, 0]).all()
@@ -130,7 +131,7 @@ def test_what_never_changes_in_the_data_is_not_learned(tmp_path):
     path = tmp_path / 'planar.npz'
     np.savez(path, t=0.1 * np.arange(40), q=q, dq=speed)
     text = CONFIG.replace(', test_runs: [r3]', '')
-    settings = load_body(Path(config(tmp_path, text)))
+    settings = load_config(Path(config(tmp_path, text)))
     learned, _, _ = read_bodies(path, settings.data, 'rotation')
     first = network_of(settings, learned).potential.linears[0].weight
     # Of a turn about z the entries R13, R23, R31, R32 and R33.
@@ -147,7 +148,7 @@ def test_what_never_changes_in_the_data_is_not_learned(tmp_path):
 def test_arrays_that_are_no_motions_are_refused(tmp_path, arrays: dict, words: str):
     path = tmp_path / 'bad.npz'
     np.savez(path, **arrays)
-    settings = load_body(Path(config(tmp_path, CONFIG.replace(', test_runs: [r3]', ''))))
+    settings = load_config(Path(config(tmp_path, CONFIG.replace(', test_runs: [r3]', ''))))
     with pytest.raises(DataError, match=words) as caught:
         read_bodies(path, settings.data, 'rotation')
     assert str(path) in str(caught.value) and '\n' not in str(caught.value)
@@ -160,13 +161,13 @@ def test_arrays_that_are_no_motions_are_refused(tmp_path, arrays: dict, words: s
 ])
 def test_configuration_that_contradicts_itself_is_refused(tmp_path, change: tuple, words: str):
     with pytest.raises(HnnViRosError, match=words):
-        load_body(Path(config(tmp_path, CONFIG.replace(*change))))
+        load_config(Path(config(tmp_path, CONFIG.replace(*change))))
 
 
 def test_options_that_bodies_have_not_are_refused(tmp_path, data: Path):
     source = config(tmp_path)
-    with pytest.raises(ParameterError, match='leave out --resume and --device'):
-        train(['--config', source, '--data', str(data), '--resume',
+    with pytest.raises(ParameterError, match='--device: a lie_group is trained on the CPU.*leave'):
+        train(['--config', source, '--data', str(data), '--device', 'cuda',
                '--out', str(tmp_path / 'm.safetensors')])
     with pytest.raises(ParameterError, match='give it with --config'):
         evaluate(['resource/models/turning_pendulum.safetensors', '--data', str(data)])
@@ -174,43 +175,43 @@ def test_options_that_bodies_have_not_are_refused(tmp_path, data: Path):
 
 def test_lbfgs_of_a_body_shortens_a_step_after_which_the_loss_is_no_number(
         tmp_path, data: Path, monkeypatch):
-    settings = load_body(Path(config(tmp_path)))
+    settings = load_config(Path(config(tmp_path)))
     learned, _, _ = read_bodies(data, settings.data, 'rotation')
     network = network_of(settings, learned)
     weight = network.potential.linears[0].weight
     with torch.no_grad():
         weight[0, 0] = 0.5
     # The first step would be of length 1, to where there is no logarithm; the minimum is at 0.01.
-    monkeypatch.setattr(body_training, '_loss', lambda network, *_: (
+    monkeypatch.setattr(body, 'body_loss', lambda network, *_: (
         weight[0, 0] - 0.01 * weight[0, 0].log()))
     stages = settings.model_copy(update={'windows': [BodyStage(intervals=1, lbfgs_steps=40)]})
-    losses = fit(network, stages, learned)
+    losses = BodyProblem(network, stages, learned).fit()
     assert losses['lbfgs_1'] == pytest.approx(0.01 * (1.0 - math.log(0.01)), rel=1e-9)
     assert all(parameter.isfinite().all() for parameter in network.parameters())
 
 
 def test_lbfgs_of_a_body_takes_as_many_steps_as_it_is_given(tmp_path, data: Path, monkeypatch):
-    settings, found = load_body(Path(config(tmp_path))), {}
+    settings, found = load_config(Path(config(tmp_path))), {}
     learned, _, _ = read_bodies(data, settings.data, 'rotation')
 
     def valley(network: torch.nn.Module, *_: object) -> torch.Tensor:
         """Return Rosenbrock's function, from which 20 steps are far from its end."""
         x = network.potential.linears[0].weight.flatten()[:10]
         return (100.0 * (x[1:] - x[:-1].square()).square() + (1.0 - x[:-1]).square()).sum()
-    monkeypatch.setattr(body_training, '_loss', valley)
+    monkeypatch.setattr(body, 'body_loss', valley)
     for steps in (20, 400):
         stages = settings.model_copy(update={
             'windows': [BodyStage(intervals=1, lbfgs_steps=steps)]})
-        found[steps] = fit(network_of(settings, learned), stages, learned)['lbfgs_1']
+        found[steps] = BodyProblem(network_of(settings, learned), stages, learned).fit()['lbfgs_1']
     assert found[400] < 1e-3 * found[20]
 
 
 def test_lbfgs_of_a_body_refuses_to_begin_where_no_step_has_a_solution(tmp_path, data: Path):
-    settings = load_body(Path(config(tmp_path)))
+    settings = load_config(Path(config(tmp_path)))
     learned, _, _ = read_bodies(data, settings.data, 'rotation')
     network = network_of(settings, learned)
     with torch.no_grad():
         network.potential.linears[-1].weight.mul_(1e9)
     stages = settings.model_copy(update={'windows': [BodyStage(intervals=1, lbfgs_steps=40)]})
     with pytest.raises(DataError, match='begins where the loss is not finite.*more substeps'):
-        fit(network, stages, learned)
+        BodyProblem(network, stages, learned).fit()

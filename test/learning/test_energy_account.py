@@ -11,9 +11,9 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.energy_account import balance, energy_mismatch, unaccounted
-from hnn_vi_ros.learning.evaluation import momentum
-from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.judging.energy_account import balance, energy_mismatch, unaccounted
+from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.models.confined import load_learned
 import mechanical_models
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.integrate import solve_ivp
 RATE, GRAVITY = 0.4, 9.81
 
 
-def exact_motion(spacing: float) -> Motion:
+def exact_motion(spacing: float) -> Run:
     """Return a pendulum, damped and driven by 2 sin(2 t), to 1e-11, as it is without a filter."""
     def rates(t: float, z: np.ndarray) -> list[float]:
         return [z[1], -GRAVITY * np.sin(z[0]) - RATE * z[1] + 2.0 * np.sin(2.0 * t)]
@@ -34,7 +34,7 @@ def exact_motion(spacing: float) -> Motion:
     return replace(motion, q_smooth=q, v_smooth=v)
 
 
-def mismatch(motion: Motion, effects: list[Effect], horizon: float = 1.0) -> float:
+def mismatch(motion: Run, effects: list[Effect], horizon: float = 1.0) -> float:
     found = balance(HAMILTONIANS['pendulum'](), effects, motion)
     return energy_mismatch([found], motion.spacing, [horizon])[horizon]
 

@@ -4,10 +4,11 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.energy_account import friction_work
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import EnergyFamily
-from hnn_vi_ros.learning.train import main, model_work
+from hnn_vi_ros.learning.judging.energy_account import friction_work
+from hnn_vi_ros.learning.tasks.field import model_work
+from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.energy_error import energy_error, energy_spread, interval_text
 import numpy as np

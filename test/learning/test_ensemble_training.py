@@ -6,15 +6,15 @@ from pathlib import Path
 
 from ensembles import OSCILLATOR
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.learning import ensemble as module
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.ensemble import conformal_factors, resampled
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.judging import ensemble as module
+from hnn_vi_ros.learning.judging.ensemble import conformal_factors, resampled
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
-from hnn_vi_ros.studies.uncertainty import auroc, detection, gradient_spread
 import numpy as np
 import pytest
+from studies.uncertainty import auroc, detection, gradient_spread
 
 TINY = OSCILLATOR + """\
 hidden: [8]

@@ -14,11 +14,11 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
-from hnn_vi_ros.learning.evaluation import (
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, Fan, linear_model, momentum, score)
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.learning.prediction_report import shown
+from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -102,7 +102,7 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
         assert 0.0 < written['horizons'][horizon][0] < 0.5 * still.horizons[float(horizon)][0]
 
 
-def check_report(folder: Path, motions: list[Motion]) -> None:
+def check_report(folder: Path, motions: list[Run]) -> None:
     """Check the files of an evaluation of what made the motions, of the horizon 0.5 s."""
     page = (folder / 'report.md').read_text()
     for words in ('| model |', 'The model follows the machine for at least 2 s',
@@ -248,7 +248,7 @@ def test_coordinate_that_never_moves_does_not_count_in_the_valid_prediction_time
     still = replace(motion, **{name: np.hstack([values, np.zeros_like(values)])
                                for name, values in vars(motion).items() if np.ndim(values) == 2})
 
-    def off(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def off(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         at = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
         return motion.q[at] + [0.0, 1e-9]
     with np.errstate(all='raise'):
@@ -262,7 +262,7 @@ def test_momentum_belongs_to_the_velocity():
     assert np.abs(hamiltonian.gradient(q, p)[1] - v).max() < 1e-11
 
 
-def linear_motion(seed: int) -> Motion:
+def linear_motion(seed: int) -> Run:
     """Return q'' = -4 q + tau by its exact solution for tau = sin(t)."""
     t = 0.01 * np.arange(400)
     a, b = np.random.default_rng(seed).normal(size=2)
@@ -278,7 +278,7 @@ def test_linear_model_is_right_for_a_linear_system_and_errors_are_counted_at_the
     assert linear.horizons[0.5] < 0.02 * still.horizons[0.5]
     assert still.starts[0.5] == 35  # every 0.1 s of 3.99 s, with 0.5 s to come
 
-    def off_by_one_percent(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def off_by_one_percent(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         at = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
         return motion.q[at] + 0.01 * (np.arange(count + 1) >= 30)[:, None]
     found = score(off_by_one_percent, test_motions, [0.2, 0.5], 0.1, 1.0)
@@ -288,7 +288,7 @@ def test_linear_model_is_right_for_a_linear_system_and_errors_are_counted_at_the
 
 
 def test_failed_simulations_are_counted_and_no_number_is_made_up_for_them():
-    def fails(motion: Motion, starts: np.ndarray, count: int) -> np.ndarray:
+    def fails(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
         q = constant_velocity(motion, starts, count)
         q[0, 10:] = np.nan
         return q

@@ -7,10 +7,10 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.learning.families.exact_prior import ExactPrior
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, learn
-from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.families.priors import ExactPrior
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import check_prior
@@ -93,7 +93,7 @@ def test_systems_that_are_not_mechanical_are_refused_in_one_line(monkeypatch):
         config('kepler', 'xy', input_map='learned')
 
 
-def oscillator(seed: int) -> Motion:
+def oscillator(seed: int) -> Run:
     """Return a driven oscillator of 1.7 kg, 12 N/m and 0.4 N s/m, every 10 ms."""
     simulation = Simulation(
         HAMILTONIANS['harmonic_oscillator'](1.7, 12.0), INTEGRATORS['implicit_midpoint'](),

@@ -3,26 +3,30 @@
 """Training of each family by each of its losses, small; and the gradient through the steps."""
 
 from pathlib import Path
+from typing import get_args
 
 from helpers import python_step, random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.choices import HNNChoice
-from hnn_vi_ros.learning.config import load_config
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.exact_data import sample_exact
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.exact_data import sample_exact
 from hnn_vi_ros.learning.families.base import Scales
+from hnn_vi_ros.learning.families.choices import HNNChoice, Steps
 from hnn_vi_ros.learning.families.hnn import HNN
-from hnn_vi_ros.learning.problem import TrainingProblem
-from hnn_vi_ros.learning.steps import SCHEMES, step
-from hnn_vi_ros.learning.train import describe, judged, main
+from hnn_vi_ros.learning.fit.config import load_config
+from hnn_vi_ros.learning.fit.field import FieldProblem
+from hnn_vi_ros.learning.fit.steps import step
+from hnn_vi_ros.learning.tasks.field import describe, judge_energy
+from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 import torch
+
+SCHEMES = get_args(Steps.model_fields['integrator'].annotation)
 
 DATA = """
 coordinates: [{{name: x, q_unit: m, p_unit: kg m/s}}]
@@ -143,12 +147,11 @@ def test_training_refuses_a_lagrangian_that_became_singular(tmp_path):
     path.write_text(DATA.format(data='', model=RUNS['lagrangian'][1]))
     config = load_config(path)
     dataset = sample_exact(config.data, 0)
-    problem = TrainingProblem(config, dataset)
+    problem = FieldProblem(config, dataset)
     with torch.no_grad():
-        problem.family.network.linears[-1].weight.mul_(1e3)
+        problem.module.network.linears[-1].weight.mul_(1e3)
     with pytest.raises(HnnViRosError, match='singular in its box: .* train it longer'):
-        judged(describe(problem, config, dataset, 'small', 'train'), problem.family, config,
-               dataset)
+        judge_energy(describe(problem, config, 'small', 'train'), problem.module, config, dataset)
 
 
 def small_hnn(d: int = 1) -> HNN:

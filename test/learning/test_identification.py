@@ -11,12 +11,12 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.excitation import ExcitationData, excited_motions
+from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.identification_report import identified_text, with_force_errors
-from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, learn
-from hnn_vi_ros.learning.rigid_body import fit_errors
+from hnn_vi_ros.learning.fit.config import load_machine, MachineConfig
+from hnn_vi_ros.learning.inertias.identification_report import identified_text, with_force_errors
+from hnn_vi_ros.learning.inertias.rigid_body import fit_errors
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.rigid_body_card import (
@@ -237,7 +237,7 @@ def test_networks_add_to_the_body_what_was_chosen(residual):
      "joints names 'knee': no such joint moves; moving joints: shoulder, elbow"),
     (f'family: {{kind: rigid_body, file: {ARM}, residual: energy}}', 'residual'),
     (f'family: {{kind: rigid_body, file: {ARM}}}\nloss: {{kind: forward}}',
-     'loss: forward fits no rigid_body; take inverse or trajectory'),
+     'loss: forward does not train the family rigid_body; valid: trajectory, inverse'),
     (f'family: {{kind: rigid_body, file: {ARM}, friction: {{network: true}}}}',
      'take residual: friction'),
     ('family: {kind: mechanical}\ncoordinates: [{name: a}]',

@@ -8,9 +8,10 @@ from pathlib import Path
 import shutil
 
 import hnn_vi_ros
-from hnn_vi_ros.cli import _call
+from hnn_vi_ros.cli import run_module
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
 from hnn_vi_ros.learning.identify import main
 from hnn_vi_ros.learning.identify_correlation import (
     _polynomials, _Restricted, Process, processes)
@@ -19,16 +20,15 @@ from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
 from hnn_vi_ros.learning.identify_scene import edited
 from hnn_vi_ros.learning.identify_statistics import Estimates, estimates_of, profile
 from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
-from hnn_vi_ros.learning.motions import Motion, smoothed, steps_between
 from hnn_vi_ros.run.dependences import difference
 from hnn_vi_ros.run.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.studies import identify_coverage
 import numpy as np
 import pytest
 from scipy.linalg import null_space, toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_normal
+from studies import identify_coverage
 from urdf_robots import TREE
 
 NOISE = 0.01, 0.05
@@ -566,6 +566,6 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
 def test_what_cannot_be_fitted_is_one_line(free, data, said, tmp_path):
     t = 0.02 * np.arange(100)
     np.savez(tmp_path / 'log.npz', **{'t': t, 'q': np.sin(t)[:, None]} | data)
-    problem = _call('identify', ['exact_pendulum', '--data', str(tmp_path / 'log.npz'),
-                                 '--free', *free], 'identify')
+    problem = run_module('hnn_vi_ros.learning.identify', [
+        'exact_pendulum', '--data', str(tmp_path / 'log.npz'), '--free', *free], 'identify')
     assert isinstance(problem, str) and said in problem and '\n' not in problem

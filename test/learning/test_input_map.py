@@ -10,14 +10,14 @@ from hnn_vi_ros.errors import DataError, ModelError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
+from hnn_vi_ros.learning.data.runs import smoothed
+from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_train import describe, learn
-from hnn_vi_ros.learning.machine_training import scales_of
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.motion_logs import LogMotions
-from hnn_vi_ros.learning.motions import smoothed
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import scales_of
+from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard

@@ -12,10 +12,13 @@ from ensembles import OSCILLATOR
 from helpers import random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingError, StepFailure
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.learning import ensemble as ensembles, keeping, machine_train, train as training
-from hnn_vi_ros.learning.evaluate import numbers
-from hnn_vi_ros.learning.evaluation import Scores
-from hnn_vi_ros.learning.keeping import kept
+from hnn_vi_ros.learning import train as training
+from hnn_vi_ros.learning.fit import keeping
+from hnn_vi_ros.learning.fit.keeping import kept
+from hnn_vi_ros.learning.fit.loop import Fit
+from hnn_vi_ros.learning.judging import ensemble as ensembles
+from hnn_vi_ros.learning.judging.evaluation import numbers, Scores
+from hnn_vi_ros.learning.tasks import field, machine
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import complete_checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.model_card import Box, PredictionError
@@ -55,13 +58,14 @@ def test_ensemble_that_cannot_be_calibrated_is_kept_and_says_so(
     assert 'their spread was not calibrated (none: ' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(('name', 'problem', 'kind', 'message'), [
-    ('judge_energy', ModelError('no energy'), DataError, 'no energy; the model is trained, and'),
-    ('write_report', OSError(errno.ENOSPC, 'No space left on device', 'm.loss.png'),
+@pytest.mark.parametrize(('module', 'name', 'problem', 'kind', 'message'), [
+    (field, 'judge_energy', ModelError('no energy'), DataError,
+     'no energy; the model is trained, and'),
+    (training, 'write_report', OSError(errno.ENOSPC, 'No space left on device', 'm.loss.png'),
      RecordingError, 'm.loss.png: cannot be written: No space left on device; the model is')])
 def test_model_whose_evaluation_fails_is_kept(
-        tmp_path: Path, words: list, monkeypatch, name: str, problem, kind, message: str):
-    monkeypatch.setattr(training, name, failing(problem))
+        tmp_path: Path, words: list, monkeypatch, module, name: str, problem, kind, message: str):
+    monkeypatch.setattr(module, name, failing(problem))
     with pytest.raises(kind, match=message) as caught:
         main(words)
     assert str(tmp_path / 'm.safetensors') in str(caught.value)
@@ -76,7 +80,7 @@ def test_machine_whose_evaluation_fails_is_kept(tmp_path: Path, monkeypatch, mor
     (tmp_path / 'belt.yaml').write_text(dump_yaml(BELT | {
         'data': {'kind': 'arrays', 'q': 'q', 'v': 'v'},
         'loss': {'kind': 'forward', 'steps': 1, 'lbfgs_steps': 0}}))
-    monkeypatch.setattr(machine_train, 'with_energy_error', failing(
+    monkeypatch.setattr(machine, 'with_energy_error', failing(
         StepFailure('not finite', 0.1, 0.01, 1.0, 20)))
     out = tmp_path / 'm.safetensors'
     with pytest.raises(DataError, match='step failed .* the model is trained, and is in'):
@@ -88,14 +92,14 @@ def test_machine_whose_evaluation_fails_is_kept(tmp_path: Path, monkeypatch, mor
 @pytest.mark.parametrize('problem', [DataError('training diverged'), KeyboardInterrupt()])
 def test_members_trained_before_one_that_fails_are_kept(
         tmp_path: Path, words: list, monkeypatch, capsys, problem):
-    real, calls = training.train, []
+    real, calls = Fit.run, []
 
     def second_fails(*arguments, **more):
         calls.append(arguments)
         if len(calls) == 2:
             raise problem
         return real(*arguments, **more)
-    monkeypatch.setattr(training, 'train', second_fails)
+    monkeypatch.setattr(Fit, 'run', second_fails)
     with pytest.raises(type(problem)):
         main([*words, '--ensemble', '3'])
     file = tmp_path / 'm.member1.safetensors'

@@ -9,13 +9,13 @@ from helpers import random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.choices import (
-    DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import Scales, Trainable
+from hnn_vi_ros.learning.families.choices import (
+    DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
 from hnn_vi_ros.learning.families.dgnet import DGNet
 from hnn_vi_ros.learning.families.vin import VIN
-from hnn_vi_ros.learning.losses import LOSSES
+from hnn_vi_ros.learning.fit.field import LOSSES
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.models.variational import VariationalHamiltonian

@@ -9,16 +9,16 @@ from hnn_vi_ros import load_scene, simulate_spread
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import evaluate
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_ensemble import kept_and_held, resampled_blocks
-from hnn_vi_ros.learning.motions import Motion, smoothed
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.judging.ensemble import kept_and_held, resampled_blocks
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 import numpy as np
 import pytest
 
 
-def swing(seconds: float, name: str = 'run') -> Motion:
+def swing(seconds: float, name: str = 'run') -> Run:
     t = 0.01 * np.arange(round(seconds / 0.01))
     q = np.sin(3.0 * t)[:, None]
     return smoothed(name, t, q, 3.0 * np.cos(3.0 * t)[:, None], 0.0 * q, 40.0)

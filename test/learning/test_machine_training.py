@@ -9,18 +9,19 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.evaluation import constant_velocity, score
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.runs import Run, smoothed, train_and_test
+from hnn_vi_ros.learning.families.choices import combination
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.plain_network import PlainNetwork
 from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import (
+    acceleration_loss, balanced_step, discrete_loss, MachineProblem, mean_forces, runge_kutta,
+    samples_of, scales_of)
 from hnn_vi_ros.learning.identify import _arrays
-from hnn_vi_ros.learning.machine_config import combination, MachineConfig
-from hnn_vi_ros.learning.machine_losses import (
-    acceleration_loss, balanced_step, discrete_loss, mean_forces, runge_kutta, samples_of)
-from hnn_vi_ros.learning.machine_train import describe, fix_scale
-from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
+from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
+from hnn_vi_ros.learning.tasks.machine import describe, fix_scale
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -37,7 +38,7 @@ CONFIG = {
 }
 
 
-def random_motions(d: int, seed: int = 0) -> list[Motion]:
+def random_motions(d: int, seed: int = 0) -> list[Run]:
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(60)
     rates = rng.uniform(1.0, 5.0, (3, d))
@@ -128,7 +129,7 @@ def test_runge_kutta_converges_with_order_4():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
 
 
-def driven_pendulum(seed: int, seconds: float = 12.0) -> Motion:
+def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
     """Return a pendulum with Coulomb friction under random forces, every 10 ms."""
     simulation = Simulation(
         HAMILTONIANS['pendulum'](), INTEGRATORS['implicit_midpoint'](), 0.01, [0.5], [0.0],
@@ -163,7 +164,7 @@ def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
     scales = scales_of(train)
     network = MechanicalNetwork(config.structure(), config.hidden, scales, config.seed)
-    losses = fit(network, config, train)
+    losses = MachineProblem(network, config, train).fit()
     assert losses.keys() == ({'forward', 'windows_0.2'} if loss['kind'] == 'trajectory' else
                              {loss['kind'], f'{loss["kind"]}_lbfgs'})
     learned = score(predicted_by(network), test, [0.5], 0.25, 1.0)
@@ -192,7 +193,7 @@ def test_lbfgs_on_accelerations_takes_as_many_steps_as_it_is_given(kind, option,
             'loss': {'kind': kind, 'steps' if kind == 'forward' else 'forward_steps': 50,
                      option: steps, **at_end}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
-        losses = fit(network, config, motions)
+        losses = MachineProblem(network, config, motions).fit()
         assert ('forward_lbfgs' in losses) == (steps > 0)
         samples = samples_of(motions, None)
         with torch.no_grad():
@@ -215,7 +216,7 @@ def test_what_lbfgs_is_judged_by_is_held_back_from_adam():
         network = MechanicalNetwork(config.structure(), [4], scales_of(motions), 0)
         asked, whole = [], network.accelerations
         network.accelerations = lambda q, *others: (asked.append(q.detach()), whole(q, *others))[1]
-        losses = fit(network, config, motions)
+        losses = MachineProblem(network, config, motions).fit()
         assert 'forward_lbfgs' in losses and np.isfinite([*losses.values()]).all()
         q = torch.tensor(motions[0].q_smooth)
         by_adam = torch.unique(torch.cat(asked[:20]))
@@ -228,7 +229,7 @@ def eccentric(q: np.ndarray) -> np.ndarray:
     return 0.3 + 0.2 * np.cos(q)
 
 
-def motion_of_an_eccentric_pendulum(seed: int) -> Motion:
+def motion_of_an_eccentric_pendulum(seed: int) -> Run:
     rng = np.random.default_rng(seed)
     h, n = 0.01, 800
     amplitude, phase = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
@@ -254,7 +255,7 @@ def test_friction_that_depends_on_the_angle_is_learned():
         'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}})
     train = [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)]
     network = MechanicalNetwork(config.structure(), config.hidden, scales_of(train), config.seed)
-    fit(network, config, train)
+    MachineProblem(network, config, train).fit()
     q = torch.linspace(-2.0, 2.0, 9, dtype=torch.float64)[:, None]
     with torch.no_grad():
         friction = network.friction(q, torch.ones_like(q)).numpy()
@@ -429,7 +430,7 @@ def test_late_samples_are_put_on_even_times(tmp_path):
 
 def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():
     motions = random_motions(1) + random_motions(1, 1)
-    train, test = split_motions(motions, [])
+    train, test = train_and_test(motions, [])
     assert [len(motion.t) for motion in (*train, *test)] == [48, 48, 12, 12]
     assert test[0].t[0] == motions[0].t[48]
 
@@ -455,7 +456,7 @@ def test_plain_network_learns_what_it_is_compared_by():
     before = network.accelerations(q, v, tau)
     # To rounding.
     assert (network.accelerations(q + 2.0 * np.pi, v, tau) - before).abs().max() < 1e-12
-    fit(network, config, train)
+    MachineProblem(network, config, train).fit()
     found, still = (score(what, test, [0.5], 0.25, 1.0).horizons[0.5]
                     for what in (predicted_by(network), constant_velocity))
     assert found < 0.2 * still
@@ -470,7 +471,7 @@ def test_stage_may_have_a_rate_of_its_own():
             'windows': [{'duration': 0.02, 'steps': 2, 'learning_rate': rate}]}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
         first = torch.nn.utils.parameters_to_vector(network.parameters()).detach().clone()
-        fit(network, config, motions)
+        MachineProblem(network, config, motions).fit()
         after = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
         moved.append(float((after - first).abs().max()))
     # Adam moves no number by more than about its rate in a step: first one of 0.01, then two of

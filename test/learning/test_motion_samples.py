@@ -3,13 +3,13 @@
 """Samples whose times or numbers are wrong cost no more than themselves, and all are told of."""
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.machine_training import scales_of
-from hnn_vi_ros.learning.motion_arrays import ArraysData
-from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
-from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.motion_samples import increasing, unexplained, unwound
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, MotionData
+from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.runs import (
+    even_runs, increasing, MeasuredRun, RunData, unexplained, unwound)
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
+from hnn_vi_ros.learning.fit.machine import scales_of
 import numpy as np
 import pytest
 from test_bag_data import array, write
@@ -18,7 +18,7 @@ from test_motion_sources import driver, LOG, Q, read, state, T, TAU, V
 
 def motions(t=T, q=Q, v=V, tau=TAU, a=None, **changes) -> tuple:
     run = MeasuredRun('run', 'log: run', t, q, v, tau, a=a)
-    return as_motions([run], MotionData(**changes), 'log', 'digest')
+    return even_runs([run], RunData(**changes), 'log', 'digest')
 
 
 def test_most_samples_are_kept_whose_times_increase():

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.motion_arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
-from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
-from hnn_vi_ros.learning.motion_sources import guessed, read_motions
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
+from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.sources import guessed, read_motions
+from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
+from hnn_vi_ros.learning.fit.config import MachineConfig
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message

@@ -7,12 +7,13 @@ from dataclasses import replace
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.evaluation import momentum
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.machine_config import MachineConfig, Trajectory
-from hnn_vi_ros.learning.machine_train import learn
-from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.learning.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.judging.evaluation import momentum
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ FRICTION = 0.05
 SHARE = 0.02
 
 
-def motions(*, driven: bool = True, noise: float = 0.0) -> list[Motion]:
+def motions(*, driven: bool = True, noise: float = 0.0) -> list[Run]:
     """Return motions of a double pendulum with friction, every 10 ms, from three states."""
     effects = [EFFECTS['external_force'](['angle1', 'angle2'], timeout=100.0)] if driven else []
     effects += [EFFECTS['dry_friction'](name, 0.2, 0.05) for name in ('angle1', 'angle2')]

@@ -9,15 +9,12 @@ import time
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.learning.body_config import load_body
-from hnn_vi_ros.learning.choices import HNNChoice
-from hnn_vi_ros.learning.config import find_config, load_config
 from hnn_vi_ros.learning.families.base import Scales
+from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
-from hnn_vi_ros.learning.losses import mean_square, nonlinearity
-from hnn_vi_ros.learning.machine_config import load_machine
-from hnn_vi_ros.learning.machine_train import own_family
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.perceptron import Perceptron
+from hnn_vi_ros.learning.fit.config import find_config, load_config
+from hnn_vi_ros.learning.fit.field import mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -201,7 +198,7 @@ def test_existing_files_are_never_overwritten(tmp_path):
     (['--config', 'none'], 'shipped: air_track, '),
     (['--config', 'none.yaml'], 'none.yaml: no such file; give the path of a training '
      'configuration, or the name of a shipped one: air_track, '),
-    (['--config', 'air_track'], 'data.path is empty; pass the log with --data FILE, which is '
+    (['--config', 'air_track'], 'data.path is empty; pass the file with --data FILE, which is '
      'real_linear_h_1.txt of the supplement of Schmidt and Lipson'),
     (['--config', 'air_track', '--data', 'none.txt'], 'none.txt: no such data file'),
     (['--config', 'harmonic_oscillator', '--data', 'log.txt'], 'its data is exact'),
@@ -231,8 +228,7 @@ def test_diverging_training_gives_data_error(tmp_path):
 @pytest.mark.parametrize('name', shipped_names('training'))
 def test_shipped_training_configuration_is_valid(name):
     path = find_config(name)
-    load = {'': load_config, 'lie_group': load_body}.get(own_family(path), load_machine)
-    assert load(path)
+    assert load_config(path).family.kind
 
 
 @given(start=st.integers(0, len(TINY)), length=st.integers(0, 20),

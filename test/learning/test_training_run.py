@@ -2,24 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training runs: stopped and gone on with, ended early, judged, reported, on other devices."""
 
-import io
 from pathlib import Path
 import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning.config import load_config, TrainingConfig
-from hnn_vi_ros.learning.dataset import Dataset
-from hnn_vi_ros.learning.interruption import Interrupted, Keeper
-from hnn_vi_ros.learning.loop import INTERVAL, Loop
-from hnn_vi_ros.learning.problem import TrainingProblem
-from hnn_vi_ros.learning.sources import make_dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.sources import make_dataset
+from hnn_vi_ros.learning.fit.config import FieldConfig, load_config
+from hnn_vi_ros.learning.fit.field import FieldProblem
+from hnn_vi_ros.learning.fit.keeping import Interrupted, Keeper
+from hnn_vi_ros.learning.fit.loop import Fit, INTERVAL, LossHistory
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 import numpy as np
 import pytest
 import torch
-from tqdm import tqdm
 
 TINY = """
 coordinates: [{name: x, q_unit: m, p_unit: kg m/s}]
@@ -41,17 +39,24 @@ def tiny(folder: Path, text: str = TINY) -> Path:
     return path
 
 
-def prepared(path: Path) -> tuple[TrainingConfig, Dataset]:
+def prepared(path: Path) -> tuple[FieldConfig, Dataset]:
     config = load_config(path)
     return config, make_dataset(config.data, config.seed, path)
 
 
-def silent() -> tqdm:
-    return tqdm(disable=True, file=io.StringIO())
+def keeper_of(path: Path, config: FieldConfig, dataset: Dataset) -> Keeper:
+    arrays = [part for part in vars(dataset).values() if isinstance(part, np.ndarray)]
+    return Keeper(path, config, arrays, 'cpu')
 
 
-def weights_of(problem: TrainingProblem) -> bytes:
-    return b''.join(part.detach().numpy().tobytes() for part in problem.family.parameters())
+def trained(problem: FieldProblem) -> LossHistory:
+    fit = Fit(problem)
+    fit.run()
+    return fit.history
+
+
+def weights_of(problem: FieldProblem) -> bytes:
+    return b''.join(part.detach().numpy().tobytes() for part in problem.module.parameters())
 
 
 # In the first steps of Adam and of L-BFGS, and when L-BFGS has a history.
@@ -59,22 +64,23 @@ def weights_of(problem: TrainingProblem) -> bytes:
 @pytest.mark.parametrize('patience', ['', 'patience: 3\n'])
 def test_training_resumed_from_its_file_is_bit_identical(tmp_path, stop, patience):
     config, dataset = prepared(tiny(tmp_path, TINY + patience))
-    whole = TrainingProblem(config, dataset)
-    history = Loop(whole, config).run(silent())
-    keeper = Keeper(tmp_path / 'm.training', config, dataset, 'cpu')
+    whole = FieldProblem(config, dataset)
+    history = trained(whole)
+    keeper = keeper_of(tmp_path / 'm.training', config, dataset)
 
-    def pause(loop: Loop) -> None:
-        if loop.step == stop:
+    def pause(fit: Fit) -> None:
+        if fit.step == stop:
             keeper._stopping = True
-        keeper(loop)
+        keeper(fit)
 
     with pytest.raises(Interrupted, match=f'stopped at step {stop}, .*--resume'):
-        Loop(TrainingProblem(config, dataset), config).run(silent(), pause)
-    resumed = TrainingProblem(config, dataset)
-    loop = Loop(resumed, config)
-    Keeper(tmp_path / 'm.training', config, dataset, 'cpu').load(loop)
-    assert loop.step == stop
-    assert loop.run(silent()) == history
+        Fit(FieldProblem(config, dataset)).run(pause)
+    resumed = FieldProblem(config, dataset)
+    fit = Fit(resumed)
+    keeper_of(tmp_path / 'm.training', config, dataset).load(fit)
+    assert fit.step == stop
+    fit.run()
+    assert fit.history == history
     assert weights_of(resumed) == weights_of(whole)
 
 
@@ -82,9 +88,9 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
         tmp_path, monkeypatch, capsys):
     arguments = ['--config', str(tiny(tmp_path)), '--out']
     main([*arguments, str(tmp_path / 'whole.safetensors')])
-    look, looks = TrainingProblem.validation_loss, []
+    look, looks = FieldProblem.validation_loss, []
 
-    def interrupted(problem: TrainingProblem) -> float:
+    def interrupted(problem: FieldProblem) -> float:
         looks.append(problem)
         if len(looks) == 5:
             signal.raise_signal(signal.SIGINT)
@@ -92,7 +98,7 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
 
     out = str(tmp_path / 'm.safetensors')
     with monkeypatch.context() as context:
-        context.setattr(TrainingProblem, 'validation_loss', interrupted)
+        context.setattr(FieldProblem, 'validation_loss', interrupted)
         with pytest.raises(Interrupted, match='stopped at step .*m.training.*--resume'):
             main([*arguments, out])
     assert not (tmp_path / 'm.safetensors').exists()
@@ -115,10 +121,10 @@ def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
     with pytest.raises(ParameterError, match='m.training cannot be read; remove it'):
         main(arguments)
     config, dataset = prepared(path)
-    keeper = Keeper(tmp_path / 'm.training', config, dataset, 'cpu')
+    keeper = keeper_of(tmp_path / 'm.training', config, dataset)
     keeper._stopping = True
     with pytest.raises(Interrupted):
-        keeper(Loop(TrainingProblem(config, dataset), config))
+        keeper(Fit(FieldProblem(config, dataset)))
     with pytest.raises(ParameterError, match='of another configuration, other data'):
         main([*arguments, '--seed', '7'])
 
@@ -128,15 +134,15 @@ def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_p
     text = TINY.replace('noise: 0.0', 'noise: 0.3').replace('[8, 5]', '[40]').replace(
         'lbfgs_steps: 80', 'lbfgs_steps: 800')
     config, dataset = prepared(tiny(tmp_path, text + 'patience: 3\n'))
-    problem = TrainingProblem(config, dataset)
-    history = Loop(problem, config).run(silent())
+    problem = FieldProblem(config, dataset)
+    history = trained(problem)
     assert history.train_step[-1] < 860
     assert problem.validation_loss() == min(history.validation)
     assert history.validation[history.validation_step.index(history.best_step)] \
         == min(history.validation)
     config, _ = prepared(tiny(tmp_path, text))
-    through = TrainingProblem(config, dataset)
-    Loop(through, config).run(silent())
+    through = FieldProblem(config, dataset)
+    trained(through)
     assert problem.validation_loss() < through.validation_loss()
 
 

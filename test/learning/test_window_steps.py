@@ -7,16 +7,15 @@ from types import SimpleNamespace
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning import window_steps
+from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.families.linearised import Linearised
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.structure import Structure
-from hnn_vi_ros.learning.machine_config import MachineConfig
-from hnn_vi_ros.learning.machine_losses import Samples, samples_of, window_loss, Windows
-from hnn_vi_ros.learning.machine_train import describe
-from hnn_vi_ros.learning.machine_training import scales_of
-from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.learning.window_steps import METHODS, simulated, Solutions
+from hnn_vi_ros.learning.fit import steps as window_steps
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows
+from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
+from hnn_vi_ros.learning.tasks.machine import describe
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -35,7 +34,7 @@ STRUCTURES = {
 }
 
 
-def motion_of(d: int) -> Motion:
+def motion_of(d: int) -> Run:
     rates = np.random.default_rng(0).uniform(1.0, 5.0, (2, d))
     t = H * np.arange(60)[:, None]
     return smoothed('random', t[:, 0], np.sin(rates[0] * t), rates[0] * np.cos(rates[0] * t),

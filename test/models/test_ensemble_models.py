@@ -8,6 +8,7 @@ from pathlib import Path
 from ensembles import ensemble
 from helpers import random_checkpoint
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.commands import scene_tool
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.files.yaml_text import dump_yaml
@@ -15,7 +16,6 @@ from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.model_card import EnsembleCard, ModelCard
 from hnn_vi_ros.run.members import Members
-from hnn_vi_ros.studies import scene_tool
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -120,7 +120,7 @@ def test_ensemble_of_ensembles_is_refused():
 
 def test_what_takes_the_networks_of_one_model_refuses_a_mean_and_names_members(model: Path):
     torch = pytest.importorskip('torch', reason='torch is not installed')
-    from hnn_vi_ros.learning.weights import with_weights
+    from hnn_vi_ros.learning.families.weights import with_weights
     from hnn_vi_ros.lockstep.gradient import make_gradient
     mean = load_learned(model)
     with pytest.raises(UnsupportedSystem, match='member: K in hamiltonian'):

@@ -13,7 +13,7 @@ from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.learning.choices import FamilyChoice
+from hnn_vi_ros.learning.families.choices import FieldFamily
 from hnn_vi_ros.models import families
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
@@ -71,7 +71,7 @@ def test_row_of_a_family_names_what_is_compiled_and_what_is_trained(family: str)
 
 
 def test_every_family_that_a_configuration_can_name_has_a_row():
-    kinds = TypeAdapter(FamilyChoice).json_schema()['discriminator']['mapping']
+    kinds = TypeAdapter(FieldFamily).json_schema()['discriminator']['mapping']
     assert kinds.keys() <= families.FAMILIES.keys()
 
 

@@ -6,12 +6,11 @@ import json
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.learning.config import find_config
-from hnn_vi_ros.learning.machine_config import load_machine
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.studies.machine_tables import CASES, NETWORKS
 import numpy as np
 import pytest
+from studies.machine_tables import CASES, NETWORKS
 
 ROOT = Path(__file__).resolve().parents[2]
 # The case of each in the tables, the licence of its data, and where it hangs.

@@ -12,8 +12,8 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.learning.config import find_config, load_config
-from hnn_vi_ros.learning.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned

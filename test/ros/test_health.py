@@ -32,7 +32,6 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.studies.hard_cases_plan import load_plan
 import numpy as np
 from peer import hearing
 from processes import finish, read_bag, start
@@ -40,6 +39,7 @@ import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rerun.chunk import RrdReader
 from std_msgs.msg import Float64
+from studies.hard_cases_plan import load_plan
 
 TOPIC = '/diagnostics'
 BOX = (np.array([[-1.0, 1.0]]), np.array([[-1.0, 1.0]]))

@@ -8,6 +8,7 @@ from pathlib import Path
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.bag_metadata import qos_profiles
 from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.commands.scene_tool import check
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros import rerun_bridge
@@ -15,7 +16,6 @@ from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.run.scene_report import resolved_scene
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.studies.scene_tool import check
 from hypothesis import given, HealthCheck, settings, strategies
 import pytest
 import rclpy

@@ -3,6 +3,7 @@
 """Events of scenes: what their conditions may be, and that each is found, once and in time."""
 
 from helpers import kepler_orbit, Uncompiled
+from hnn_vi_ros.commands.scene_tool import explain
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -13,7 +14,6 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.scene.conditions import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
-from hnn_vi_ros.studies.scene_tool import explain
 import numpy as np
 import pytest
 

@@ -5,12 +5,12 @@
 from pathlib import Path
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.learning.config import find_config
+from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.train import main as train
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.studies import bag_to_model as study
 import pytest
 from ros.recorded import record_run
+from studies import bag_to_model as study
 
 
 @pytest.fixture

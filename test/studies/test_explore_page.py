@@ -9,9 +9,9 @@ import shutil
 import subprocess
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.studies import explore_page
-from hnn_vi_ros.studies.results import read_rows
 import pytest
+from studies import explore_page
+from studies.results import read_rows
 
 DOCS = Path(__file__).parents[2] / 'docs' / 'accuracy'
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
@@ -40,7 +40,7 @@ def test_lines_of_one_group_have_marks_of_their_own():
 
 
 def test_missing_rows_are_one_line(tmp_path):
-    with pytest.raises(ParameterError, match='not there or damaged.*work_precision --all'):
+    with pytest.raises(ParameterError, match='not there or damaged.*make accuracy'):
         explore_page.page_data(tmp_path)
 
 

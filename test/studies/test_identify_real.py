@@ -5,11 +5,11 @@
 from dataclasses import replace
 
 import hnn_vi_ros
+from hnn_vi_ros.learning.data.runs import smoothed
 from hnn_vi_ros.learning.identify_numbers import free_scene
-from hnn_vi_ros.learning.motions import smoothed
-from hnn_vi_ros.studies.identify_real import CASES, motions_of, predicted, scene_of
 import numpy as np
 import pytest
+from studies.identify_real import CASES, motions_of, predicted, scene_of
 
 
 @pytest.mark.parametrize('name', ['dfki', 'double'])

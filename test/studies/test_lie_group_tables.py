@@ -8,10 +8,10 @@ from shutil import copy
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.studies import lie_group_tables
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from studies import lie_group_tables
 
 MODEL = Path('resource/models/turning_pendulum.safetensors')
 

@@ -5,17 +5,17 @@
 import json
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning import rigid_body
-from hnn_vi_ros.learning.motions import Motion, smoothed
-from hnn_vi_ros.studies import machine_tables, published_tables, simulated_arm
-from hnn_vi_ros.studies.machine_tables import (
-    CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
-    RUNS, valid_times, WITH_PRIOR)
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.inertias import rigid_body
 import numpy as np
 import pytest
+from studies import machine_tables, published_tables, simulated_arm
+from studies.machine_tables import (
+    CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
+    RUNS, valid_times, WITH_PRIOR)
 
 
-def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Motion:
+def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Run:
     t = spacing * np.arange(n)
     q = np.stack([np.sin(t), np.cos(2.0 * t)], axis=-1)
     return smoothed(name, t, q, np.stack([np.cos(t), -2.0 * np.sin(2.0 * t)], axis=-1),

@@ -4,9 +4,9 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.studies import paper_figures
 import numpy as np
 from PIL import Image
+from studies import paper_figures
 
 COMMITTED = Path(__file__).parents[2] / 'docs' / 'paper_figures.csv'
 

@@ -4,15 +4,15 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.studies import published_pendulum, published_tables
-from hnn_vi_ros.studies.published_data import NOISE, PENDULUM, Plane, SPRING, TWO_BODY
-from hnn_vi_ros.studies.published_measures import (
-    exact_loss, field_error, least_loss, orbit_errors, published_loss)
-from hnn_vi_ros.studies.published_models import Model
-from hnn_vi_ros.studies.published_page import PUBLISHED, read_results, ResultTable, verdict
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from studies import published_pendulum, published_tables
+from studies.published_data import NOISE, PENDULUM, Plane, SPRING, TWO_BODY
+from studies.published_measures import (
+    exact_loss, field_error, least_loss, orbit_errors, published_loss)
+from studies.published_models import Model
+from studies.published_page import PUBLISHED, read_results, ResultTable, verdict
 
 DOCS = Path(__file__).parents[2] / 'docs'
 

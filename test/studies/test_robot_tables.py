@@ -6,12 +6,12 @@ import json
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
-from hnn_vi_ros.studies import rigid_body_coverage, robot_tables
-from hnn_vi_ros.studies.published_page import _robots_table, ROBOTS
-from hnn_vi_ros.studies.robot_tables import (
-    DFKI_URDF, MODELS, read_runs, ROBOTS_MEASURED, rows_of, two_runs)
 import numpy as np
 import pytest
+from studies import rigid_body_coverage, robot_tables
+from studies.published_page import robot_rows, ROBOTS
+from studies.robot_tables import (
+    DFKI_URDF, MODELS, read_runs, ROBOTS_MEASURED, rows_of, two_runs)
 
 UR10, MEASURE = 'real UR10', ROBOTS_MEASURED['real UR10'].chosen_by
 
@@ -31,8 +31,8 @@ def test_networks_are_chosen_by_data_that_the_table_does_not_show(tmp_path):
     # None is chosen before all were measured.
     assert not any(row['chosen'] for row in rows_of(runs[1:]))
     (tmp_path / ROBOTS).write_text(json.dumps(rows))
-    lines = list(_robots_table(tmp_path / ROBOTS))
-    assert len(lines) == 5 and lines[3].endswith('| 0.2 0.2 0.2 0.2 0.2 0.2 | 1 | yes |')
+    cells = list(robot_rows(tmp_path / ROBOTS))
+    assert len(cells) == 3 and cells[1][-3:] == ['0.2 0.2 0.2 0.2 0.2 0.2', '1', 'yes']
 
 
 @pytest.mark.parametrize('text', ['[', '[{"robot": "no"}]', '[{"model": "rigid_body"}]', '3'])

@@ -2,17 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated arm: that its messages are those of a robot, and how long one is followed."""
 
-from hnn_vi_ros.learning.config import find_config
-from hnn_vi_ros.learning.energy_account import balance
-from hnn_vi_ros.learning.machine_config import load_machine
-from hnn_vi_ros.learning.machine_training import split_motions
-from hnn_vi_ros.learning.motion_sources import read_motions
-from hnn_vi_ros.learning.motions import smoothed
-from hnn_vi_ros.studies import simulated_arm
-from hnn_vi_ros.studies.simulated_arm import (
-    followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm)
+from hnn_vi_ros.learning.data.runs import smoothed, train_and_test
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.config import find_config, load_machine
+from hnn_vi_ros.learning.judging.energy_account import balance
 import numpy as np
 import pytest
+from studies import simulated_arm
+from studies.simulated_arm import (
+    followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm)
 
 
 def test_messages_are_late_lost_and_quantised_and_obey_the_arm(tmp_path, monkeypatch):
@@ -29,7 +27,7 @@ def test_messages_are_late_lost_and_quantised_and_obey_the_arm(tmp_path, monkeyp
     assert np.std(intervals[intervals < 0.006]) == pytest.approx(0.0004 * 2**0.5, rel=0.05)
     config = load_machine(find_config('two_link_arm_chirps'))
     motions, _ = read_motions(file, config.data, JOINTS, [str(file)])
-    train, test = split_motions(motions, config.data.test_runs)
+    train, test = train_and_test(motions, config.data.test_runs)
     assert (len(train), len(test)) == (6, 4)
     # What motors and friction do is what the energy of the arm changes by.
     arm, effects = the_arm()

@@ -8,10 +8,10 @@ from ensembles import mechanisms, scaled, together
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.studies.uncertainty import acceleration_spread, accelerations, coverage, detection
 from mechanical_models import random_mechanical
 import numpy as np
 import pytest
+from studies.uncertainty import acceleration_spread, accelerations, coverage, detection
 
 
 def test_error_of_a_coverage_is_that_of_independent_motions():

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ class Scales:
     q_rate, p_rate : np.ndarray
         Root mean square of dq/dt and of dp/dt.
     command : np.ndarray, shape (m,)
-        Root mean square of the commands, of which there may be none.
+        Root mean square of the commands, if there are any.
 
     """
 
@@ -42,7 +42,7 @@ class Scales:
 
     @classmethod
     def of(cls, dataset: Dataset) -> 'Scales':
-        """Return those of some data."""
+        """Return the scales of data."""
         parts = dataset.q, dataset.p, dataset.dq_dt
         centres = [0.5 * (part.min(axis=0) + part.max(axis=0)) for part in parts]
         halves = [0.5 * np.ptp(part, axis=0) for part in parts]
@@ -71,7 +71,7 @@ class Scales:
 
 
 class Trainable(torch.nn.Module, ABC):
-    """A model that is trained; its losses ask for what is below or what a subclass adds."""
+    """A model that is trained; its losses call the methods below and those of a subclass."""
 
     @abstractmethod
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
@@ -89,7 +89,7 @@ class Trainable(torch.nn.Module, ABC):
 
     def preference(self, *inputs: torch.Tensor) -> torch.Tensor | None:
         """
-        Return what a family adds to its loss, to choose where the data leave it open.
+        Return a term that a family adds to its loss, to choose where the data leave it open.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class Trainable(torch.nn.Module, ABC):
         return None
 
     def constants(self) -> dict[str, Any]:
-        """Return what else of the model card this family has learned."""
+        """Return further learned entries of the model card."""
         return {}
 
     def momenta(self, dataset: Dataset) -> np.ndarray:
@@ -122,14 +122,14 @@ class EnergyFamily(Trainable):
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
         """
-        Return (dq/dt, dp/dt), shape (N, 2 d): (H_p, -H_q), with what a family adds.
+        Return (dq/dt, dp/dt), shape (N, 2 d): (H_p, -H_q), with the terms of a family.
 
         Parameters
         ----------
         z : torch.Tensor, shape (N, 2 d)
             States (q, p).
         commands : torch.Tensor, shape (N, m), optional
-            What was commanded there, of no effect in most families.
+            The commands there, without effect in most families.
 
         """
         dH_dq, dH_dp = self.gradient(z).chunk(2, dim=1)

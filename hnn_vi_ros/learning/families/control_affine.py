@@ -3,9 +3,9 @@
 """The control-affine network: mass matrix, potential and input map."""
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.choices import ControlAffineChoice
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import ControlAffineChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

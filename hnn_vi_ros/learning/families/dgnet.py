@@ -4,9 +4,9 @@
 
 from typing import Any
 
-from hnn_vi_ros.learning.choices import DGNetChoice
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import DGNetChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
@@ -61,7 +61,7 @@ class DGNet(EnergyFamily):
 
     def discrete_field(self, z0: torch.Tensor, z1: torch.Tensor) -> torch.Tensor:
         """
-        Return what (z1 - z0) / h is to be: (D_p, -D_q - gamma (p0 + p1) / 2), shape (N, 2 d).
+        Return (D_p, -D_q - gamma (p0 + p1) / 2), which (z1 - z0) / h must equal, shape (N, 2 d).
 
         D is the discrete gradient of H between the states; see the integrator DiscreteGradient.
         """

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dissipative Hamiltonian neural network."""
 
-from hnn_vi_ros.learning.choices import DissipativeHNNChoice
 from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, Scales
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import DissipativeHNNChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Hamiltonian neural network."""
 
-from hnn_vi_ros.learning.choices import HNNChoice
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import HNNChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

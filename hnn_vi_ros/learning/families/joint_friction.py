@@ -5,16 +5,15 @@
 from collections.abc import Sequence
 import math
 
-from hnn_vi_ros.learning.families.seen import Seen
-from hnn_vi_ros.learning.families.structure import MotionScales, Structure
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.perceptron import Perceptron
+from hnn_vi_ros.learning.families.structure import Features, MotionScales, Structure
 from hnn_vi_ros.models.mechanical_card import CoulombTerm, FrictionCard, StribeckTerm
 import numpy as np
 import torch
 
 # Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
 _NARROWEST, _WIDEST = 0.003, 1.0
-# Least friction beside networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
+# The least friction next to networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
 _LEAST = -5.0
 # The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
 _FIRST_ROOT = 0.2
@@ -25,7 +24,7 @@ class JointFriction(torch.nn.Module):
     b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + D(q) v, with D = B B^T.
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
-    semidefinite whatever they are, and all of it takes energy.
+    semidefinite for any outputs, and all friction dissipates energy.
 
     Parameters
     ----------
@@ -69,10 +68,10 @@ class JointFriction(torch.nn.Module):
         place = np.zeros((len(rows), d * d))
         place[np.arange(len(rows)), rows * d + columns] = 1.0
         self.register_buffer('place', torch.tensor(place), persistent=False)
-        self.seen = Seen(self.structure.kinds, features)
+        self.features = Features(self.structure.kinds, features)
         root = np.sqrt(self.viscous_unit.numpy())[rows]
         self.network = Perceptron(
-            hidden if features else [1], *self.seen.units(scales), root, seed)
+            hidden if features else [1], *self.features.units(scales), root, seed)
         with torch.no_grad():
             # Not zero, where the slope of B B^T would be none.
             self.network.linears[-1].weight.mul_(0.1)
@@ -90,7 +89,7 @@ class JointFriction(torch.nn.Module):
     def roots(self, q: torch.Tensor) -> torch.Tensor:
         """Return B, shape (N, d, d), of D = B B^T, at q of shape (N, d)."""
         d = q.shape[1]
-        return (self.network(self.seen(q)[0]) @ self.place).reshape(-1, d, d)
+        return (self.network(self.features(q)[0]) @ self.place).reshape(-1, d, d)
 
     def forward(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """Return the friction that is taken from tau, all of shape (N, d)."""
@@ -120,7 +119,7 @@ class JointFriction(torch.nn.Module):
             if found else v[:, :, None][:, :, :0]
 
     def raise_to_least(self) -> None:
-        """Let no coefficient be zero: it would have no slope, and stay there."""
+        """Clamp coefficients away from zero, where the gradient vanishes."""
         with torch.no_grad():
             for raw in (self.raw_viscous, self.raw_force):
                 raw.clamp_(min=_LEAST)

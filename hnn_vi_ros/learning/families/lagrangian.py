@@ -4,10 +4,10 @@
 
 from typing import Any
 
-from hnn_vi_ros.learning.choices import LagrangianChoice
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import gradient, Scales, Trainable
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import LagrangianChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
@@ -56,7 +56,7 @@ class LagrangianNetwork(Trainable):
         self.network = Perceptron(
             hidden, centre, half, np.array([np.mean(mass * acceleration * scales.q_half)]), seed)
         with torch.no_grad():
-            # What is not learned yet shall not make L_vv singular.
+            # An untrained network must not make L_vv singular.
             self.network.linears[-1].weight.mul_(0.1)
         # The inner half of the box: its corners may be far from any data.
         box = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, len(centre)))
@@ -96,7 +96,7 @@ class LagrangianNetwork(Trainable):
 
     @property
     def factor(self) -> float:
-        """Return what L is multiplied by so that the mean of (L_vv)_11 is what it shall be."""
+        """Return the factor of L that gives the mean of (L_vv)_11 its value."""
         d = len(self.mass)
         return self.first_mass / float(self.derivatives(self.samples)[1][:, 0, d].mean().detach())
 
@@ -109,7 +109,7 @@ class LagrangianNetwork(Trainable):
             mass, missing = rows[0].chunk(2, dim=1)[1], p0 / factor - slope[0].chunk(2)[1]
             v0 = (v0 + torch.linalg.solve(mass, missing)).detach()
         x0 = torch.cat([q0, v0])
-        # H = p . v - L there: N is what makes up for the rest.
+        # H = p . v - L there; the constant of N supplies the rest.
         value = float(p0 @ v0 - 0.5 * factor * (self.mass * v0) @ v0) - energy0
         weights, biases = self.network.layers()
         layers = Layers((*weights[:-1], factor * weights[-1]), biases)

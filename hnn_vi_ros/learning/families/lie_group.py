@@ -5,14 +5,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hnn_vi_ros.learning.network import Perceptron
-from hnn_vi_ros.learning.window_steps import newton
+from hnn_vi_ros.learning.families.newton import newton
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np
 import torch
 
-# Of the networks of M and of B, how much they depend on the pose; log(1 + exp(0.54)) is 1.
+# At first the networks of M and of B depend this much on the pose; log(1 + exp(0.54)) is 1.
 _FIRST, _UNIT_ROOT = 0.1, 0.54
 
 
@@ -74,25 +74,25 @@ class LieGroupNetwork(torch.nn.Module):
                 ('velocity_unit', scales.velocity), ('momentum_unit', scales.momentum),
                 ('scale', card.mass_scale), ('place', place), ('on_diagonal', rows == columns)):
             self.register_buffer(name, torch.tensor(np.array(values)), persistent=False)
-        self.rows, self.columns = rows.tolist(), columns.tolist()
+        self.rows, self.entry_columns = rows.tolist(), columns.tolist()
         still = np.concatenate([scales.half == 0.0, np.zeros(k, dtype=bool)])
         centre = np.concatenate([scales.centre, np.zeros(k)])
         unit = np.concatenate([scales.half, scales.momentum])
         unit[still] = 1.0
-        self.seen = {name: card.columns(getattr(card, f'{name}_depends_on'))
-                     for name in card.networks}
+        self.features = {name: card.columns(getattr(card, f'{name}_depends_on'))
+                         for name in card.networks}
         outputs = {
             'mass': np.ones(len(entries)), 'potential': np.array([float(scales.force.mean())])}
         damping = scales.force / scales.velocity
         outputs['dissipation'] = np.sqrt(damping[rows])
         if scales.input_map is not None and scales.input_size is not None:
             outputs['input_map'] = np.outer(scales.force, 1.0 / scales.input_size).ravel()
-        for i, (name, at) in enumerate(self.seen.items()):
+        for i, (name, at) in enumerate(self.features.items()):
             network = Perceptron(hidden if at else [1], centre[at] if at else np.zeros(1),
                                  unit[at] if at else np.ones(1), outputs[name], seed + i)
             self.add_module(name, network)
             if at:
-                # Of what never changed nothing is known, and nothing will be learned.
+                # The data say nothing of inputs that never change, so these get no weight.
                 network.linears[0].weight.data[:, still[at]] = 0.0
             if name != 'potential':
                 self._begin(network, name, scales.input_map)
@@ -140,21 +140,14 @@ class LieGroupNetwork(torch.nn.Module):
 
     def outputs(self, name: str, z: torch.Tensor) -> torch.Tensor:
         """Return the outputs of a network at (x, R, pi), a row for each; one row if constant."""
-        at = self.seen[name]
+        at = self.features[name]
         return getattr(self, name)(z[:, at] if at else z.new_zeros((1, 1)))
 
     def slope(self, name: str, z: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Return the derivative of the sum of weights times outputs by z, of its shape."""
-        at = self.seen[name]
-        network, layers = getattr(self, name), []
-        a = (z[:, at] - network.centre) / network.scale
-        for linear in network.linears[:-1]:
-            a = torch.tanh(linear(a))
-            layers.append(a)
-        c = (weights * network.output_scale) @ network.linears[-1].weight
-        for linear, a in zip(network.linears[-2::-1], layers[::-1], strict=True):
-            c = (c * (1.0 - a.square())) @ linear.weight
-        return torch.zeros_like(z).index_copy(1, torch.tensor(at), c / network.scale)
+        at = self.features[name]
+        return torch.zeros_like(z).index_copy(
+            1, torch.tensor(at), getattr(self, name).gradient(z[:, at], weights))
 
     def roots(self, name: str, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return outputs, (N, e), and the lower triangular matrix, (N, k, k), that they make."""
@@ -183,7 +176,7 @@ class LieGroupNetwork(torch.nn.Module):
         """Return the force B u in the frame of the body, shape (N, k), or None without inputs."""
         if not u.shape[1]:
             return None
-        if 'input_map' not in self.seen:
+        if 'input_map' not in self.features:
             return u
         z = torch.cat([x, R.reshape(-1, 9)], dim=1)
         B = self.outputs('input_map', z).reshape(-1, self.k, u.shape[1])
@@ -191,7 +184,7 @@ class LieGroupNetwork(torch.nn.Module):
 
     def layers(self) -> dict[str, Layers]:
         """Return the networks for the model file."""
-        return {name: getattr(self, name).layers() for name in self.seen}
+        return {name: getattr(self, name).layers() for name in self.features}
 
     def multiply(self, factor: float) -> 'LieGroupCard':
         """Multiply masses, V, D and B by a number, which changes no motion; return the card."""
@@ -199,7 +192,7 @@ class LieGroupNetwork(torch.nn.Module):
             self.scale.mul_(factor**-0.5)
             self.potential.output_scale.mul_(factor)
             for name, share in (('dissipation', factor**0.5), ('input_map', factor)):
-                if name in self.seen:
+                if name in self.features:
                     getattr(self, name).output_scale.mul_(share)
         self.card = self.card.model_copy(update={'mass_scale': self.scale.tolist()})
         return self.card
@@ -212,7 +205,7 @@ class HeldBody:
     Parameters
     ----------
     network : LieGroupNetwork
-        What it has learned.
+        The network of the body.
     x, R, u : torch.Tensor, shapes (N, k - 3), (N, 3, 3), (N, m)
         Its place, attitude and input.
 
@@ -265,10 +258,10 @@ class HeldBody:
         v, c = self.body_rates(pi)
         own, B_u, D = self._at_pose()
         c = own if c is None else c
-        if network.seen['mass']:
+        if network.features['mass']:
             u = network.scale * pi
             w = (u[:, None, :] @ self._L)[:, 0]
-            a = u[:, network.rows] * w[:, network.columns]
+            a = u[:, network.rows] * w[:, network.entry_columns]
             if network.card.diagonal == 'softplus':
                 a = torch.where(network.on_diagonal, a * torch.sigmoid(self._y), a)
             c = c + network.slope('mass', self._z, a)
@@ -288,7 +281,7 @@ class HeldBody:
             structured = 'momentum' not in network.card.potential_depends_on
             own = network.slope('potential', z, z.new_ones((len(z), 1))) if structured else z
             D = None
-            if 'dissipation' in network.seen:
+            if 'dissipation' in network.features:
                 root = network.roots('dissipation', z)[1]
                 D = root @ root.transpose(1, 2)
             self._known = own, network.inputs(self._x, self._R, self._u), D

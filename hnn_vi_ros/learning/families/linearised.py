@@ -15,8 +15,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
-from hnn_vi_ros.learning.families.seen import Seen
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.perceptron import Perceptron
+from hnn_vi_ros.learning.families.structure import Features
 import torch
 
 
@@ -97,13 +97,13 @@ def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: t
 
 def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     """
-    Return what the networks make of M and V, without friction.
+    Return p and F of the networks' M and V, without friction.
 
     The kinetic energy T(q, v) = |L^T S v|^2 / 2 has p = T_v and F = T_q - V_q, so that F_v is
     the transpose of p_q.
     """
     S, on_diagonal = network.root_inertia, network.on_diagonal
-    inputs, layers = _layers(network.mass, network.mass_seen, q)
+    inputs, layers = _layers(network.mass, network.mass_features, q)
     last, scale = network.mass.linears[-1], network.mass.output_scale
     y = scale * last(layers[-1].a)
     y_rates = scale * ((layers[-1].slope * layers[-1].rates) @ last.weight.T)
@@ -113,27 +113,27 @@ def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     w = L.transpose(1, 2) @ u
     # The derivatives of T by the entries of L.
     by_entries = (u * w.transpose(1, 2)).flatten(1) @ network.place.T
-    T_f, T_ff = _curvature(network.mass, network.mass_seen, inputs, layers, by_entries * rise)
+    T_f, T_ff = _curvature(network.mass, network.mass_features, inputs, layers, by_entries * rise)
     L_rates = ((rise * y_rates) @ network.place).unflatten(2, L.shape[1:])
     w_rates = L_rates.transpose(2, 3) @ u
     bend = torch.where(on_diagonal, share * (1.0 - share), 0.0) * by_entries
     T_ff = (T_ff + _products(bend * y_rates, y_rates)
             + _products(w_rates[..., 0], w_rates[..., 0]))
-    G, at = network.mass_seen.features, network.potential_seen.features
+    G, at = network.mass_features.features, network.potential_features.features
     p_q = S[:, None] * ((L @ w_rates + L_rates @ w)[..., 0].permute(1, 2, 0) @ G)
-    V_f, V_ff = _curvature(network.potential, network.potential_seen, *_layers(
-        network.potential, network.potential_seen, q), torch.ones_like(q[:1, :1]))
+    V_f, V_ff = _curvature(network.potential, network.potential_features, *_layers(
+        network.potential, network.potential_features, q), torch.ones_like(q[:1, :1]))
     M = S[:, None] * (L @ L.transpose(1, 2) + network.floor * network.identity) * S
     return Linearised((M @ v[:, :, None])[:, :, 0], T_f @ G - V_f @ at, M, p_q,
                       G.T @ T_ff @ G - at.T @ V_ff @ at, p_q.transpose(1, 2))
 
 
-def _layers(network: Perceptron, seen: Seen, q: torch.Tensor
+def _layers(network: Perceptron, features: Features, q: torch.Tensor
             ) -> tuple[tuple[torch.Tensor, torch.Tensor], list[Layer]]:
     """Return the inputs with their derivatives by their rows, and the hidden layers."""
-    inputs = seen(q)
+    inputs = features(q)
     a = (inputs[0] - network.centre) / network.scale
-    tangents = inputs[1] / network.scale * seen.of_feature[:, None, :]
+    tangents = inputs[1] / network.scale * features.of_feature[:, None, :]
     layers: list[Layer] = []
     for linear in network.linears[:-1]:
         if layers:
@@ -143,7 +143,7 @@ def _layers(network: Perceptron, seen: Seen, q: torch.Tensor
     return inputs, layers
 
 
-def _curvature(network: Perceptron, seen: Seen, inputs: tuple[torch.Tensor, torch.Tensor],
+def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tensor, torch.Tensor],
                layers: list[Layer], weights: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the derivatives by features, (N, m) and (N, m, m), of weighted outputs (N, k)."""
@@ -154,10 +154,10 @@ def _curvature(network: Perceptron, seen: Seen, inputs: tuple[torch.Tensor, torc
         curved = curved + _products(-2.0 * a * back * rates, rates)
         back = back @ linear.weight
     back, (x, slope) = back / network.scale, inputs
-    own = seen.of_feature.T.to(x.dtype)
-    # What turns is a sine, of which the second derivative is its negative.
+    own = features.of_feature.T.to(x.dtype)
+    # The second derivative of a sine is its negative.
     return (back * slope) @ own, curved + torch.diag_embed(
-        (torch.where(seen.periodic, -x, 0.0) * back) @ own)
+        (torch.where(features.periodic, -x, 0.0) * back) @ own)
 
 
 def _products(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

@@ -5,14 +5,12 @@
 from collections.abc import Sequence
 import math
 
-from hnn_vi_ros.learning.families.exact_prior import ExactPrior
 from hnn_vi_ros.learning.families.joint_friction import JointFriction
 from hnn_vi_ros.learning.families.linearised import Linearised, linearised
-from hnn_vi_ros.learning.families.planar_chain import PlanarChain
+from hnn_vi_ros.learning.families.perceptron import Perceptron
+from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain
 from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.families.seen import Seen
-from hnn_vi_ros.learning.families.structure import MotionScales, Structure
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.structure import Features, MotionScales, Structure
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
 from hnn_vi_ros.models.planar_chain import CHAINS
@@ -26,7 +24,7 @@ _FLOOR = 1e-3
 # beside a prior count as large at this share of its inertias, and of the forces they make.
 _ADDED, _LARGE = 0.1, 0.05
 
-# Of a symmetric matrix of 2 x 2, whose entries stand one after another.
+# Maps the entries of a symmetric 2 x 2 matrix, one after another, to those of its adjugate.
 _ADJUGATE = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0],
                       [1.0, 0.0, 0.0, 0.0]])
 
@@ -36,12 +34,12 @@ class MechanicalNetwork(torch.nn.Module):
     M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = A tau, in float64.
 
     M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and ``friction``
-    are those of MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
+    are as in MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
 
     Parameters
     ----------
     structure : Structure
-        What the networks see.
+        The structure of the networks.
     hidden : sequence of int
         Widths of the hidden layers of each.
     scales : MotionScales
@@ -73,18 +71,18 @@ class MechanicalNetwork(torch.nn.Module):
                 ('place', place), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
                 ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
-        self.mass_seen = Seen(structure.kinds, structure.mass_features)
-        self.potential_seen = Seen(structure.kinds, structure.features)
+        self.mass_features = Features(structure.kinds, structure.mass_features)
+        self.potential_features = Features(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
         self.mass = Perceptron(
-            mass_hidden, *self.mass_seen.units(scales), np.ones(len(rows)), seed)
+            mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed)
         with torch.no_grad():
             # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
             self.mass.linears[-1].weight.mul_(0.1)
             self.mass.linears[-1].bias.copy_(0.54 * self.on_diagonal)
         energy = float(np.mean(scales.inertia * scales.a))
-        self.potential = Perceptron(hidden, *self.potential_seen.units(scales),
+        self.potential = Perceptron(hidden, *self.potential_features.units(scales),
                                     np.array([energy]), seed + 1)
         self._leave_out_networks(structure.left_out if structure.residual else _NETWORKS)
 
@@ -100,7 +98,7 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of one that has no networks; those of this one begin small."""
+        """Take prior and friction of a network without residual; begin with small networks."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
@@ -115,7 +113,7 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.01)
         if isinstance(self.prior, RigidTree):
-            # What was identified stays what it is, with its errors.
+            # The identified parameters stay fixed, with their errors.
             self.prior.requires_grad_(False)
             self.prior.identification = rigid.prior.identification
 
@@ -127,7 +125,7 @@ class MechanicalNetwork(torch.nn.Module):
         return torch.where(turns, math.pi * share, centre + half * share)
 
     def residual_size(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the mean square of what networks add to M, V_q and D, at q of shape (N, d)."""
+        """Return the mean square of the networks' parts of M, V_q and D, at q of shape (N, d)."""
         L = self._factor(q)
         inertia = self.root_inertia.square() / _ADDED
         force = self._potential_slope(q)
@@ -141,8 +139,9 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
-        x, slope = self.mass_seen(q)
-        y, tangents = _with_tangents(self.mass, x, slope[:, None, :] * self.mass_seen.of_feature)
+        x, slope = self.mass_features(q)
+        y, tangents = _with_tangents(
+            self.mass, x, slope[:, None, :] * self.mass_features.of_feature)
         rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
         return self.positive(y), rises[:, None, :] * tangents
 
@@ -151,9 +150,9 @@ class MechanicalNetwork(torch.nn.Module):
         return torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
 
     def _potential_slope(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the derivatives by q of what the network adds to V, both of shape (N, d)."""
-        x, slope = self.potential_seen(q)
-        return (slope * _slope(self.potential, x)) @ self.potential_seen.rows
+        """Return the derivatives by q of the network's part of V, both of shape (N, d)."""
+        x, slope = self.potential_features(q)
+        return (slope * self.potential.gradient(x)) @ self.potential_features.rows
 
     def masses(self, q: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
@@ -162,7 +161,7 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _factor(self, q: torch.Tensor) -> torch.Tensor:
         """Return L, shape (N, d, d)."""
-        return self.matrix(self.positive(self.mass(self.mass_seen(q)[0])))
+        return self.matrix(self.positive(self.mass(self.mass_features(q)[0])))
 
     def matrix(self, entries: torch.Tensor) -> torch.Tensor:
         """Return lower triangular matrices, shape (N, d, d), of entries (N, k)."""
@@ -201,7 +200,7 @@ class MechanicalNetwork(torch.nn.Module):
         return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
 
     def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return what networks beside a prior add to those forces, of shape (N, d)."""
+        """Return the part of networks in those forces, in addition to a prior, of shape (N, d)."""
         assert self.prior is not None
         friction, values = self.friction, self.prior.values()
         rigid = ((self.prior.mass(q, values) @ a[:, :, None])[:, :, 0]
@@ -226,7 +225,7 @@ class MechanicalNetwork(torch.nn.Module):
         return p, rest
 
     def linearised(self, q: torch.Tensor, v: torch.Tensor) -> Linearised:
-        """Return what momenta does, with its derivatives, not recorded."""
+        """Return the result of ``momenta`` with its derivatives, not recorded."""
         with torch.no_grad():
             return linearised(self, q, v)
 
@@ -240,7 +239,7 @@ class MechanicalNetwork(torch.nn.Module):
     def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
         L, slopes, u, w, rest = self._parts(q, v)
-        by_time = ((v @ self.mass_seen.features.T)[:, :, None] * slopes).sum(dim=1)
+        by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
         L_dot = self.matrix(by_time)
         inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
         needed, values = inertial - rest / self.root_inertia, None
@@ -265,7 +264,7 @@ class MechanicalNetwork(torch.nn.Module):
         w = L.transpose(1, 2) @ u
         # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
-        inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_seen.features
+        inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_features.features
         return L, slopes, u, w, inertial - self._potential_slope(q) - self.friction(q, v)
 
     def _solve(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
@@ -291,7 +290,7 @@ class MechanicalNetwork(torch.nn.Module):
     def networks(self) -> dict[str, Layers]:
         """Return the networks for the model file; V is zero in the middle of the data."""
         centre = torch.tensor(self.scales.q_centre)[None]
-        x0 = self.potential_seen(centre)[0][0].numpy()
+        x0 = self.potential_features(centre)[0][0].numpy()
         found = {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
         return found if self.structure.friction_features is None else \
             found | {'friction': self.friction.network.layers()}
@@ -307,7 +306,7 @@ class MechanicalNetwork(torch.nn.Module):
             friction_features=structure.friction_features, input_map=motors)
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
-        """Return what else of the model card is known, for momenta in this unit."""
+        """Return the entry of the model card, for momenta in this unit."""
         return self._card(self.friction.card(), self.root_inertia.numpy(),
                           self._prior_card(p_unit))
 
@@ -338,16 +337,3 @@ def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor
         tangents = (1.0 - a.square())[:, None, :] * (tangents @ linear.weight.T)
     scale = network.output_scale
     return scale * last(a), scale * (tangents @ last.weight.T)
-
-
-def _slope(network: Perceptron, x: torch.Tensor) -> torch.Tensor:
-    """Return the gradient, shape (N, n), of a network of one output, by one backward pass."""
-    a, activations = (x - network.centre) / network.scale, []
-    *hidden, last = network.linears
-    for linear in hidden:
-        a = torch.tanh(linear(a))
-        activations.append(a)
-    g = network.output_scale[0] * last.weight
-    for linear, a in zip(hidden[::-1], activations[::-1], strict=True):
-        g = ((1.0 - a.square()) * g) @ linear.weight
-    return g / network.scale

@@ -1,10 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot of rigid bodies in torch: what is fitted of it."""
+"""A robot of rigid bodies in torch, by unknowns that can be fitted."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from hnn_vi_ros.learning.families.priors import Prior
 from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
 from hnn_vi_ros.models.rigid_body_card import (
     EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
@@ -14,7 +15,7 @@ import torch
 # Bodies that weigh nothing have no logarithm: least mass, as a share of all, and least radius of
 # gyration [m], of what a fit begins with.
 _LEAST_MASS, _LEAST_RADIUS = 1e-4, 0.01
-# Of the moments about the origin, xx, xy, yy, xz, yz, zz.
+# The indices of the moments about the origin, xx, xy, yy, xz, yz, zz.
 _ROWS, _COLUMNS = np.tril_indices(3)
 
 
@@ -38,9 +39,9 @@ class Swept(NamedTuple):
     pull: torch.Tensor
 
 
-class RigidTree(torch.nn.Module):
+class RigidTree(Prior):
     """
-    M and V of a tree of bodies, for inertias that are those of some body, whatever is fitted.
+    M and V of a tree of bodies, by unknowns for which all inertias are physically consistent.
 
     The pseudo-inertia of each is U0 U(x) U(x)^T U0^T, that of the URDF being U0 U0^T and
 
@@ -67,8 +68,6 @@ class RigidTree(torch.nn.Module):
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 5.
 
     """
-
-    linear = False
 
     def __init__(self, tree: TreeCard, values: np.ndarray):
         super().__init__()
@@ -113,12 +112,12 @@ class RigidTree(torch.nn.Module):
                           about[:, _ROWS, _COLUMNS]], dim=1)
 
     def quantities(self, p_unit: str) -> dict[str, Quantity]:
-        """Return the parameters with their units, which are those of SI."""
+        """Return the parameters with their SI units."""
         return {name: Quantity(value=value, unit=unit) for (name, unit), value in zip(
             self.tree.units.items(), self.values().tolist(), strict=True)}
 
     def card(self, alone: bool) -> PriorCard:
-        """Return what the model card holds of it."""
+        """Return its entry in the model card."""
         return PriorCard(kind=RIGID_BODY, parameters=self.quantities(''), tree=self.tree,
                          alone=alone, identification=self.identification)
 
@@ -167,11 +166,6 @@ class RigidTree(torch.nn.Module):
         J = self.sweep(q, torch.zeros_like(q)).jacobian
         return ((J.transpose(2, 3) @ self._inertias(values) @ J).sum(dim=1)
                 + torch.diag(self._by_joint(values, 0)))
-
-    def forces(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """Return (M v)' at held v - (v . M v)_q / 2 + V_q, shape (N, d)."""
-        turned, slope = self.slopes(q, v, values)
-        return turned - slope
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -234,7 +228,7 @@ def _across(a: np.ndarray) -> np.ndarray:
 
 
 def _seen_from(turn: torch.Tensor, origin: torch.Tensor, motions: torch.Tensor) -> torch.Tensor:
-    """Return motions of a parent, shape (N, 6, d), as those of what is fixed to it there."""
+    """Return motions of a parent, shape (N, 6, d), in a frame that is fixed to it."""
     angular, linear = motions[:, :3], motions[:, 3:]
     moved = linear + torch.linalg.cross(angular, origin[:, :, None].expand_as(angular), dim=1)
     back = turn.transpose(1, 2)

@@ -1,12 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Structure of a network of a machine: what it sees, and how large its motions are."""
+"""Structure of a network of a machine: its features, and the scales of its motions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+import math
 
-from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.mechanical_card import is_periodic, Kind
 from hnn_vi_ros.models.rigid_body_card import TreeCard
 import numpy as np
+import torch
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,11 @@ class Structure:
     coulomb, stribeck : int
         How many terms -c tanh(v / w), and how many that end with speed.
     prior : str, optional
-        The parametric system whose M and V those of the networks are added to.
+        The parametric system to whose M and V the networks are added.
     residual : bool
-        Whether there are networks beside it.
+        Whether there are networks in addition to it.
     friction_features : list of list of float, optional
-        What the network D of friction -D(q) v sees, in the same way; None for no such network.
+        The inputs of the network D of friction -D(q) v, in the same way; None for no network.
     tree : TreeCard, optional
         The bodies of a prior that is a robot.
     values : np.ndarray, shape (d, 12), optional
@@ -61,7 +64,7 @@ class Structure:
 @dataclass(frozen=True)
 class MotionScales:
     """
-    Scales of what the data hold, each array of shape (d,) unless it says otherwise.
+    Scales of the data, each array of shape (d,) unless stated otherwise.
 
     Parameters
     ----------
@@ -86,3 +89,56 @@ class MotionScales:
     inertia: np.ndarray
     command: np.ndarray
     input_map: np.ndarray | None = None
+
+
+class Features(torch.nn.Module):
+    """
+    The inputs G q, or sin(G q) and cos(G q) for rows that turn; one input 0 without any row.
+
+    Each input depends on one row of G alone: ``rows`` holds it for each input, ``features`` all
+    of them once, and ``of_feature`` which inputs depend on which.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Of the coordinates.
+    features : sequence of sequence of float
+        The rows of G.
+
+    """
+
+    def __init__(self, kinds: Sequence[Kind], features: Sequence[list[float]]):
+        super().__init__()
+        rows, phases, periodic, of_feature = [], [], list[bool](), []
+        for number, row in enumerate(features):
+            turns = is_periodic(kinds, row)
+            # The cosine is a sine that is a quarter of a turn ahead.
+            rows += [row, row] if turns else [row]
+            phases += [0.0, 0.5 * math.pi] if turns else [0.0]
+            periodic += [turns, turns] if turns else [turns]
+            of_feature += [number, number] if turns else [number]
+        if not features:
+            rows, phases, periodic, of_feature = [[0.0] * len(kinds)], [0.0], [False], [0]
+        self._turn = all(periodic)
+        for key, values in (
+                ('rows', rows), ('phase', phases), ('periodic', periodic),
+                ('features', features or rows),
+                ('of_feature', np.arange(len(features) or 1)[:, None] == of_feature)):
+            self.register_buffer(key, torch.tensor(
+                values, dtype=torch.bool if key == 'periodic' else torch.float64),
+                persistent=False)
+
+    def units(self, scales: MotionScales) -> tuple[np.ndarray, np.ndarray]:
+        """Return centre and scale of the inputs, each of shape (n,)."""
+        rows, periodic = self.rows.numpy(), self.periodic.numpy()
+        centre = np.where(periodic, 0.0, rows @ scales.q_centre)
+        half = np.where(periodic, 1.0, np.abs(rows) @ scales.q_half)
+        return centre, np.where(half > 0.0, half, 1.0)
+
+    def forward(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the inputs and their derivatives by their rows, (N, n), at q of (N, d)."""
+        y = torch.addmm(self.phase, q, self.rows.T)
+        if self._turn:
+            return torch.sin(y), torch.cos(y)
+        return (torch.where(self.periodic, torch.sin(y), y),
+                torch.where(self.periodic, torch.cos(y), 1.0))

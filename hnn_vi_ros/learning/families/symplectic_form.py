@@ -5,9 +5,9 @@
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.choices import SymplecticFormChoice
 from hnn_vi_ros.learning.families.base import gradient, Scales, Trainable
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import SymplecticFormChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
 import numpy as np
@@ -39,7 +39,7 @@ class SymplecticForm(Trainable):
     hidden : list of int
         Widths of the hidden layers of both networks.
     scales : Scales
-        Of the data, p being whatever stands in its place.
+        Of the data, with the second half of the coordinates for p.
     seed : int
         Of the initial weights.
 
@@ -64,7 +64,7 @@ class SymplecticForm(Trainable):
         self.energy = Perceptron(
             hidden, scales.centre, scales.half, np.array([action * rate]), seed + 1)
         with torch.no_grad():
-            # What is not learned yet shall not make W singular.
+            # An untrained network must not make W singular.
             self.one_form.linears[-1].weight.mul_(0.1)
         box = np.random.default_rng(0).uniform(-1.0, 1.0, (_SAMPLES, len(scales.centre)))
         self.register_buffer('samples', torch.tensor(scales.centre + scales.half * box),
@@ -95,7 +95,7 @@ class SymplecticForm(Trainable):
     @property
     def factor(self) -> float:
         """
-        Return what theta and H are multiplied by so that the mean mass is what it shall be.
+        Return the factor of theta and H that gives the mean mass its value.
 
         Raises
         ------

@@ -4,10 +4,10 @@
 
 from typing import Any
 
-from hnn_vi_ros.learning.choices import VINChoice
-from hnn_vi_ros.learning.dataset import Dataset
+from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, Scales
-from hnn_vi_ros.learning.network import Perceptron
+from hnn_vi_ros.learning.families.choices import VINChoice
+from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
@@ -71,7 +71,7 @@ class VIN(EnergyFamily):
         """Return V; see Trainable."""
         q0, p0 = np.split(z0, 2)
         kinetic = 0.5 * p0 @ np.linalg.solve(self.mass.detach().numpy(), p0)
-        return {'potential': self.potential.layers(q0, energy0 - kinetic)}
+        return {'potential': self.potential.layers(q0, float(energy0 - kinetic))}
 
     def constants(self) -> dict[str, Any]:
         """Return the mass matrix."""

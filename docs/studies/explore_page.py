@@ -1,0 +1,156 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page docs/accuracy/explore.html: the rows of every scene, to choose from, without a net."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.errors import ParameterError
+from studies.measuring import StudyRow
+from studies.results import read_rows, Results
+from studies.work_precision_figure import group_of, line_style, series_of
+
+EXPLORER, FLOORS = 'explore.html', 'floors.json'
+_REMEDY = 'measure with: make accuracy'
+_TEMPLATE = Path(__file__).parent / 'templates' / 'explore.html'
+# What plotly calls the markers of matplotlib.
+_SYMBOLS = {'o': 'circle', '<': 'triangle-left', '>': 'triangle-right', 'x': 'x-thin',
+            's': 'square', 'D': 'diamond', '^': 'triangle-up', 'p': 'pentagon',
+            'v': 'triangle-down', 'd': 'diamond-tall', 'X': 'x', 'P': 'cross', '*': 'star',
+            'h': 'hexagon'}
+_COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'seconds_per_simulated_second',
+            'gradients_per_simulated_second')
+
+
+def write_cards(folder: Path, cards: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Write the cards of scenes; other studies' scenes stay."""
+    path = folder / FLOORS
+    before = read_cards(folder) if path.is_file() else {}
+    path.write_text(json.dumps({**before, **cards}, indent=1) + '\n', encoding='utf-8')
+    return path
+
+
+def read_cards(folder: Path) -> dict[str, Any]:
+    """
+    Return the card of each scene, which ``write_cards`` wrote; see Results.card.
+
+    Raises
+    ------
+    ParameterError
+        It is not there, or damaged.
+
+    """
+    path = folder / FLOORS
+    try:
+        cards: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
+        for card in cards.values():
+            Results.read(card, [])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise ParameterError(f'{path}: not there or damaged ({problem}); {_REMEDY}') from problem
+    return cards
+
+
+def write_explorer(folder: Path) -> Path:
+    """
+    Write one page that holds plotly.js and every row, and needs nothing else.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the rows, SCENE.csv, and of ``FLOORS``; takes the page.
+
+    Raises
+    ------
+    ParameterError
+        The package plotly is not installed.
+
+    """
+    text = _TEMPLATE.read_text(encoding='utf-8')
+    # A '<' occurs in strings of the JSON only, where it could end the script that holds it.
+    data = json.dumps(page_data(folder), separators=(',', ':'), allow_nan=False)
+    parts = (('/*DATA*/', data.replace('<', '\\u003c')), ('/*PLOTLY*/', _plotly()))
+    for mark, part in parts:
+        before, _, after = text.partition(mark)
+        text = before + part + after
+    path = folder / EXPLORER
+    path.write_text(text, encoding='utf-8')
+    return path
+
+
+def page_data(folder: Path) -> dict[str, Any]:
+    """
+    Return what the page shows: rows by scene, and how each line is drawn.
+
+    Raises
+    ------
+    ParameterError
+        The folder holds no rows, or ``FLOORS`` cannot be read.
+
+    """
+    found = {scene: Results.read(card, rows_of(folder, scene))
+             for scene, card in read_cards(folder).items()}
+    rows = {scene: results.rows for scene, results in found.items()}
+    names = list(dict.fromkeys(row.method for entry in rows.values() for row in entry))
+    lines = list(dict.fromkeys(line for entry in rows.values() for line in series_of(entry)))
+    return {
+        'machine': ' and '.join(dict.fromkeys(
+            results.identity['machine'] for results in found.values())),
+        'commits': ', '.join(dict.fromkeys(
+            commit for results in found.values() for commit in results.commits)),
+        'count': sum(map(len, rows.values())),
+        'methods': [{'name': name, 'line': name.partition(' tolerance=')[0]} for name in names],
+        'lines': {name: _line_style(name) for name in lines},
+        'scenes': {scene: {
+            'horizons': {repr(horizon): {key: floor.as_json()[key]
+                                         for key in ('reference', 'path', 'energy')}
+                         for horizon, floor in found[scene].floors.items()
+                         if horizon in found[scene].shown},
+            'rows': [_as_list(row, names.index(row.method)) for row in entry]}
+            for scene, entry in rows.items()}}
+
+
+def rows_of(folder: Path, scene: str) -> list[StudyRow]:
+    """
+    Read the rows of a scene.
+
+    Raises
+    ------
+    ParameterError
+        They cannot be read.
+
+    """
+    path = folder / f'{scene}.csv'
+    try:
+        return read_rows(path)
+    except (OSError, ValueError) as problem:
+        raise ParameterError(f'{path}: cannot be read ({problem}); {_REMEDY}') from problem
+
+
+def _line_style(name: str) -> dict[str, str]:
+    style, group = line_style(name), group_of(name)
+    return {'color': style['color'],
+            'symbol': _SYMBOLS[style['marker']] + ('' if group == 'ours' else '-open'),
+            'dash': {'ours': 'solid', 'peers': 'dash', 'variants': 'dot'}[group],
+            'group': group}
+
+
+def _as_list(row: StudyRow, method: int) -> list[Any]:
+    return [method, *(_or_none(getattr(row, column)) for column in _COLUMNS), row.status]
+
+
+def _or_none(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _plotly() -> str:
+    """Return plotly.js, from where the package keeps it: importing it takes seconds."""
+    spec = find_spec('plotly')
+    if spec is None or not spec.submodule_search_locations:
+        raise ParameterError(f'{EXPLORER} needs the package plotly, which is not installed: '
+                             'pip install plotly')
+    script = Path(spec.submodule_search_locations[0]) / 'package_data' / 'plotly.min.js'
+    return script.read_text(encoding='utf-8')

@@ -1,0 +1,199 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The hard cases with effects: dissipation, a constraint, and the same bits twice."""
+
+from collections.abc import Callable
+from functools import lru_cache
+import io
+import math
+
+from hnn_vi_ros.accuracy.diagnostics import energy_band, rounding_walk
+from hnn_vi_ros.effects.damping import Damping
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+from studies.hard_cases_gates import Measured
+from studies.hard_cases_plan import Job
+from studies.hard_cases_run import blocks, FIRST, run_motion, scale_of, summarise
+
+# Limits: the rise of a damped system's energy from block to block, and the errors of a rod.
+RISE, LENGTH, RATE = 1e-9, 1e-10, 1e-9
+# Its energy is the exact one to round-off at the steps of case 12: halving them changes nothing.
+_EXACT = 'gauss16'
+# Times of a picture, each as many times the one before.
+_TIMES = 100
+_EPS = float(np.finfo(np.float64).eps)
+
+
+def run_job(job: Job) -> Measured:
+    """Run a job by the check of its case."""
+    return _CHECKS[job.case.check](job)
+
+
+def run_dissipation(job: Job) -> Measured:
+    """
+    Run a damped set-up: the largest H of a block is not above that of the block before.
+
+    Within a block, which holds many swings, H oscillates as the method's band does. With a rate
+    of zero, the run is bit-identical to the scene without the effect.
+    """
+    simulation, measured = _start(job)
+    start, peaks, energies = simulation.energy, [], []
+    balance = 0.0
+    try:
+        for q, p in blocks(job, simulation):
+            energy = simulation.hamiltonian.energy(q, p)
+            energies.append(energy)
+            peaks.append(float(energy.max()))
+            balance = max(balance, abs(simulation.energy_balance))
+            _note(measured, simulation, q, p)
+    except StepFailure as failure:
+        measured.failure = failure
+        return measured
+    rises = np.array(peaks[1:]) / np.array(peaks[:-1]) - 1.0
+    measured.band = balance
+    measured.measures = {'rise': float(max(rises.max(), 0.0)), 'left': peaks[-1] / start}
+    if measured.measures['rise'] > RISE:
+        measured.broken.append('energy rises')
+    if not _is_identical_without(job):
+        measured.broken.append('other bits with a rate of 0')
+    path = np.concatenate(energies)
+    measured.t, measured.error = _thinned(
+        job, np.abs(path - _exact_energies(_SetUp(job), path.size)))
+    return measured
+
+
+class _SetUp:
+    """Set-up of a job, the same for all methods: what the exact motion depends on."""
+
+    def __init__(self, job: Job):
+        self.job, self.key = job, (repr(job.set_up), job.steps)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _SetUp) and self.key == other.key
+
+
+@lru_cache(maxsize=2)
+def _exact_energies(set_up: _SetUp, samples: int) -> np.ndarray:
+    """Return H of the exact motion at the instants of a run, shape (samples,) [J]."""
+    job = set_up.job
+    hamiltonian, _, effects = job.parts()
+    simulation = Simulation(hamiltonian, INTEGRATORS[_EXACT](), job.set_up.step_size,
+                            job.set_up.q, job.set_up.p, effects)
+    return hamiltonian.energy(*simulation.record(samples, job.steps // samples))
+
+
+def _thinned(job: Job, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return times that grow geometrically [s], and the largest error since the one before."""
+    ends = np.unique(np.geomspace(1, len(errors), _TIMES).round().astype(int))
+    every = job.set_up.step_size * job.steps / len(errors)
+    return every * ends, np.maximum.reduceat(errors, np.concatenate([[0], ends[:-1]]))
+
+
+def _is_identical_without(job: Job, steps: int = 2000) -> bool:
+    """Return whether damping of rate zero is bit-identical to no damping."""
+    hamiltonian, integrator, _ = job.parts()
+    paths = []
+    for effects in ([], [Damping(0.0)]):
+        simulation = Simulation(hamiltonian, integrator, job.set_up.step_size, job.set_up.q,
+                                job.set_up.p, effects)
+        paths.append(np.hstack(simulation.record(steps, 1)))
+    return np.array_equal(*paths)
+
+
+def run_constraint(job: Job) -> Measured:
+    """Run a rod: its length and the rate of its length are looked at in every step."""
+    simulation, measured = _start(job)
+    rod = next(effect for effect in job.set_up.effects
+               if effect['kind'] == 'holonomic_constraint')
+    anchor, length = np.array(rod['anchor']), rod['length']
+    start, errors, broken = simulation.energy, [], []
+    scale = scale_of(simulation)
+    try:
+        for q, p in blocks(job, simulation):
+            _, velocity = simulation.hamiltonian.gradient(q, p)
+            rods = q - anchor
+            r = np.linalg.norm(rods, axis=1)
+            rates = np.sum(rods * velocity, axis=1) / r
+            broken.append(np.abs([r - length, rates]))
+            errors.append(simulation.hamiltonian.energy(q, p) - start)
+            _note(measured, simulation, q, p)
+    except StepFailure as failure:
+        measured.failure = failure
+        return measured
+    measured.rounding = rounding_walk(scale, simulation.steps)
+    summarise(np.concatenate(errors), measured)
+    lengths, rates = np.hstack(broken)
+    worst = lengths.max(), rates.max()
+    measured.measures = {'length': float(worst[0]), 'rate': float(worst[1])}
+    measured.broken += [f'{name} > {limit:g}' for name, value, limit in zip(
+        ('length', 'rate'), worst, (LENGTH, RATE), strict=True) if value > limit]
+    measured.t, measured.error = _thinned(job, np.maximum.accumulate(lengths))
+    measured.other = _thinned(job, np.maximum.accumulate(rates))[1]
+    return measured
+
+
+def run_repeatability(job: Job) -> Measured:
+    """Run twice, and once with a snapshot on disk midway that another simulation resumes."""
+    simulation, measured = _start(job)
+    start, half = simulation.energy, max(FIRST, job.steps // 2)
+    first, rest = simulation.record(half, 1), simulation.record(half, 1)
+    once = np.hstack([np.vstack(parts) for parts in zip(first, rest, strict=True)])
+    _note(measured, simulation, *rest)
+    again = np.hstack(job.simulation().record(2 * half, 1))
+    resumed = np.hstack(_resumed(job, half))
+    if not np.array_equal(once, again):
+        measured.broken.append('other bits when repeated')
+    if not np.array_equal(once[half:], resumed):
+        measured.broken.append('other bits when resumed')
+    d = simulation.hamiltonian.dimension
+    errors = simulation.hamiltonian.energy(once[:, :d], once[:, d:]) - start
+    if simulation.conservative:
+        measured.band = energy_band(errors)
+    apart = np.abs(again - once).max(axis=1)
+    apart[half:] = np.maximum(apart[half:], np.abs(resumed - once[half:]).max(axis=1))
+    measured.t, measured.error = _thinned(job, apart)
+    measured.other = _thinned(
+        job, np.abs(_neighbour(job, 2 * half) - once).max(axis=1))[1]
+    return measured
+
+
+def _neighbour(job: Job, steps: int) -> np.ndarray:
+    """Return the states of a run whose first coordinate starts one rounding error off."""
+    simulation = job.simulation()
+    q = np.array(job.set_up.q, dtype=float)
+    q[0] = np.nextafter(q[0], math.inf)
+    simulation.restart(q, job.set_up.p)
+    return np.hstack(simulation.record(steps, 1))
+
+
+def _resumed(job: Job, half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the second half of a run that is saved midway and resumed by another simulation."""
+    before, after, file = job.simulation(), job.simulation(), io.BytesIO()
+    before.record(half, 1)
+    np.savez(file, **before.snapshot())
+    file.seek(0)
+    with np.load(file) as snapshot:
+        after.restore(dict(snapshot))
+    return after.record(half, 1)
+
+
+def _start(job: Job) -> tuple[Simulation, Measured]:
+    simulation = job.simulation()
+    unknowns = simulation.integrator.unknowns(simulation.hamiltonian.dimension)
+    return simulation, Measured(
+        residual_limit=max(8, *unknowns) * _EPS if unknowns else math.nan)
+
+
+def _note(measured: Measured, simulation: Simulation, q: np.ndarray, p: np.ndarray) -> None:
+    measured.largest = max(measured.largest, float(np.abs([q, p]).max()))
+    measured.residual = max(measured.residual, simulation.residual)
+
+
+_CHECKS: dict[str, Callable[[Job], Measured]] = {
+    'motion': run_motion, 'dissipation': run_dissipation, 'constraint': run_constraint,
+    'repeatability': run_repeatability}

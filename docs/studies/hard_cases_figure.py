@@ -1,0 +1,136 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Picture of a hard case: its error over the run, mostly of the energy, one panel a set-up."""
+
+from collections.abc import Sequence
+import math
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+import numpy as np
+from studies.hard_cases_checks import LENGTH, RATE
+from studies.hard_cases_plan import Case
+from studies.hard_cases_results import CaseRow
+
+_OTHER = ('#555555', '*')
+_MARKS, _DPI, _COLUMNS = 6, 110, 2
+# Errors beyond this are drawn at it.
+_CEILING = 1e6
+_LABELS = {
+    'dissipation': 'abs(H - exact H) [J]',
+    'motion': 'largest abs(H - H0) of a block [J]',
+    'constraint': 'largest error until t:\nlength [m], its rate [m/s]',
+    'repeatability': 'largest difference of q or p [SI]',
+}
+# Checks with two curves: the legend of the second, dashed one, and the limits of both.
+_SECOND = {
+    'constraint': ('solid: length; dashed: its rate', (LENGTH, RATE)),
+    'repeatability': (
+        'solid: repeated, and resumed at half;\ndashed: begun one rounding error off', ()),
+}
+_LIMITS = ('limit of the length', 'limit of its rate')
+# Below this a difference is drawn on a linear axis, on which 0 has a place.
+_SMALLEST = 1e-16
+
+# The end of a run that stopped: no method's own marker.
+_STOPPED = 'stopped'
+_END: dict[str, Any] = {'marker': 'P', 'color': INK, 'markersize': 11.0, 'linestyle': ''}
+
+
+def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
+    """
+    Draw the errors of a case's rows into a PNG file.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    case : Case
+        Whose set-ups are the panels.
+    rows : sequence of CaseRow
+        All of this case.
+
+    """
+    panels = list(dict.fromkeys((row.hamiltonian, row.set_up) for row in rows))
+    columns = min(_COLUMNS, len(panels))
+    lines = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(6.2 * columns + 2.0, 3.1 * lines + 0.9), dpi=_DPI,
+                    facecolor='white', layout='constrained')
+    FigureCanvasAgg(figure)
+    figure.suptitle(f'Case {case.number}: {case.title}', fontsize=13, color=INK)
+    grid = np.atleast_1d(figure.subplots(lines, columns, squeeze=False)).ravel()
+    for ax in grid[len(panels):]:
+        ax.set_visible(False)
+    for ax, (hamiltonian, set_up) in zip(grid, panels, strict=False):
+        title = ', '.join(part for part in (f'{hamiltonian} H', set_up) if part)
+        _draw_panel(ax, case, title, [row for row in rows if (row.hamiltonian, row.set_up)
+                                      == (hamiltonian, set_up)])
+    handles = [_handle(method) for method in dict.fromkeys(row.method for row in rows)]
+    if any(row.verdict == _STOPPED for row in rows):
+        handles.append(Line2D([], [], label='stopped: a step failed', **_END))
+    title, _ = _SECOND.get(case.check, (None, ()))
+    legend = figure.legend(handles=handles, loc='outside right upper', frameon=False,
+                           fontsize=8.5, title=title, title_fontsize=8.5)
+    legend.set_alignment('left')
+    figure.savefig(path, dpi=_DPI)
+    return path
+
+
+def _style(method: str) -> dict[str, object]:
+    base, _, variant = method.partition('@')
+    color, marker = STYLES.get(base, _OTHER)
+    return {'color': color, 'marker': marker, 'markersize': 5.0, 'linewidth': 1.1,
+            'linestyle': ':' if variant else '-',
+            'markerfacecolor': 'white' if variant else color}
+
+
+def _handle(method: str) -> Line2D:
+    return Line2D([], [], label=method, **_style(method))
+
+
+def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> None:
+    ax.set_title(title, fontsize=10, color=INK)
+    ax.set(yscale='log', xlabel='t [s]', ylabel=_LABELS[case.check])
+    ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
+    ax.spines[['top', 'right']].set_visible(False)
+    ends = []
+    for k, row in enumerate(rows):
+        if not row.t:
+            continue
+        t, error = np.array(row.t), np.minimum(np.array(row.error), _CEILING)
+        if case.check != 'repeatability':
+            # No error at all has no place on a logarithmic axis.
+            error[error == 0.0] = math.nan
+        # Markers at other places on each line, so that lines on one another can be told apart.
+        step = max(1, t.size // _MARKS)
+        ax.plot(t, error, markevery=(k * step // max(len(rows), 1), step), **_style(row.method))
+        if row.other:
+            other = np.minimum(row.other, _CEILING)
+            other[(other == 0.0) & (case.check != 'repeatability')] = math.nan
+            ax.plot(t, other, **_style(row.method) | {
+                'linestyle': '--', 'marker': ''})
+        ends.append(float(t[-1]))
+        if row.verdict == _STOPPED:
+            ax.plot(t[-1], error[-1], **_END)
+    if not ends:
+        ax.text(0.5, 0.5, 'every run stopped at once', transform=ax.transAxes, ha='center',
+                color=FAINT)
+    elif case.check != 'motion' or max(ends) > 100.0 * min(ends):
+        ax.set_xscale('log')
+    if case.check == 'repeatability':
+        ax.set_yscale('symlog', linthresh=_SMALLEST)
+        ax.set_ylim(bottom=-0.5 * _SMALLEST)
+        ax.yaxis.get_major_locator().set_params(numticks=8)
+    for limit, name in zip(_SECOND.get(case.check, ('', ()))[1], _LIMITS, strict=False):
+        ax.axhline(limit, color=FAINT, linewidth=1.0, linestyle=':')
+        ax.annotate(name, (0.01, limit), xycoords=('axes fraction', 'data'), xytext=(0, 2),
+                    textcoords='offset points', fontsize=8, color=FAINT)
+    low, high = ax.get_ylim()
+    if case.check == 'motion' and high < 10.0 * low:
+        # Without a power of ten to stand at, the ticks of a logarithmic axis cannot be read.
+        ax.set_yscale('linear')

@@ -1,0 +1,139 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Report on the hard cases: Markdown, CSV and pictures, and the pages of the docs."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+import json
+import math
+from pathlib import Path
+import shutil
+from types import MappingProxyType
+from typing import Any
+
+from hnn_vi_ros.errors import ParameterError
+from studies.hard_cases_figure import draw_case
+from studies.hard_cases_plan import Case, load_plan
+from studies.hard_cases_results import (
+    CaseRow, CSV, differences, Expectation, expectations_file, Folder, FULL, Key,
+    load_expectations, read_csv)
+from studies.pages import render
+
+MARKDOWN = 'hard_cases.md'
+PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
+
+
+def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
+                 expected: Mapping[Key, Expectation]) -> list[Path]:
+    """
+    Write tables and pictures into the folder of a run; return the files.
+
+    Raises
+    ------
+    ParameterError
+        A file cannot be written.
+
+    """
+    try:
+        pictures = [draw_case(folder.path / _picture(case), case, _of(case, rows))
+                    for case in cases]
+        page = folder.path / MARKDOWN
+        page.write_text(render(MARKDOWN, cases=_parts(cases, rows, expected)), encoding='utf-8')
+        return [page, folder.write_csv(rows), *pictures]
+    except OSError as problem:
+        raise ParameterError(f'--out {folder.path}: cannot be written ({problem.strerror}); '
+                             'give a folder that can be written') from problem
+
+
+def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
+    """
+    Write the page of the docs, a page and a picture for each case, and the table.
+
+    Parameters
+    ----------
+    docs : Path
+        Folder of the page.
+    source : Folder
+        The one that ``write_report`` wrote to.
+    cases : sequence of Case
+        Those that were run.
+
+    Raises
+    ------
+    ParameterError
+        A file cannot be written.
+
+    """
+    folder = docs / PICTURES
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        copies = [Path(shutil.copyfile(source.path / name, folder / name))
+                  for name in (CSV, *map(_picture, cases))]
+        card = folder / CARD
+        card.write_text(json.dumps(source.identity, indent=1) + '\n', encoding='utf-8')
+        pages = pages_of(docs)
+        for path, text in pages.items():
+            path.write_text(text, encoding='utf-8')
+    except OSError as problem:
+        raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
+                             'folder that can be written') from problem
+    return [*pages, *copies, card]
+
+
+def pages_of(docs: Path) -> dict[Path, str]:
+    """Return the pages by their files, of the table that the docs hold."""
+    folder = docs / PICTURES
+    card = json.loads((folder / CARD).read_text(encoding='utf-8'))
+    rows = read_csv(folder / CSV)
+    expected = load_expectations(expectations_file(), card.get('run', FULL))
+    cases = [case for case in load_plan().cases if _of(case, rows)]
+    parts = _parts(cases, rows, expected, card.get('notes', {}))
+    return {docs / PAGE: render(PAGE, cases=parts, machine=card['machine'])} | {
+        docs / f'{part["page"]}.md': render('hard_case.md', at=part) for part in parts}
+
+
+def _picture(case: Case) -> str:
+    """Return the file name of a case's picture."""
+    return f'case_{case.number:02d}.png'
+
+
+def _of(case: Case, rows: Sequence[CaseRow]) -> list[CaseRow]:
+    return [row for row in rows if row.case == case.number]
+
+
+def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key, Expectation],
+           notes: Mapping[str, str] = MappingProxyType({})) -> list[dict[str, Any]]:
+    """Return what templates say of each case, with notes on some by their number."""
+    parts = []
+    for case in cases:
+        own = _of(case, rows)
+        counts = Counter(row.verdict for row in own)
+        parts.append({
+            'case': case, 'page': f'{PICTURES}/case_{case.number:02d}', 'picture': _picture(case),
+            'counts': [len(own), *(counts[word] for word in (
+                'stable', 'alarm', 'stopped', 'unstable'))],
+            'note': notes.get(str(case.number)), 'wrong': len(differences(own, dict(expected))),
+            'rows': [_cells(row, expected.get(row.key)) for row in own]})
+    return parts
+
+
+def _cells(row: CaseRow, expectation: Expectation | None) -> list[str]:
+    limits = expectation.limits if expectation is not None else {}
+
+    def limited(name: str, value: float) -> str:
+        if math.isnan(value):
+            return ''
+        return f'{value:.2g} ({limits[name]:g})' if name in limits else f'{value:.2g}'
+
+    other = '; '.join(f'{name} {limited(name, value)}' for name, value in row.measures.items())
+    verdict = row.verdict
+    if expectation is None or expectation.verdict != verdict:
+        verdict += f', expected {expectation.verdict if expectation else "nothing"}'
+    return [row.set_up, row.hamiltonian, row.method, f'{row.steps:.0e}'.replace('e+0', 'e'),
+            limited('band', row.band), _number(row.slope),
+            limited('modified band', row.modified_band), _number(row.residual), other, row.alarm,
+            row.failed, verdict]
+
+
+def _number(value: float) -> str:
+    return '' if math.isnan(value) else f'{value:.1g}'

@@ -1,0 +1,28 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pages of the documentation: their words are templates, their numbers come from the studies."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.models.energy_error import interval_text
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+# torch brings it, and so does the builder of the site.
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).with_name('templates')), undefined=StrictUndefined,
+    trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+_TEMPLATES.filters |= {
+    # A number of so many digits, by powers of ten where it is large or small, and always so.
+    'g': lambda value, digits=6: f'{value:.{digits}g}',
+    'e': lambda value, digits=1: f'{value:.{digits}e}',
+    'interval': interval_text,
+    # The lines of a table whose head is in the template.
+    'table': lambda rows: '\n'.join(f'| {" | ".join(row)} |' for row in rows)}
+_TEMPLATES.tests['known'] = lambda value: not math.isnan(value)
+
+
+def render(template: str, **values: Any) -> str:
+    """Return the text of a template, filled in; it ends in one line break."""
+    return _TEMPLATES.get_template(template).render(**values).rstrip('\n') + '\n'

@@ -1,0 +1,239 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page docs/learning.md: every number in its tables comes from the results."""
+
+from collections.abc import Iterator, Sequence
+import csv
+from dataclasses import astuple, dataclass, fields
+import json
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.errors import ParameterError
+import numpy as np
+from studies.pages import render
+
+PAGE, FOLDER, CSV = 'learning.md', 'learning', 'published_tables.csv'
+MACHINES = 'machines.json'
+ROBOTS = 'robots.json'
+REAL = 'real_pendulum'
+SYSTEMS = {'mass_spring': 'mass-spring', 'pendulum': 'pendulum', 'two_body': 'two-body',
+           REAL: 'real pendulum'}
+# Numbers of the papers, in their own units: by table, system and measure.
+PUBLISHED = {
+    ('hnn', 'mass_spring', 'test loss'): 3.59e-2,
+    ('hnn', 'mass_spring', 'published energy MSE'): 3.84e-4,
+    ('hnn', 'pendulum', 'test loss'): 3.56e-2,
+    ('hnn', 'pendulum', 'published energy MSE'): 2.49e-2,
+    ('hnn', 'two_body', 'test loss'): 2.82e-6,
+    ('hnn', 'two_body', 'published energy MSE'): 3.88e-5,
+    ('dgnet', 'mass_spring', 'published energy MSE'): 6.17e-4,
+    ('dgnet', 'pendulum', 'published energy MSE'): 1.08e-2,
+    ('dgnet', 'two_body', 'published energy MSE'): 8.10e-5,
+    ('dgnet', 'real_pendulum', 'published energy MSE'): 4.92e-4,
+    ('dissipative_hnn', 'real_pendulum', 'published energy MSE'): 1.07e-3,
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """One value that was measured, with which commit and on which machine."""
+
+    table: str
+    system: str
+    seed: int
+    measure: str
+    value: float
+    commit: str
+    machine: str
+
+
+_COLUMNS = [field.name for field in fields(Result)]
+
+
+class ResultTable:
+    """
+    Table of results, to be looked up.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        In any order.
+
+    """
+
+    def __init__(self, results: Sequence[Result]):
+        self._results = results
+
+    def values(self, table: str, system: str, measure: str) -> np.ndarray:
+        """Return the values of all seeds, in order of the seeds; empty if not measured."""
+        found = {result.seed: result.value for result in self._results
+                 if (result.table, result.system, result.measure) == (table, system, measure)}
+        return np.array([found[seed] for seed in sorted(found)])
+
+    def names(self, field: str) -> str:
+        """Return the commits or machines of the results."""
+        return ', '.join(dict.fromkeys(getattr(result, field) for result in self._results))
+
+    def systems(self, table: str) -> list[str]:
+        """Return the systems of a table, in the order of the page."""
+        there = {result.system for result in self._results if result.table == table}
+        return [name for name in SYSTEMS if name in there]
+
+
+def write_results(folder: Path, results: Sequence[Result]) -> Path:
+    """Write the table of every value; return the file."""
+    path = folder / FOLDER / CSV
+    with path.open('w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file, lineterminator='\n')
+        writer.writerow(_COLUMNS)
+        writer.writerows([f'{part:.6g}' if isinstance(part, float) else part
+                          for part in astuple(result)] for result in results)
+    return path
+
+
+def read_results(folder: Path) -> list[Result]:
+    """
+    Read what ``write_results`` wrote.
+
+    Raises
+    ------
+    ParameterError
+        It is not there, or is something else.
+
+    """
+    path = folder / FOLDER / CSV
+    try:
+        header, *lines = csv.reader(path.read_text(encoding='utf-8').splitlines())
+        if header != _COLUMNS:
+            raise ValueError(f'its columns are not {", ".join(_COLUMNS)}')
+        return [Result(table, system, int(seed), measure, float(value), commit, machine)
+                for table, system, seed, measure, value, commit, machine in lines]
+    except (OSError, ValueError) as problem:
+        raise ParameterError(f'{path}: cannot be read ({problem}); leave --page, to measure anew'
+                             ) from problem
+
+
+def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
+    """Write the page; return the file."""
+    path = folder / PAGE
+    path.write_text(as_page(folder, results, quick), encoding='utf-8')
+    return path
+
+
+def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str:
+    """Return the page, from results and from the folder's files on machines and robots."""
+    table = ResultTable(results)
+    return render(
+        PAGE, quick=quick, machine=table.names('machine'), commit=table.names('commit'),
+        summary=_summary(table), hnn_published=_published_rows(table, 'hnn'),
+        hnn_noise=list(_noise_rows(table)), hnn_physics=list(_physics_rows(table, 'hnn')),
+        dgnet_published=_published_rows(table, 'dgnet'),
+        dgnet_physics=list(_physics_rows(table, 'dgnet')),
+        dissipative_published=_published_rows(table, 'dissipative_hnn'),
+        real_physics=list(_real_rows(table)),
+        machines=list(machine_rows(folder / FOLDER / MACHINES)),
+        robots=list(robot_rows(folder / FOLDER / ROBOTS)))
+
+
+def _summary(results: ResultTable) -> dict[str, int]:
+    """Count how many published numbers are reached."""
+    found = [(results.values(*key), published) for key, published in PUBLISHED.items()]
+    reached = [is_reached(values, published) for values, published in found if len(values)]
+    first, mean = (sum(part) for part in zip(*reached, strict=True)) if reached else (0, 0)
+    return {'measured': len(reached), 'all': len(PUBLISHED), 'first': first, 'mean': mean}
+
+
+def _published_rows(results: ResultTable, table: str) -> list[list[str]]:
+    """Return the published measures with ours."""
+    rows = []
+    for (name, system, measure), published in PUBLISHED.items():
+        values = results.values(name, system, measure)
+        if name == table:
+            rows.append([SYSTEMS[system], measure, f'{published:.2e}', *(
+                [f'{values[0]:.2e}', spread(values), str(len(values)), verdict(values, published)]
+                if len(values) else ['not measured', '', '', ''])])
+    return rows
+
+
+def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
+    """Yield what a test loss on noisy states can be at all."""
+    for system in results.systems('hnn'):
+        rows = [results.values('hnn', system, measure) for measure in (
+            'test loss', 'test loss of the true H', 'least test loss')]
+        if all(len(values) for values in rows):
+            yield [SYSTEMS[system], 'seed 0', *(f'{values[0]:.3e}' for values in rows)]
+            yield [SYSTEMS[system], f'{len(rows[0])} seeds', *map(spread, rows)]
+
+
+def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
+    """Yield what a user of a model would ask for."""
+    for system in results.systems(table):
+        if system != REAL:
+            yield [SYSTEMS[system], spread(np.sqrt(results.values(table, system, 'field error'))),
+                   spread(np.sqrt(results.values(table, system, 'true energy MSE'))),
+                   spread(results.values(table, system, 'path error')),
+                   f'{np.mean(results.values(table, system, "seconds")):.0f}']
+
+
+def _real_rows(results: ResultTable) -> Iterator[list[str]]:
+    """Yield what the real pendulum's measure can be, and how far the path is off."""
+    for table in ('dgnet', 'dissipative_hnn'):
+        rows = [results.values(table, REAL, measure) for measure in (
+            'published energy MSE', 'least energy MSE', 'path error')]
+        if len(rows[0]):
+            yield [table, spread(rows[0]), f'{rows[1][0]:.2e}', spread(rows[2])]
+
+
+def machine_rows(path: Path) -> Iterator[list[str]]:
+    """Yield what was measured on machines; nothing where that was not."""
+    for row in _read(path):
+        baselines = '; '.join(
+            f'{name} {_numbers(values)}{_seeds(row["baseline_seeds"].get(name))}'
+            for name, values in row['baselines'].items())
+        count = len(row['seeds'])
+        worst = f' ({_numbers(row["worst"])} of {count})' if count > 1 else _seeds(1)
+        yield [row['case'], row['measure'], row['model'], _numbers(row['reference']),
+               _numbers(row['goal']), _numbers(row['ours']) + worst, baselines,
+               'yes' if row['met'] else '**no**']
+
+
+def robot_rows(path: Path) -> Iterator[list[str]]:
+    """Yield what was identified of robots, and which networks the choice takes."""
+    for row in _read(path):
+        choice = '' if row['choice'] is None else f'{row["choice"]:.3g}'
+        yield [row['robot'], row['measure'], f'`{row["model"]}`', _numbers(row['reference']),
+               _numbers(row['ours']), choice, 'yes' if row['chosen'] else '']
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file, or none if it does not exist."""
+    return json.loads(path.read_text(encoding='utf-8')) if path.is_file() else []
+
+
+def _seeds(count: int | None) -> str:
+    """Return the number of seeds of a mean as text; empty without seeds."""
+    return '' if count is None else ' (one seed)' if count == 1 else f' ({count} seeds)'
+
+
+def _numbers(values: list[float]) -> str:
+    return ' '.join(f'{value:.3g}' for value in values)
+
+
+def spread(values: np.ndarray) -> str:
+    """Return mean and standard deviation, of one value itself."""
+    if len(values) == 1:
+        return f'{values[0]:.2e}'
+    return f'{np.mean(values):.2e} ± {np.std(values, ddof=1):.1e}'
+
+
+def is_reached(values: np.ndarray, published: float) -> tuple[bool, bool]:
+    """Return whether the value of seed 0 and the mean are at or below a number, to its digits."""
+    return tuple(float(f'{value:.2e}') <= published for value in (values[0], np.mean(values)))
+
+
+def verdict(values: np.ndarray, published: float) -> str:
+    """Say whether the value on the published data and the mean are at or below a number."""
+    return {(True, True): 'yes', (True, False): 'on the published data only',
+            (False, True): 'in the mean only', (False, False): '**no**',
+            }[is_reached(values, published)]

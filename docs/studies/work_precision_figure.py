@@ -1,0 +1,306 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of a work-precision study: small multiples, told apart in grey as well."""
+
+from collections.abc import Iterable, Sequence
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
+from hnn_vi_ros.commands.label_placement import Label, place_labels
+from hnn_vi_ros.models.energy_error import EnergyError
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+import numpy as np
+from PIL import Image
+from studies.measuring import StudyRow
+from studies.references import Floor
+
+# Colour and marker of the peers.
+_PEERS = {
+    'scipy DOP853': ('#1b7f5c', 'o'), 'scipy RK45': ('#63b995', 's'),
+    'torchdiffeq dopri5': ('#a8623a', '^'), 'torchdiffeq dopri8': ('#7a3e1d', 'v'),
+    'torchdiffeq rk4': ('#c99672', 'X'),
+    'diffrax Tsit5': ('#6c757d', 'D'), 'diffrax Dopri8': ('#343a40', 'P'),
+    'diffrax SemiImplicitEuler': ('#adb5bd', 'o'),
+    'RK4 on quaternions': ('#2f2f2f', 'X'),
+    'MuJoCo RK4': ('#b23a48', 'D'), 'MuJoCo implicitfast': ('#d98893', 'd'),
+}
+_OTHER = ('#555555', '*')
+# Larger errors say only that the run is lost.
+_LOST = 100.0
+# A page shows a picture about as wide as this [inch], so texts keep their size on it.
+_DPI, _WIDTH = 125, 8.6
+# Heights within a group of lines: titles, panels, ticks with their label, an entry of the legend;
+# then the margins above and below the whole picture [inch].
+_TITLE, _PANEL, _TICKS, _ENTRY, _TOP, _BOTTOM = 0.55, 3.5, 0.55, 0.19, 0.35, 0.7
+_GROUPS = {'ours': 'Ours, solved to round-off', 'peers': 'Peers',
+           'variants': 'Not solved to round-off, or float32'}
+# Markers for methods that stop early, and for rounded gradients.
+_VARIANT_MARKS = {'float32': '*'}
+_FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
+_EARLY, _PALE = 'h', '#d9d9d9'
+_EPS = float(np.finfo(np.float64).eps)
+
+
+class Panel(NamedTuple):
+    """Panel of a figure: two columns of StudyRow, and what they are called."""
+
+    x: str
+    y: str
+    title: str
+    x_label: str
+    y_label: str
+
+
+PANELS = (
+    Panel('seconds_per_simulated_second', 'path_error', 'Global (path) error',
+          'wall time per simulated second [s/s]',
+          'path error, largest component\n'
+          r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]'),
+    Panel('gradients_per_simulated_second', 'energy_band', 'Energy error',
+          'gradients per simulated second [1/s]', 'energy band, largest $|H - H_0|$ [J]'),
+)
+
+
+def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
+    """Return the rows that make a line each; the tolerances of a peer are one line."""
+    series: dict[str, list[StudyRow]] = {}
+    for row in rows:
+        series.setdefault(row.method.partition(' tolerance=')[0], []).append(row)
+    return series
+
+
+def panels_of(rows: Iterable[StudyRow]) -> tuple[Panel, Panel]:
+    """Return the two panels; both show energies if no path can be followed."""
+    left, right = PANELS
+    if any(row.finished and not math.isnan(row.path_error) for row in rows):
+        return left, right
+    return right._replace(x=left.x, x_label=left.x_label, title=(
+        'Energy error (no path in chaos)')), right
+
+
+def is_peer(name: str) -> bool:
+    """Return whether a line is a peer's, not one of ours, whose names have no spaces."""
+    return ' ' in name
+
+
+def group_of(name: str) -> str:
+    """Return in which column of panels a line stands."""
+    return 'variants' if '@' in name else 'peers' if is_peer(name) else 'ours'
+
+
+def line_style(name: str) -> dict[str, Any]:
+    """Return how a line is drawn: a colour and a mark of its own, a dash of its group."""
+    base, _, variant = name.partition('@')
+    color, marker = {**STYLES, **_PEERS}.get(base, _OTHER)
+    group = group_of(name)
+    if variant:
+        marker = _VARIANT_MARKS.get(variant, _EARLY)
+    return {'color': color, 'marker': marker, 'markersize': 8.0 if marker == '*' else 6.0,
+            'linestyle': {'ours': '-', 'peers': (0, (5, 2)), 'variants': ':'}[group],
+            'linewidth': 1.6 if group == 'ours' else 1.2, 'markeredgecolor': color,
+            'markerfacecolor': color if group == 'ours' else 'white', 'markeredgewidth': 1.0}
+
+
+def color_of(name: str, other: str) -> str:
+    """Return the colour of a method or a peer, or another one for unknown names."""
+    return {**STYLES, **_PEERS}.get(name.partition('@')[0], (other, ''))[0]
+
+
+def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path:
+    """
+    Draw the rows of one horizon into a PNG file: two panels for each group of lines.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    title : str
+        Above all panels.
+    rows : sequence of StudyRow
+        All of one horizon.
+    known : Floor
+        Below whose accuracy no path error is known; what a learned H is off by is a floor too.
+
+    """
+    series = series_of(rows)
+    groups = [group for group in _GROUPS if any(group_of(name) == group for name in series)]
+    legends = {group: _handles(series, group) for group in groups or ['ours']}
+    heights = [_TITLE + _PANEL + _TICKS + _ENTRY * math.ceil(len(handles) / 2)
+               for handles in legends.values()]
+    figure = Figure(figsize=(_WIDTH, _TOP + sum(heights) + _BOTTOM), dpi=_DPI, facecolor='white')
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.2 / figure.get_figheight())
+    drawn, panels = [], panels_of(rows)
+    floors = [getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
+              for panel in panels]
+    for k, (group, handles) in enumerate(legends.items()):
+        top = figure.get_figheight() - _TOP - sum(heights[:k]) - _TITLE
+        for panel, floor, left in zip(panels, floors, (0.95, 5.35), strict=True):
+            ax = _add_panel(figure, left, top)
+            _begin_panel(ax, panel, _limits_of(panel, rows, floor), _GROUPS[group])
+            drawn.append((ax, _draw_lines(ax, panel, series, group)))
+            _draw_levels(ax, panel, floor, known)
+        figure.legend(handles=handles, loc='upper center', frameon=False, fontsize=8.5, ncols=2,
+                      bbox_to_anchor=(0.5, (top - _PANEL - _TICKS + 0.1) / figure.get_figheight()))
+    figure.legend(handles=_common_handles(known), loc='lower center', frameon=False,
+                  fontsize=8.5, ncols=2)
+    # Last: the layout is final only now.
+    figure.draw_without_rendering()
+    for ax, labels in drawn:
+        place_labels(ax, *labels)
+    figure.savefig(path, dpi=_DPI)
+    # A third of the size: lines and flat areas have few colours.
+    with Image.open(path) as picture:
+        small = picture.convert('RGB').quantize(128)
+    small.save(path, optimize=True)
+    return path
+
+
+def _add_panel(figure: Figure, left: float, top: float) -> Axes:
+    """Return axes whose upper left corner is so far from the figure's lower left one [inch]."""
+    width, height = figure.get_size_inches()
+    ax = figure.add_axes((left / width, (top - _PANEL) / height, 3.1 / width, _PANEL / height))
+    ax.tick_params(labelsize=8.5)
+    return ax
+
+
+def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
+               ) -> tuple[float, float, float, float] | None:
+    """Return what the panels of a row all show; None if no run arrived."""
+    points = np.array([(getattr(row, panel.x), getattr(row, panel.y)) for row in rows
+                       if row.finished]).reshape(-1, 2)
+    points = points[(points[:, 0] > 0.0) & (points[:, 1] >= 0.0)]
+    if not points.size:
+        return None
+    x = points[:, 0]
+    return (x.min() / 1.7, x.max() * 1.7, *_limits(points[:, 1], floor))
+
+
+def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, float] | None,
+                 group: str) -> None:
+    ax.set(xscale='log', yscale='log')
+    ax.set_xlabel(panel.x_label, fontsize=9.0)
+    ax.set_ylabel(panel.y_label, fontsize=9.0)
+    ax.set_title(f'{group}\n{panel.title}', fontsize=10, pad=8.0)
+    ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
+    ax.spines[['top', 'right']].set_visible(False)
+    if limits is None:
+        ax.text(0.5, 0.5, 'no run arrived', ha='center', transform=ax.transAxes, color=FAINT)
+        limits = 1e-5, 1.0, 1e-12, 1.0
+    ax.set(xlim=limits[:2], ylim=limits[2:])
+
+
+def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
+    """Return whole decades that hold all errors but those of lost runs."""
+    usual = values[(values > 0.0) & (values <= _LOST)]
+    usual = usual if usual.size else np.array([_EPS, _LOST])
+    low = usual.min() if math.isnan(floor) else min(usual.min(), floor / 3.0)
+    return (10.0 ** math.floor(math.log10(low) - 0.2),
+            10.0 ** math.ceil(math.log10(usual.max()) + 0.1))
+
+
+def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group: str
+                ) -> tuple[list[Label], list[np.ndarray]]:
+    """Draw the lines of a group, and pale the others; return labels, and what they avoid."""
+    low, high = ax.get_ylim()
+    labels: list[Label] = []
+    obstacles = []
+    for name, rows in series.items():
+        good, lost = _points(panel, rows, low, high)
+        points = np.array([point[:2] for point in good]).reshape(-1, 2)
+        if group_of(name) != group:
+            ax.plot(*points.T, color=_PALE, linewidth=0.9, zorder=1)
+            continue
+        style = line_style(name)
+        ax.plot(*points.T, zorder=4, clip_on=False, **style)
+        # A lost run may have taken longer than all that arrived.
+        ax.plot(np.clip(lost, *ax.get_xlim()), [high] * len(lost), color=style['color'],
+                marker='x', markersize=8.0, markeredgewidth=2.0, linestyle='', clip_on=False,
+                zorder=5)
+        if good:
+            obstacles.append(points)
+            labels.extend(Label(_step_text(good[k][2]), style['color'], points[k])
+                          for k in sorted({0, len(good) // 2, len(good) - 1}))
+    return labels, obstacles
+
+
+def _points(panel: Panel, rows: Sequence[StudyRow], low: float, high: float
+            ) -> tuple[list[tuple[float, float, StudyRow]], list[float]]:
+    """Return the points of a line with their rows, and where runs are lost."""
+    good, lost = [], []
+    for row in rows:
+        x, y = getattr(row, panel.x), getattr(row, panel.y)
+        if row.failed or y > high:
+            lost.append(x)
+        elif row.finished and y >= 0.0:
+            # No error at all has no place on a logarithmic axis.
+            good.append((x, max(y, low), row))
+    return good, [x for x in lost if not math.isnan(x)]
+
+
+def _step_text(row: StudyRow) -> str:
+    if math.isnan(row.step_size):
+        return 'tol ' + row.method.partition('tolerance=')[2]
+    return f'{row.step_size:.2g} s'
+
+
+def _handles(series: dict[str, list[StudyRow]], group: str) -> list[Line2D]:
+    """Return an entry of a legend for each line of a group."""
+    return [Line2D([], [], label=_legend_text(name, rows), **line_style(name))
+            for name, rows in series.items() if group_of(name) == group]
+
+
+def _common_handles(known: Floor) -> list[Any]:
+    """Return an entry of a legend for each mark that is no line of a method."""
+    handles: list[Any] = [
+        Line2D([], [], color=_PALE, label='the lines of the other panels'),
+        Line2D([], [], color=INK, marker='x', linestyle='', markersize=8.0, markeredgewidth=2.0,
+               label='upper edge: failed or lost')]
+    if known.model is not None:
+        handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)),
+                              label='error of the learned H itself'))
+        if known.model.box is not None:
+            handles.append(Line2D([], [], color='#8a5a00', linewidth=1.6,
+                                  label='RMS and largest error of H in its box'))
+    if known.verified:
+        handles.append(Patch(color='#e9e9e9', label='below the accuracy of the reference'))
+    return handles
+
+
+def _legend_text(name: str, rows: Sequence[StudyRow]) -> str:
+    steps = [row.step_size for row in rows if not math.isnan(row.step_size)]
+    if not steps:
+        return f'{name} (marks: tolerances)'
+    return f'{name}, h = {max(steps):.2g} to {min(steps):.2g} s'
+
+
+def _draw_levels(ax: Axes, panel: Panel, floor: float, known: Floor) -> None:
+    """Draw the errors below which nothing is known or gained."""
+    if not math.isnan(floor):
+        _draw_floor(ax, floor)
+    if panel.y == 'energy_band' and known.model is not None and known.model.box is not None:
+        _draw_box_error(ax, known.model.box)
+    bottom = ax.get_ylim()[0]
+    if panel.y == 'path_error' and known.verified and known.accuracy > bottom:
+        ax.axhspan(bottom, known.accuracy, color='#e9e9e9', zorder=0.5)
+
+
+def _draw_floor(ax: Axes, floor: float) -> None:
+    ax.axhspan(ax.get_ylim()[0], floor, color='#f7f3e8', zorder=0)
+    ax.axhline(floor, color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)), zorder=3)
+
+
+def _draw_box_error(ax: Axes, error: EnergyError) -> None:
+    """Draw the RMS and the largest error of H in its box, with their intervals, at the right."""
+    across = ax.get_yaxis_transform()
+    for value, interval in ((error.rms, error.rms_interval), (error.sup, error.sup_interval)):
+        if interval is not None:
+            ax.axhspan(*interval, xmin=0.9, color='#8a5a00', alpha=0.2, linewidth=0.0, zorder=1)
+        ax.plot([0.9, 1.0], [value, value], color='#8a5a00', linewidth=1.6, transform=across,
+                zorder=3)

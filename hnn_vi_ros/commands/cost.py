@@ -1,0 +1,143 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of accuracy in a scene: a table, a picture, and what to take for an error."""
+
+from collections.abc import Iterator
+import csv
+from functools import partial
+import math
+from pathlib import Path
+import sys
+
+from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method
+from hnn_vi_ros.command_line import called
+from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.commands.outputs import check_outputs, write_outputs
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.standard_streams import ProgressLine
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+
+# Candidates for the columns of the table, and how many columns it has at most.
+_ERRORS, _COLUMNS = [10.0 ** -k for k in range(1, 15)], 4
+_CELL = 18
+_FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_simulated_second',
+           'gradients_per_simulated_second', 'status')
+
+
+def main(argv: list[str]) -> int:
+    """Measure, print the table, and write the files that were asked for."""
+    options = arguments.cost().parse_args(argv)
+    for name in ('error', 'duration', 'seconds'):
+        value = getattr(options, name)
+        if value is not None and not 0.0 < value < math.inf:
+            raise ParameterError(f'--{name} {value:g}: must be a positive number')
+    paths = {'--csv': options.csv, '--plot': options.plot}
+    check_outputs(paths)
+    if options.plot is not None:
+        # Found out now, not after a minute: a package may be missing.
+        from hnn_vi_ros.commands.cost_figure import draw
+    scene = load_scene(options.scene)
+    study = _measured(scene, options.duration, options.seconds, options.error)
+    for line in _lines(scene, study):
+        print(line)
+    write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
+        {'--plot': lambda path: draw(path, scene.name, study, options.error)}
+        if options.plot is not None else {}))
+    return 0 if options.error is None else _recommend(study, options.error)
+
+
+def _measured(scene: Scene, duration: float, seconds: float, error: float | None) -> CostStudy:
+    own = None
+    if not isinstance(scene.integrator, AutoChoice):
+        # Whatever is wrong with the scene itself is said by its place in the file.
+        build(scene)
+        given = scene.integrator.model_dump(exclude={'kind'}, exclude_defaults=True)
+        own = Method(scene.integrator.kind, given)
+    state = scene.initial_state
+    problem = InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                                  np.array(state.q), np.array(state.p))
+    line = ProgressLine()
+    try:
+        return measure_costs(problem, duration, seconds, own, error, line.show)
+    finally:
+        line.close()
+
+
+def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
+    """Yield how errors were measured, the table, and the methods that are not in it."""
+    what = 'path errors' if not study.no_path else (
+        f'energy errors, over {study.known.energy_scale:.3g} J')
+    yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and the time they take'
+    yield f'no path: {study.no_path}' if study.no_path else (
+        f'reference: {study.reference.how}, known to {study.floor:.1e}')
+    if scene.events:
+        yield 'events of the scene are not looked for'
+    yield from ('', *_table(study), '')
+    for reason, kinds in study.left_out.items():
+        yield f'left out, since each {reason}: {", ".join(kinds)}'
+    if study.unreached:
+        yield (f'no time for: {", ".join(study.unreached)}; repeat it, now that more is compiled, '
+               'or give it more --seconds')
+
+
+def _table(study: CostStudy) -> Iterator[str]:
+    kinds = {cost.method.kind: str(cost.method) for cost in study.costs}
+    reached = min((study.error(cost) for cost in study.costs), default=math.inf)
+    errors = [error for error in _ERRORS if reached <= error <= study.lost]
+    if len(errors) > _COLUMNS:
+        places = np.linspace(0, len(errors) - 1, _COLUMNS).round().astype(int)
+        errors = [errors[place] for place in places]
+    if not errors:
+        yield f'no run errs by less than {study.lost:.2g}'
+        return
+    width = max(map(len, kinds.values()))
+    best = {error: study.cheapest(error) for error in errors}
+    yield f'{"error":{width}}' + ''.join(f'{error:>{_CELL}.0e}' for error in errors)
+    yield f'{"method":{width}}' + ''.join(f'{"h [s]  us/s":>{_CELL}}' for _ in errors)
+    for kind, name in kinds.items():
+        cells = (_cell(study.cheapest(error, kind), best[error]) for error in errors)
+        yield f'{name:{width}}' + ''.join(f'{cell:>{_CELL}}' for cell in cells)
+    yield ('us/s: microseconds of the processor for a simulated second; *: the least; '
+           '-: not reached')
+
+
+def _cell(cost: Cost | None, best: Cost | None) -> str:
+    if cost is None:
+        return '- '
+    time = 1e6 * cost.seconds
+    return f'{cost.step_size:.3g}  {time:{".0f" if time >= 100.0 else ".3g"}}' + (
+        '*' if cost is best else ' ')
+
+
+def _recommend(study: CostStudy, error: float) -> int:
+    """Print what to take for an error; return 1 where nothing holds it."""
+    best = study.recommended(error)
+    if best is None:
+        nearest = min(study.costs, key=study.error)
+        print(f'{called("cost")}: --error {error:g}: nothing that was measured holds it; the '
+              f'nearest is {nearest.method} with h = {nearest.step_size:.3g} s, which errs by '
+              f'{study.error(nearest):.2g}, where no less than {study.floor:.1e} is known; allow '
+              'a larger error, a shorter --duration or more --seconds', file=sys.stderr)
+        return 1
+    print(f'\nfor an error of {error:g} take this, which errs by {study.error(best):.2g} (energy: '
+          f'{best.energy_error:.1e}), at {1e6 * best.seconds:.3g} us for a simulated second:\n')
+    chosen = {'kind': best.method.kind, **best.method.arguments}
+    print(dump_yaml({'integrator': chosen, 'step_size': best.step_size}), end='')
+    return 0
+
+
+def _write_csv(study: CostStudy, path: Path) -> None:
+    """Write a line for each method and step size; what there is none of is empty."""
+    with path.open('w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file, lineterminator='\n')
+        writer.writerow(_FIELDS)
+        for cost in study.costs:
+            numbers = (cost.step_size, cost.path_error, cost.energy_error, cost.seconds,
+                       cost.gradients)
+            writer.writerow([str(cost.method), *('' if math.isnan(value) else repr(value)
+                                                 for value in numbers), cost.failure or 'ok'])

@@ -1,0 +1,203 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Check, list, explain, compile and write scenes, and print their JSON schema."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+import math
+import sys
+from typing import Any, TYPE_CHECKING
+
+from hnn_vi_ros.command_line import called
+from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.files.json_schema import json_schema
+from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.phase_space import column_units, columns, Coordinate
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene.choices import AutoChoice
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.run.effect_cost import EffectCosts
+
+# What simulates is imported by what needs it: a list and a schema are there without it at once.
+
+# Steps during which neighbouring motions are followed; of an H that is plain Python.
+_STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
+
+
+def main(argv: list[str]) -> int:
+    """Do what the one option asks for; return 1 if a scene is not valid."""
+    parser = arguments.scene()
+    options = parser.parse_args(argv)
+    if options.out is not None and options.new is None:
+        parser.error('--out goes with --new')
+    if options.new is not None:
+        from hnn_vi_ros.commands.robot_scene import write_scene
+        path = write_scene(options.new, options.out)
+        print(f'{path}: written')
+        return check([str(path)])
+    if options.check:
+        return check(options.check)
+    if options.compile is not None:
+        return compile_all(options.compile)
+    lines: Iterable[str]
+    if options.list:
+        lines = list_scenes()
+    elif options.schema:
+        lines = [json_schema(Scene, 'A scene of hnn_vi_ros')]
+    else:
+        lines = explain(load_scene(options.explain))
+    for line in lines:
+        print(line, flush=True)
+    return 0
+
+
+def check(names: Sequence[str]) -> int:
+    """Print one line a scene: what it is, or to the standard error stream what is wrong."""
+    from hnn_vi_ros.accuracy.automatic_choice import resolve
+    from hnn_vi_ros.run.spread import ensemble_card
+    from hnn_vi_ros.simulation.build import build
+    from hnn_vi_ros.simulation.events import watched
+    status = 0
+    for name in names:
+        try:
+            scene, _ = resolve(load_scene(name))
+            if scene.uncertainty is not None:
+                ensemble_card(scene)
+            print(_in_a_line(scene, watched(build(scene), scene).conservative))
+        except HnnViRosError as problem:
+            print(f'{called("scene")}: {problem}', file=sys.stderr)
+            status = 1
+    return status
+
+
+def compile_all(names: Sequence[str]) -> int:
+    """Compile scenes, all shipped ones by default, and print a line for each."""
+    from hnn_vi_ros.run.compiled_scenes import compile_scenes
+    status = 0
+    names = names or [
+        name for name in shipped_names('scene') if not _lacks_a_model(load_scene(name))]
+    for scene in compile_scenes(names):
+        if scene.problem:
+            print(f'{called("scene")}: {scene.problem}', file=sys.stderr)
+            status = 1
+        else:
+            print(f'{scene.name}: compiled in {scene.seconds:.1f} s', flush=True)
+    return status
+
+
+def list_scenes() -> list[str]:
+    """Return a line for each shipped scene: its name, its description, whether it can run."""
+    names = shipped_names('scene')
+    width = max(map(len, names))
+    lines = []
+    for name in names:
+        scene = load_scene(name)
+        mark = ' (model absent)' if _lacks_a_model(scene) else ''
+        lines.append(f'{name:{width}}  {scene.description}{mark}')
+    return lines
+
+
+def explain(scene: Scene) -> Iterator[str]:
+    """
+    Yield lines on the parts of a scene, its Lyapunov time, and the time of a step.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene cannot be built or fails.
+
+    """
+    from hnn_vi_ros.accuracy.automatic_choice import resolve
+    from hnn_vi_ros.run.effect_cost import measure_effects
+    from hnn_vi_ros.simulation.build import build
+    from hnn_vi_ros.simulation.events import watched
+    if isinstance(scene.integrator, AutoChoice):
+        print('selecting a method ...', file=sys.stderr)
+    scene, chosen = resolve(scene)
+    simulation = watched(build(scene), scene)
+    hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
+    yield f'{scene.name}: {scene.description}'
+    yield f'file: {scene.source}'
+    yield from _choice('hamiltonian', scene.hamiltonian)
+    yield from (f'  {name}: {value}' for name, value in hamiltonian.provenance.items())
+    yield from _coordinates(hamiltonian.coordinates, scene)
+    for choice, effect in zip(scene.effects, scene.create_effects(), strict=True):
+        yield from _choice('effect', choice)
+        yield f'  {"conservative" if effect.conservative else "does work"}'
+    yield from _choice('integrator', scene.integrator)
+    yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
+    if chosen is not None:
+        yield f'  {chosen.choice.explain(chosen.tolerance)}'
+    for event in scene.events:
+        yield f'event {event.when} ({event.direction}): {event.then}'
+    yield f'conservative: {"yes" if simulation.conservative else "no"}'
+    print('measuring ...', file=sys.stderr)
+    yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)
+    yield from _times(measure_effects(scene))
+
+
+def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
+    """Describe the coordinates and where they start, of what turns column by column."""
+    q, p = (zip(names, units, values, strict=True) for names, units, values in zip(
+        columns(coordinates), column_units(coordinates),
+        (scene.initial_state.q, scene.initial_state.p), strict=True))
+    for coordinate in coordinates:
+        if coordinate.kind == 'scalar':
+            (name, unit, start), (_, p_unit, p_start) = next(q), next(p)
+            yield (f'  coordinate {name} [{unit}] from {start:g}, its '
+                   f'momentum [{p_unit}] from {p_start:g}')
+            continue
+        for what, rows, own in zip(('', ', momenta'), (q, p), columns([coordinate]), strict=True):
+            yield f'  {coordinate.kind} {coordinate.name}{what}: ' + ', '.join(
+                f'{name} [{unit}] from {start:g}' for name, unit, start in islice(rows, len(own)))
+
+
+def _choice(role: str, choice: Any) -> Iterator[str]:
+    yield f'{role} {choice.kind}: {type(choice).__doc__}'
+    for name, field in type(choice).model_fields.items():
+        if name != 'kind':
+            yield f'  {name} = {getattr(choice, name)}: {field.description}'
+
+
+def lyapunov_line(scene: Scene, steps: int) -> str:
+    """Return the line on the Lyapunov time, looked for during so many steps."""
+    from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
+    duration = steps * scene.known_step_size
+    try:
+        time = lyapunov_time(scene, duration)
+    except (HnnViRosError, ValueError) as problem:
+        return f'Lyapunov time: not measured: {problem}'
+    if math.isinf(time):
+        return f'Lyapunov time: none found within {duration:.4g} s: the motion is regular so far'
+    return f'Lyapunov time: {time:.3g} s: the motion is chaotic'
+
+
+def _times(costs: 'EffectCosts') -> Iterator[str]:
+    yield f'time per step: {1e6 * costs.total:.3f} us'
+    if not math.isnan(costs.bare):
+        yield f'  of the bare integrator: {1e6 * costs.bare:.3f} us'
+    for label, added in costs.added.items():
+        text = 'cannot be left out' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
+        yield f'  {label} {text}'
+
+
+def _in_a_line(scene: Scene, conservative: bool) -> str:
+    what = getattr(scene.hamiltonian, 'model', None) or getattr(scene.hamiltonian, 'factory', '')
+    parts = [f'{scene.hamiltonian.kind} {what}'.strip(), *(e.kind for e in scene.effects)]
+    kept = 'conservative' if conservative else 'not conservative'
+    return (f'{scene.name}: valid: {" + ".join(parts)}, {scene.integrator.kind}, '
+            f'h = {scene.step_size:g} s, {kept}')
+
+
+def _lacks_a_model(scene: Scene) -> bool:
+    try:
+        scene.model_files()
+    except ModelError:
+        return True
+    return False
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,363 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured runs from arrays in an .npz file: of machines, and of bodies that turn."""
+
+from collections.abc import Sequence
+import errno
+import os
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.files.limits import array_names, sha256_of, unpack_arrays
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.models.attitude_features import turn_matrices
+import numpy as np
+from pydantic import Field
+import torch
+
+MAX_BYTES = 1 << 30
+# R^T R and the norm of a quaternion may be off by this in data that were written with few digits,
+# and by that in those that were written with all of them.
+_NOT_TURNING, _ROUNDING = 1e-3, 1e-14
+_TEST_RUNS: list[str] = Field([], description=(
+    'runs to judge the model by; none: the last fifth of each run in time'))
+
+
+class ArraysData(RunData):
+    """Arrays of an .npz file: of one run, or of several, each with its name before the key."""
+
+    kind: Literal['arrays'] = 'arrays'
+    path: str = Field('', description='the file; or given on the command line')
+    runs: list[str] = Field([], description=(
+        'the runs to take, RUN of the keys RUN/t, RUN/q, ...; none for all'))
+    time: str = Field('t', description='key of the times [s], shape (N,)')
+    interval: float | None = Field(None, gt=0.0, description=(
+        'time from one sample to the next [s], where the file holds no times'))
+    q: str = Field('q', description='key of the coordinates, shape (N, d)')
+    v: str | None = Field('dq', description=(
+        'key of the velocities, shape (N, d); null: they are estimated from q'))
+    a: str | None = Field(None, description=(
+        'key of the accelerations, shape (N, d); null: they are estimated'))
+    tau: str | None = Field('tau', description=(
+        'key of the generalised forces, shape (N, d), or of those of m < d motors, shape (N, m); '
+        'null: there are none'))
+
+
+class BodyArrays(StrictModel):
+    """
+    Arrays of motions of a body: of one run, or of several, each with its name before the key.
+
+    An attitude is a unit quaternion x, y, z, w, or the nine entries of its matrix row by row; a
+    pose has its place before that. Each input is held until the next sample.
+    """
+
+    kind: Literal['arrays']
+    path: str = Field('', description='the file; or given on the command line')
+    time: str = Field('t', description='key of the times [s], shape (N,), evenly spaced')
+    q: str = Field('q', description=(
+        'key of the attitudes, shape (N, 4) or (N, 9), or of the poses, (N, 7) or (N, 12)'))
+    v: str = Field('dq', description=(
+        'key of the velocities in the frame of the body, shape (N, 3); of a pose (N, 6), that of '
+        'its place first'))
+    tau: str | None = Field('tau', description='key of the inputs, shape (N, m); null: none')
+    test_runs: list[str] = _TEST_RUNS
+
+
+class BodyWindows(StrictModel):
+    """
+    One array of many short motions, with all columns side by side.
+
+    The columns are attitude, velocity and inputs as in BodyArrays, of a pose place and attitude.
+    """
+
+    kind: Literal['windows']
+    path: str = Field('', description='the file; or given on the command line')
+    train: str = Field('train', description='key of the motions to learn from')
+    test: str = Field('test', description='key of the motions to judge by')
+    time_axis: int = Field(1, ge=0, description='the axis of times; the last one is of columns')
+    interval: float = Field(gt=0.0, description='from one time to the next [s]')
+    attitude: Literal['matrix', 'quaternion'] = 'matrix'
+
+
+class BodyMotions(NamedTuple):
+    """
+    M motions of T instants, one after another in the last but one axis of each.
+
+    Parameters
+    ----------
+    x, R, v, u : torch.Tensor
+        Places (T, M, k - 3), attitudes (T, M, 3, 3), velocities in the frame of the body
+        (T, M, k), and inputs that are held until the next instant (T, M, m).
+    interval : float
+        From one instant to the next [s].
+
+    """
+
+    x: torch.Tensor
+    R: torch.Tensor
+    v: torch.Tensor
+    u: torch.Tensor
+    interval: float
+
+    def at(self, times: slice) -> 'BodyMotions':
+        """Return the motions at some instants."""
+        x, R, v, u = (part[times] for part in self[:4])
+        return self._replace(x=x, R=R, v=v, u=u)
+
+    def of(self, rows: torch.Tensor) -> 'BodyMotions':
+        """Return some of the motions."""
+        x, R, v, u = (part[:, rows] for part in self[:4])
+        return self._replace(x=x, R=R, v=v, u=u)
+
+    def windows(self, count: int) -> 'BodyMotions':
+        """Return all windows of ``count`` intervals, overlapping, as motions."""
+        length = len(self.R)
+        if count >= length:
+            raise DataError(f'windows of {count} intervals are longer than the motions, of '
+                            f'{length - 1}; lower windows')
+        x, R, v, u = (torch.cat([
+            part[i:length - count + i][:, None] for i in range(count + 1)], dim=1)
+            .transpose(0, 1).flatten(1, 2) for part in self[:4])
+        return self._replace(x=x, R=R, v=v, u=u)
+
+
+class Archive:
+    """
+    The arrays of an .npz file that numpy.savez wrote, of at most 1 GiB; nothing is unpickled.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    arrays : dict
+        By key.
+    digest : str
+        The first digits of the file's SHA-256.
+
+    Raises
+    ------
+    DataError
+        It cannot be read, is too large, or holds other than plain arrays.
+
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            self.arrays = unpack_arrays(path, MAX_BYTES)
+            self.digest = sha256_of(path, MAX_BYTES)[:16]
+        except OSError as problem:
+            what, remedy = f'cannot be read ({problem.strerror or problem})', 'numpy.savez wrote'
+            if problem.errno == errno.EFBIG:
+                what, remedy = str(problem.strerror), 'is smaller, such as a part of it'
+            raise DataError(f'{path}: {what}; give an .npz file that {remedy}') from problem
+        except ValueError as problem:
+            raise DataError(f'{path}: {problem}; give an .npz file that numpy.savez wrote'
+                            ) from problem
+
+    def runs(self, key: str, wanted: Sequence[str] = ()) -> list[str]:
+        """Return the names of the runs that have a key, or those wanted; '' is of the whole."""
+        found = [name.rpartition('/')[0] for name in self.arrays
+                 if name.rpartition('/')[2] == key]
+        for run in wanted:
+            if run not in found:
+                raise DataError(f'{self.path}: no run {run!r} with a key {key}; its runs: '
+                                f'{listed(found) or "none"}; name the keys in data')
+        if not found:
+            raise DataError(f'{self.path}: no key {key}, nor any RUN/{key}; it has '
+                            f'{self._keys()}; name the keys in data')
+        return [*wanted] or found
+
+    def array(self, key: str, rows: int | None = None, widths: Sequence[int] = (),
+              fewer: bool = False) -> np.ndarray:
+        """
+        Return an array of numbers.
+
+        With ``rows`` it must have that many of one of some widths, or with ``fewer`` of a smaller
+        one; of any width if there are none.
+        """
+        if key not in self.arrays:
+            raise DataError(f'{self.path}: no key {key}; it has {self._keys()}; name the keys in '
+                            'data')
+        values, expected = self.arrays[key], 'numbers'
+        fits = values.dtype.kind in 'fiu'
+        if rows is not None:
+            expected += f' of shape ({rows}, {" or ".join(map(str, widths)) or "m"})'
+            expected += ', or with fewer columns' * fewer
+            fits &= values.ndim == 2 and len(values) == rows and (
+                not widths or values.shape[1] in widths
+                or (fewer and 1 <= values.shape[1] <= max(widths)))
+        if not fits:
+            column = values.shape == (rows,) and (fewer or 1 in widths)
+            raise DataError(f'{self.path}: {key} has shape {values.shape} of {values.dtype}, '
+                            f'expected {expected}{f"; save {key}[:, None]" * column}')
+        return values.astype(np.float64)
+
+    def _keys(self) -> str:
+        return listed(self.arrays) or 'none'
+
+
+def keys_of(path: Path) -> set[str]:
+    """Return the keys of an .npz file without those of its runs; none of one that is none."""
+    try:
+        return {key.rpartition('/')[2] for key in array_names(path, MAX_BYTES)}
+    except (OSError, ValueError):
+        return set()
+
+
+def split_runs(data: str) -> tuple[Path, list[str]]:
+    """Return the file and the runs of ``FILE:RUN,RUN``; of ``FILE``, no runs, which is all."""
+    file, colon, runs = data.rpartition(':')
+    # Which tells of no name that is too long to be one.
+    if not colon or os.path.exists(data):
+        return Path(data), []
+    return Path(file), runs.split(',')
+
+
+def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
+                ) -> tuple[list[Run], str]:
+    """
+    Read runs of a machine, and put each on even times.
+
+    Parameters
+    ----------
+    path : Path
+        The file; see Archive.
+    data : ArraysData
+        Its keys.
+    d : int
+        Number of coordinates.
+    runs : sequence of str
+        The runs to take, instead of ``data.runs``.
+
+    Returns
+    -------
+    list of Run and str
+        The runs, and a description of them for the model card.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, lacks a run or a key, or an array cannot be used.
+
+    """
+    archive = Archive(path)
+    wanted = archive.runs(data.time if data.interval is None else data.q, runs or data.runs)
+    found = []
+    for run in wanted:
+        name = f'{run}/' if run else ''
+        if data.interval is None:
+            t = archive.array(name + data.time).ravel()
+        else:
+            t = data.interval * np.arange(archive.array(name + data.q).size // d)
+        q = archive.array(name + data.q, len(t), [d])
+        v, a = (None if key is None else archive.array(name + key, len(t), [d])
+                for key in (data.v, data.a))
+        tau = None if data.tau is None else archive.array(
+            name + data.tau, len(t), [d], fewer=True)
+        found.append(MeasuredRun(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a))
+    named = ', '.join(run for run in wanted if run)
+    return even_runs(found, data, f'{path.name}: {named}' if named else path.name, archive.digest)
+
+
+def read_bodies(path: Path, data: BodyArrays | BodyWindows, kind: str
+                ) -> tuple[list[BodyMotions], list[BodyMotions], str]:
+    """
+    Read motions of a body to learn from, and to judge by.
+
+    Parameters
+    ----------
+    path : Path
+        The file; see Archive.
+    data : BodyArrays or BodyWindows
+        Its keys.
+    kind : str
+        ``'rotation'`` or ``'pose'``.
+
+    Returns
+    -------
+    list of BodyMotions, list of BodyMotions and str
+        The two, and a description of them for the model card.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, lacks a key, or an array cannot be used.
+
+    """
+    archive, places = Archive(path), 0 if kind == 'rotation' else 3
+    if isinstance(data, BodyWindows):
+        train, test = (_of_windows(archive, key, data, places) for key in (data.train, data.test))
+        return [train], [test], f'{path.name}: {data.train}, sha256 {archive.digest}'
+    names = archive.runs(data.time)
+    for run in data.test_runs:
+        if run not in names:
+            raise DataError(f'{path}: data.test_runs: no run {run!r} among {listed(names)}')
+    runs = {run: _of_run(archive, data, places, f'{run}/' if run else '') for run in names}
+    known = [motion for run, motion in runs.items() if run not in data.test_runs]
+    judged = [runs[run] for run in names if run in data.test_runs]
+    if not known:
+        raise DataError(f'{path}: data.test_runs leave nothing to learn from')
+    if not judged:
+        ends = [4 * len(motion.R) // 5 for motion in known]
+        judged = [motion.at(slice(end, None)) for motion, end in zip(known, ends, strict=True)]
+        known = [motion.at(slice(None, end)) for motion, end in zip(known, ends, strict=True)]
+    return known, judged, f'{path.name}, sha256 {archive.digest}'
+
+
+def _of_windows(archive: Archive, key: str, data: BodyWindows, places: int) -> BodyMotions:
+    table = archive.array(key)
+    if table.ndim < 2 or data.time_axis >= table.ndim - 1:
+        raise DataError(f'{archive.path}: {key} has shape {table.shape}, expected an axis '
+                        f'{data.time_axis} of times and a last one of columns')
+    table = np.moveaxis(table, data.time_axis, 0)
+    table = table.reshape(len(table), -1, table.shape[-1])
+    ends = np.cumsum([places, 9 if data.attitude == 'matrix' else 4, 3 + places])
+    if table.shape[-1] < ends[-1]:
+        raise DataError(f'{archive.path}: {key} has {table.shape[-1]} columns, expected at least '
+                        f'{ends[-1]}: those of attitude and velocity, then inputs')
+    return _motions(f'{archive.path}: {key}', np.split(table, ends, axis=-1), data.interval)
+
+
+def _of_run(archive: Archive, data: BodyArrays, places: int, run: str) -> BodyMotions:
+    t = archive.array(run + data.time).ravel()
+    q = archive.array(run + data.q, t.size, [4 + places, 9 + places])
+    v = archive.array(run + data.v, t.size, [3 + places])
+    u = np.empty((t.size, 0)) if data.tau is None else archive.array(
+        run + data.tau, t.size)
+    steps = np.diff(t)
+    if t.size < 2 or not np.ptp(steps) <= 0.01 * steps.mean():
+        raise DataError(f'{archive.path}: {run}{data.time} are not evenly spaced times; '
+                        'interpolate the run to even ones')
+    return _motions(f'{archive.path}: {run}{data.q}', [
+        part[:, None] for part in (q[:, :places], q[:, places:], v, u)], float(steps.mean()))
+
+
+def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMotions:
+    """Return motions of places, attitudes, velocities and inputs, attitudes as matrices."""
+    x, attitude, v, u = parts
+    if not all(np.isfinite(part).all() for part in parts):
+        raise DataError(f'{name}: holds something else than finite numbers, here or beside it')
+    if attitude.shape[-1] == 4:
+        R = turn_matrices(attitude.reshape(-1, 4))[0]
+    else:
+        R = attitude.reshape(-1, 3, 3).copy()
+    gram = R.transpose(0, 2, 1) @ R
+    # The determinant of a mirror image is -1.
+    wrong = np.abs(gram - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
+    if not (wrong <= _NOT_TURNING).all():
+        raise DataError(f'{name}: attitude {int(wrong.argmax())} is no rotation; expected a unit '
+                        'quaternion x, y, z, w, or the matrix that takes vectors of the body to '
+                        'space, row by row')
+    # Attitudes that are off the group by more than rounding are replaced by the next ones on it.
+    off = wrong > _ROUNDING
+    left, _, right = np.linalg.svd(R[off])
+    R[off] = left @ right
+    R = R.reshape(*attitude.shape[:-1], 3, 3)
+    x, R, v, u = map(torch.tensor, (x, R, v, u))
+    return BodyMotions(x, R, v, u, interval)

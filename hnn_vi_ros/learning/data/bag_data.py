@@ -1,0 +1,290 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Data from ROS 2 bags: the recorded states of a robot or of the simulator."""
+
+from collections.abc import Iterable, Iterator, Sequence
+import logging
+from pathlib import Path
+from typing import Annotated, Literal
+
+from hnn_vi_ros.bags.state_message import MOMENTUM, RATE
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.learning.data.bag_signals import JOINT_STATE, Signal, SignalReader
+from hnn_vi_ros.learning.data.dataset import (
+    Block, Dataset, Derivatives, differentiate, Mass, mass_matrix, Names, SavitzkyGolay,
+    time_blocks, UNEVENNESS)
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.interpolate import CubicSpline
+
+MAX_ROWS = 1_000_000
+# Blocks of a recording, unless data.block gives their length.
+BLOCKS = 20
+# Intervals without a message after which a new motion begins.
+_GAP = 10.0
+# Rows at each end of a motion whose spline is not as good as that of the others.
+_MARGIN = 10
+_LEAST = 2 * _MARGIN + 15
+# Unless data.derivatives says more.
+_WINDOW, _DEGREE = 9, 4
+
+_LOGGER = logging.getLogger(__name__)
+
+Topic = Annotated[str, Field(min_length=1, max_length=255)]
+
+
+class BagData(StrictModel):
+    """
+    Topics of MCAP bags; joint states hold positions, velocities and efforts, arrays one of them.
+
+    A topic may be named by the end of its name, if no other ends so.
+    """
+
+    kind: Literal['bag']
+    paths: list[Topic] = Field([], description='bags: folders or .mcap files; --data overrides')
+    joints: Names = Field(min_length=1, description='names of the joints, one a coordinate')
+    columns: list[Annotated[int, Field(ge=0)]] = Field([], description=(
+        'which numbers of arrays belong to the joints, counted from 0; default: all'))
+    q: Topic | None = Field(None, description=(
+        'topic of the positions; default: joint_states. Without q, p, mass and dp_dt, q, p and '
+        'dp_dt are those of ~/state of the simulator, if the bag holds one'))
+    velocity: Topic | None = Field(None, description=(
+        'topic of dq/dt; default: that of q if it has them, else they are estimated'))
+    estimate_velocity: bool = Field(False, description='estimate dq/dt from q in any case')
+    p: Topic | None = Field(None, description=(
+        'topic of the momenta, an array or ~/state; default: mass times dq/dt'))
+    mass: Mass | None = Field(None, description=(
+        'p = M dq/dt: one mass for each coordinate, or M by rows; default 1'))
+    dp_dt: Topic | None = Field(None, description=(
+        'topic of all forces, as efforts that include the weight, or ~/state; default: '
+        'estimated from p'))
+    commands: Topic | None = Field(None, description=(
+        'topic of commands, an array; each holds until the next, before the first all are 0'))
+    stamps: Literal['header', 'log'] | None = Field(None, description=(
+        "a message's time; default: header if all topics have one, else log"))
+    spacing: float | None = Field(None, gt=0.0, description=(
+        'interval to resample at [s]; default: none if all messages come evenly and together, '
+        'else the mean interval of the positions'))
+    derivatives: Derivatives | None = Field(
+        None, discriminator='kind', description=(
+            'how what is not recorded is estimated; default: savitzky_golay, of degree 4 in a '
+            'window of nine rows'))
+    block: Block = None
+
+    @model_validator(mode='after')
+    def _check(self) -> 'BagData':
+        d = len(self.joints)
+        if len(set(self.joints)) != d:
+            raise ValueError('two joints have the same name')
+        if self.columns and len(self.columns) != d:
+            raise ValueError(f'columns has {len(self.columns)} entries, expected {d}, one for '
+                             'each joint')
+        if self.p is not None and self.mass is not None:
+            raise ValueError('p and mass exclude one another: the momenta are recorded')
+        if self.velocity is not None and self.estimate_velocity:
+            raise ValueError('velocity and estimate_velocity exclude one another')
+        mass_matrix(self.mass, d)
+        return self
+
+
+def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
+    """
+    Read bags, resample their signals and estimate what they lack.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders with the files of one bag, or files; unfinished and damaged ones are read as far
+        as they go, these with a warning.
+    data : BagData
+        Topics and joints.
+
+    Raises
+    ------
+    DataError
+        A bag or a message cannot be used; names it, and what the bag holds.
+
+    """
+    parts, described, motions, blocks = [], [], 0, 0
+    for path in paths:
+        reader, found = _reader(path, data)
+        count = 0
+        for part in _motions(reader, found):
+            n = len(part['t'])
+            part['trajectory'] = np.full(n, motions)
+            part['block'] += blocks
+            motions, blocks = motions + 1, part['block'].max() + 1
+            count += n
+            parts.append(part)
+        if reader.damage:
+            _LOGGER.warning('train: warning: %s', reader.damage)
+        rows = f'{count} rows, sha256 {reader.digest[:16]}'
+        described.append(f'{path.name} ({rows}{", damaged" if reader.damage else ""})')
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    if len(arrays['t']) > MAX_ROWS:
+        raise DataError(f'{len(arrays["t"])} rows are more than {MAX_ROWS}; give a larger '
+                        'data.spacing, or fewer bags')
+    return Dataset(**arrays, description=', '.join(described)).checked()
+
+
+def _reader(path: Path, data: BagData) -> tuple[SignalReader, BagData]:
+    """Return a reader of a bag, and the data with the topics in it."""
+    reader = SignalReader(path, data.joints, data.columns, data.stamps or 'log')
+    data = data.model_copy(update=_topics(reader, data))
+    topics = [topic for topic in (data.q, data.velocity, data.p, data.dp_dt, data.commands)
+              if topic is not None]
+    stamped = [topic for topic in topics if reader.type_of(topic) == JOINT_STATE]
+    if data.stamps is None and stamped == topics:
+        reader = SignalReader(path, data.joints, data.columns, 'header')
+    elif data.stamps is None and stamped:
+        reader.check_clocks(
+            stamped[0], next(topic for topic in topics if topic not in stamped))
+    return reader, data
+
+
+def _topics(reader: SignalReader, data: BagData) -> dict[str, Topic | None]:
+    """Return where q, p, dp/dt and the velocities are that data does not say it of."""
+    state = None
+    if data.q is None and data.p is None and data.mass is None and data.dp_dt is None:
+        state = reader.state_topic()
+    velocity, q = data.velocity, state or data.q or 'joint_states'
+    found: dict[str, Topic | None] = {'q': q}
+    if state:
+        found |= {'p': state, 'dp_dt': state}
+    if velocity is None and not data.estimate_velocity:
+        # The velocities of ~/state are on ~/joint_states, with the same stamps.
+        beside = f'{q.rpartition("/")[0].rpartition("/")[0]}/joint_states' if state else q
+        if (not state or reader.has_topic(beside)) and \
+                reader.type_of(beside) == JOINT_STATE and reader.has(beside, 'velocity'):
+            velocity = beside
+    return found | {'velocity': velocity}
+
+
+def _signals(reader: SignalReader, data: BagData) -> dict[str, Signal]:
+    """Return the recorded signals among q, dq_dt, p and dp_dt."""
+    topics = {'q': (data.q, 'position', ''), 'dq_dt': (data.velocity, 'velocity', ''),
+              'p': (data.p, '', ''), 'dp_dt': (data.dp_dt, 'effort', '')}
+    for name, prefix in (('p', MOMENTUM), ('dp_dt', RATE)):
+        topic = topics[name][0]
+        if topic is not None and reader.is_state(topic):
+            reader.check_resets(topic)
+            topics[name] = topic, 'position', prefix
+    return {name: reader.read(topic, field, prefix)
+            for name, (topic, field, prefix) in topics.items() if topic is not None}
+
+
+def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the columns of each stretch of a bag without a gap."""
+    signals = _signals(reader, data)
+    commands = None if data.commands is None else reader.read(data.commands, '*')
+    found, begin = False, -np.inf
+    if commands is not None and reader.commanded_before:
+        begin = commands.t[0]
+        _LOGGER.warning('train: warning: %s: was begun while a command was held, which is not in '
+                        'it: what comes before the first one is left out', reader.path)
+    for window in _windows(signals.values(), begin):
+        parts = {name: _within(signal, window) for name, signal in signals.items()}
+        grid = _grid(list(parts.values()), data.spacing)
+        if len(grid) >= _LEAST:
+            found = True
+            states = {name: _resampled(signal, grid) for name, signal in parts.items()}
+            yield _rows(reader, data, grid, states, commands)
+    if not found:
+        t = signals['q'].t
+        raise DataError(f'{reader.path}: {data.q} has {len(t)} messages in {t[-1] - t[0]:.3g} s, '
+                        f'and no {_LEAST} rows without a gap; record for longer, or give a '
+                        'smaller data.spacing')
+
+
+def _windows(signals: Iterable[Signal], start: float) -> Iterator[tuple[float, float]]:
+    """Yield the intervals of time [s] in which no signal has a gap."""
+    last = np.inf
+    gaps: list[tuple[float, float]] = []
+    for t, _ in signals:
+        intervals = np.diff(t)
+        gaps.extend((t[i], t[i + 1])
+                    for i in np.flatnonzero(intervals > _GAP * np.median(intervals)))
+        start, last = max(start, t[0]), min(last, t[-1])
+    for before, after in [*sorted(gaps), (last, last)]:
+        if start < min(before, last):
+            yield start, min(before, last)
+        start = max(start, after)
+
+
+def _within(signal: Signal, window: tuple[float, float]) -> Signal:
+    inside = (signal.t >= window[0]) & (signal.t <= window[1])
+    return Signal(signal.t[inside], signal.values[inside])
+
+
+def _grid(parts: Sequence[Signal], spacing: float | None) -> np.ndarray:
+    """Return the instants of the rows: the messages' own if these are even, else new ones."""
+    t = parts[0].t
+    if any(len(part.t) < 2 for part in parts):
+        return np.empty(0)
+    mean = (t[-1] - t[0]) / (len(t) - 1)
+    together = all(np.array_equal(part.t, t) for part in parts)
+    if spacing is None and together and \
+            np.abs(np.diff(t) - mean).max() <= UNEVENNESS * mean:
+        return t
+    first, last = max(part.t[0] for part in parts), min(part.t[-1] for part in parts)
+    count = int((last - first) / (spacing or mean) * (1.0 + 1e-12)) + 1 if last > first else 0
+    if count > MAX_ROWS:
+        raise DataError(f'data.spacing = {spacing:g} s makes more than {MAX_ROWS} rows; give a '
+                        'larger one')
+    return first + (spacing or mean) * np.arange(count)
+
+
+def _resampled(signal: Signal, grid: np.ndarray) -> np.ndarray:
+    if np.array_equal(signal.t, grid):
+        return signal.values
+    if len(signal.t) < 4:
+        raise DataError(f'{len(signal.t)} messages are too few to resample; record for longer')
+    return CubicSpline(signal.t, signal.values)(grid)
+
+
+def _rows(reader: SignalReader, data: BagData, t: np.ndarray, states: dict[str, np.ndarray],
+          commands: Signal | None) -> dict[str, np.ndarray]:
+    """Return the columns of a motion without its ends; missing ones are estimated."""
+    method, window = _method(reader, t, data)
+    mass = mass_matrix(data.mass, len(data.joints))
+
+    def rate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return differentiate(t - t[0], values, method, window)
+
+    try:
+        if 'dq_dt' not in states:
+            states['q'], states['dq_dt'] = rate(states['q'])
+        if 'p' not in states:
+            states['p'] = states['dq_dt'] @ mass
+        if 'dp_dt' not in states:
+            states['p'], states['dp_dt'] = rate(states['p'])
+        _, states['accelerations'] = rate(states['dq_dt'])
+    except (ValueError, np.linalg.LinAlgError) as problem:
+        raise DataError(f'{reader.path}: the derivatives cannot be estimated ({problem}); look at '
+                        'its times and at data.derivatives') from problem
+    if commands is not None:
+        states['commands'] = _held(commands, t)
+    states['t'] = t
+    states['block'] = time_blocks(t, data.block or (t[-1] - t[0]) * (1.0 + 1e-9) / BLOCKS)
+    margin = max(window // 2, _MARGIN)
+    return {name: values[margin:len(t) - margin] for name, values in states.items()}
+
+
+def _method(reader: SignalReader, t: np.ndarray, data: BagData) -> tuple[Derivatives, int]:
+    """Return how to differentiate, and its window in rows, an odd number; 0 without one."""
+    spacing = (t[-1] - t[0]) / (len(t) - 1)
+    method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
+    if not isinstance(method, SavitzkyGolay):
+        return method, 0
+    window = method.rows(spacing)
+    if not method.degree + 2 <= window <= len(t) - _LEAST:
+        raise DataError(f'{reader.path}: derivatives.window of {method.window:g} s holds {window} '
+                        f'of {len(t)} rows, expected {method.degree + 2} to {len(t) - _LEAST}')
+    return method, window
+
+
+def _held(commands: Signal, t: np.ndarray) -> np.ndarray:
+    """Return the newest command at each instant, zeros before the first."""
+    at = np.searchsorted(commands.t, t, side='right')
+    return np.vstack([np.zeros((1, commands.values.shape[1])), commands.values])[at]

@@ -1,0 +1,402 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read signals from the topics of a bag: instants and values of positions, velocities, ..."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import final, NamedTuple, TYPE_CHECKING, TypeVar
+
+from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, JointStates
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.bags.state_message import MOMENTUM
+from hnn_vi_ros.errors import DataError, listed, RecordingError
+from hnn_vi_ros.run.held_state import STATE_FILE
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+ARRAY = 'std_msgs/msg/Float64MultiArray'
+# Times agree with stamps that are off by less than this, in mean intervals.
+_DISAGREEMENT = 0.01
+
+Decoded = TypeVar('Decoded')
+
+
+class Signal(NamedTuple):
+    """
+    Values of a topic over time.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Increasing instants, since the first of the signal that was read first [s].
+    values : np.ndarray, shape (N, d)
+        The values at these instants.
+
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+@final
+class SignalReader:
+    """
+    A bag as signals of some joints; one that was cut off will do.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with the files of one bag, or one file.
+    joints : sequence of str
+        Names of the joints, in the order of the coordinates.
+    columns : sequence of int
+        Which numbers of an array belong to them.
+    stamps : str
+        ``'header'`` or ``'log'``: what counts as a message's time.
+
+    Raises
+    ------
+    DataError
+        It is no bag, or holds no messages.
+
+    """
+
+    def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int], stamps: str):
+        try:
+            self._reader = BagReader(path)
+        except RecordingError as problem:
+            raise DataError(str(problem)) from problem
+        self.path = self._reader.path
+        self._joints, self._columns, self._stamps = tuple(joints), list(columns), stamps
+        self._origin: int | None = None
+        if not any(self._reader.messages()):
+            raise DataError(f'{self.path}: holds no messages; record while something moves')
+
+    @property
+    def damage(self) -> str:
+        """Return a report on parts that could not be read."""
+        return self._reader.damage
+
+    @property
+    def digest(self) -> str:
+        """Return the SHA-256 of the bag's files."""
+        return self._reader.digest()
+
+    @property
+    def commanded_before(self) -> bool:
+        """Return whether a simulator held a command when it began the bag, which lacks that."""
+        try:
+            state = safetensors.numpy.load(self._reader.attachment(STATE_FILE))
+        except (RecordingError, safetensors.SafetensorError, ValueError, KeyError):
+            return False
+        return 'live.command' in state and bool(state['live.command'].any())
+
+    def type_of(self, topic: str) -> str:
+        """Return the type of a topic; DataError if the bag does not hold it."""
+        return self._schema(self._channels(topic)[0])
+
+    def has_topic(self, topic: str) -> bool:
+        """Return whether the bag holds exactly this topic."""
+        return any(channel.topic == topic for channel in self._reader.channels.values())
+
+    def state_topic(self) -> str | None:
+        """Return the simulator's ~/state, if the bag holds one with the joints, and no more."""
+        found = [topic for topic in {channel.topic for channel in self._reader.channels.values()
+                                     if channel.topic.endswith('/state')}
+                 if self.is_state(topic)]
+        return found[0] if len(found) == 1 else None
+
+    def is_state(self, topic: str) -> bool:
+        """Return whether a topic is a ~/state of the simulator, with the joints."""
+        channels = self._channels(topic)
+        first = next(self._reader.messages([channel.id for channel in channels]), None)
+        if first is None or self._schema(channels[0]) != JOINT_STATE:
+            return False
+        names = self._joint_state(topic, first).names
+        return {MOMENTUM + joint for joint in self._joints} <= set(names)
+
+    def check_resets(self, state: str) -> None:
+        """
+        Raise DataError if a simulator was reset while a topic was recorded that is its ~/state.
+
+        Between the samples around that there is no motion.
+        """
+        scene = f'{self._channels(state)[0].topic.rpartition("/")[0]}/scene'
+        channels = [channel for channel in self._reader.channels.values()
+                    if channel.topic == scene]
+        times: dict[bytes, int] = {}
+        for message in self._reader.messages([channel.id for channel in channels]):
+            times.setdefault(message.data, message.time)
+        if len(times) > 1:
+            resets = ', '.join(map(str, list(times.values())[1:4]))
+            raise DataError(f'{self.path}: the run was reset at log time {resets} ns; cut the bag '
+                            'there, by `mcap filter`, and give the parts in data.paths; the '
+                            'simulator begins a bag at each reset')
+
+    def check_clocks(self, topic: str, unstamped: str) -> None:
+        """
+        Raise DataError if the log times of joint states differ from their stamps.
+
+        Then messages of a topic without stamps cannot be assigned to states.
+        """
+        times = np.array([
+            (message.time, self._joint_state(topic, message).stamp) for message
+            in self._reader.messages([channel.id for channel in self._channels(topic)])])
+        log, stamps = (times - times[:1]).T * 1e-9
+        largest = np.abs(log - stamps).max(initial=0.0)
+        if largest > _DISAGREEMENT * stamps.max(initial=0.0) / max(len(stamps) - 1, 1):
+            raise DataError(
+                f'{self.path}: {topic} is stamped, {unstamped} is not, and the times at which the '
+                f'messages were recorded are up to {largest:.3g} s away from the stamps: they '
+                'cannot be paired. Use ~/state of the simulator, whose q and p have one stamp '
+                '(data.p: state); data.stamps: log takes those times as they are')
+
+    def has(self, topic: str, field: str) -> bool:
+        """Return whether the first message of a topic of joint states fills a field."""
+        numbers = [channel.id for channel in self._channels(topic)]
+        first = next(self._reader.messages(numbers), None)
+        return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0
+
+    def read(self, topic: str, field: str, prefix: str = '') -> Signal:
+        """
+        Return a signal.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+        field : str
+            Of joint states: ``'position'``, ``'velocity'`` or ``'effort'``; empty for a topic
+            that must be an array, ``'*'`` for an array of any length.
+        prefix : str
+            What stands before the joints in the names of joint states.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be used.
+
+        """
+        channels = self._channels(topic)
+        kind = self._schema(channels[0])
+        name = channels[0].topic
+        convert = self._converter(name, kind, field, prefix)
+        stamps, rows = [], []
+        for message in self._reader.messages([channel.id for channel in channels]):
+            found = convert(message)
+            if found is not None:
+                stamps.append(found[0])
+                rows.append(found[1])
+        if len(rows) < (1 if field == '*' else 2):
+            raise DataError(f'{self.path}: {name} has {len(rows)} messages with the joints '
+                            f'{listed(self._joints)}; record for longer, or name joints that '
+                            'it has in data.joints')
+        if len({len(row) for row in rows}) != 1:
+            raise DataError(f'{self.path}: {name}: its messages have different lengths')
+        return self._checked(name, np.array(stamps), np.array(rows))
+
+    def states(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the messages of a topic of joint states that hold a joint, complete or not.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+
+        Returns
+        -------
+        t : np.ndarray, shape (N,)
+            Since the first [s], in the order of the recording: late ones come late.
+        values : np.ndarray, shape (N, 3, d)
+            Positions, velocities and efforts; not a number where a message has none of a joint.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be read.
+
+        """
+        name, stamps, rows, seen = self._joint_rows(topic)
+        if not set(self._joints) <= seen:
+            raise DataError(f'{self.path}: {name} has no joint '
+                            f'{next(joint for joint in self._joints if joint not in seen)!r}; '
+                            f'its joints: {listed(sorted(seen)) or "none"}')
+        return self._times(name, stamps), np.array(rows)
+
+    def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the commands of a topic, complete or not.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so; of joint states with efforts,
+            or of arrays.
+
+        Returns
+        -------
+        t : np.ndarray, shape (N,)
+            As in ``states``.
+        values : np.ndarray, shape (N, m)
+            Efforts of the joints, or the numbers of an array, selected by ``columns`` if there
+            are any; NaN where a message has no effort of a joint, or an array has another length
+            than most.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be read.
+
+        """
+        channels = self._channels(topic)
+        if self._schema(channels[0]) == JOINT_STATE:
+            name, stamps, rows, _ = self._joint_rows(topic)
+            efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
+            return self._times(name, stamps), efforts
+        name = channels[0].topic
+        self._check_type(name, self._schema(channels[0]), '*')
+        found = [self._from_array(name, message, True)
+                 for message in self._reader.messages([channel.id for channel in channels])]
+        lengths = [len(values) for _, values in found]
+        usual = max(set(lengths), key=lengths.count, default=0)
+        values = np.array([values if len(values) == usual else np.full(usual, np.nan)
+                           for _, values in found]).reshape(-1, usual)
+        if self._columns:
+            if max(self._columns) >= usual:
+                raise DataError(f'{self.path}: {name}: a message has {usual} numbers, and '
+                                f'data.columns names number {max(self._columns)}, counted from 0')
+            values = values[:, self._columns]
+        return self._times(name, [stamp for stamp, _ in found]), values
+
+    def _joint_rows(self, topic: str) -> tuple[str, list[int], list[list[list[float]]], set[str]]:
+        """Return a topic's name, and of its messages stamps, numbers, and names of joints."""
+        channels = self._channels(topic)
+        name, kind = channels[0].topic, self._schema(channels[0])
+        if kind != JOINT_STATE:
+            raise DataError(f'{self.path}: {name} has the type {kind}, expected {JOINT_STATE}; '
+                            f'the bag holds: {self._contents()}')
+        stamps, rows, seen = [], [], set[str]()
+        for message in self._reader.messages([channel.id for channel in channels]):
+            state = self._joint_state(name, message)
+            seen.update(state.names)
+            if not set(self._joints) & set(state.names):
+                continue  # of another driver
+            stamps.append(state.stamp if self._stamps == 'header' else message.time)
+            rows.append([_by_name(state, values, self._joints) for values in (
+                state.position, state.velocity, state.effort)])
+        return name, stamps, rows, seen
+
+    def _times(self, name: str, stamps: list[int]) -> np.ndarray:
+        """Return times since the first of the signal that was read first [s]."""
+        if len(stamps) > 1 and len(set(stamps)) == 1:
+            raise DataError(f'{self.path}: {name}: all its stamps are {stamps[0]} ns; take '
+                            'data.stamps: log, the times at which its messages were recorded')
+        if self._origin is None and stamps:
+            self._origin = stamps[0]
+        return (np.array(stamps, dtype=np.int64) - (self._origin or 0)) * 1e-9
+
+    def _checked(self, name: str, stamps: np.ndarray, values: np.ndarray) -> Signal:
+        backward = np.flatnonzero(np.diff(stamps) <= 0)
+        if backward.size:
+            at = backward[0] + 1
+            other = 'log' if self._stamps == 'header' else 'header'
+            raise DataError(f'{self.path}: {name}: the stamp of message {at + 1}, {stamps[at]} ns,'
+                            f' is not after the one before, {stamps[at - 1]} ns; try data.stamps: '
+                            f'{other}, or split the bag where time was set back')
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            raise DataError(f'{self.path}: {name}: message {bad[0] + 1} holds a value that is not '
+                            f'finite: {values[bad[0]].tolist()}')
+        if self._origin is None:
+            self._origin = stamps[0]
+        return Signal((stamps - self._origin) * 1e-9, values)
+
+    def _channels(self, topic: str) -> list['Channel']:
+        """Return the channels of the one topic that has this name or ends with it."""
+        topics = sorted({channel.topic for channel in self._reader.channels.values()})
+        topic = '/' + topic.lstrip('/')
+        if topic not in topics:
+            found = [name for name in topics if name.endswith(topic)]
+            if len(found) != 1:
+                what = 'no topic' if not found else f'{len(found)} topics'
+                choose = '; name one of them whole' if found else ''
+                raise DataError(f'{self.path}: holds {what} {topic}; it holds: '
+                                f'{self._contents()}{choose}')
+            topic = found[0]
+        return [channel for channel in self._reader.channels.values() if channel.topic == topic]
+
+    def _contents(self) -> str:
+        return listed(sorted({f'{channel.topic} ({self._schema(channel)})'
+                              for channel in self._reader.channels.values()})) or 'nothing'
+
+    def _schema(self, channel: 'Channel') -> str:
+        schema = self._reader.schemas.get(channel.schema_id)
+        return 'unknown type' if schema is None else schema.name
+
+    def _converter(self, topic: str, kind: str, field: str, prefix: str
+                   ) -> Callable[[Recorded], tuple[int, np.ndarray] | None]:
+        self._check_type(topic, kind, field)
+        if kind == ARRAY:
+            return lambda message: self._from_array(topic, message, field == '*')
+        names = [prefix + joint for joint in self._joints]
+        return lambda message: self._from_joint_state(topic, message, field, names)
+
+    def _check_type(self, topic: str, kind: str, field: str) -> None:
+        """Raise DataError if a topic's type cannot hold a field; see read."""
+        if kind == ARRAY or (kind == JOINT_STATE and field not in ('', '*')):
+            return
+        expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}.get(
+            field, f'{ARRAY} or {JOINT_STATE}')
+        raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the bag '
+                        f'holds: {self._contents()}')
+
+    def _from_array(self, topic: str, message: Recorded, whole: bool) -> tuple[int, np.ndarray]:
+        if self._stamps == 'header':
+            raise DataError(f'{self.path}: {topic}: an array has no header with a stamp; use '
+                            'data.stamps: log')
+        values = self._decoded(topic, message, decode_float64_multi_array)
+        if whole or (not self._columns and len(values) == len(self._joints)):
+            return message.time, values
+        if not self._columns or max(self._columns) >= len(values):
+            raise DataError(f'{self.path}: {topic}: a message has {len(values)} numbers, expected '
+                            f'{len(self._joints)}, one for each of data.joints; say which of them '
+                            'in data.columns, counted from 0')
+        return message.time, values[self._columns]
+
+    def _from_joint_state(self, topic: str, message: Recorded, field: str, names: list[str]
+                          ) -> tuple[int, np.ndarray] | None:
+        """Return time and values; None from a message without one of the names."""
+        state = self._joint_state(topic, message)
+        if not set(names) <= set(state.names):
+            return None
+        values = getattr(state, field)
+        if len(values) != len(state.names):
+            raise DataError(f'{self.path}: {topic}: a message has {len(values)} {field} values '
+                            f'for {len(state.names)} joints; leave {field} out of data')
+        time = state.stamp if self._stamps == 'header' else message.time
+        return time, values[[state.names.index(name) for name in names]]
+
+    def _joint_state(self, topic: str, message: Recorded) -> JointStates:
+        return self._decoded(topic, message, decode_joint_state)
+
+    def _decoded(self, topic: str, message: Recorded, decode: Callable[[bytes], Decoded]
+                 ) -> Decoded:
+        try:
+            return decode(message.data)
+        except (ValueError, UnicodeDecodeError) as problem:
+            raise DataError(f'{self.path}: {topic}: the message at {message.time} ns cannot be '
+                            f'read: {problem}') from problem
+
+
+def _by_name(state: JointStates, values: np.ndarray, joints: Sequence[str]) -> list[float]:
+    """Return the values of joints, NaN for a joint without one."""
+    if len(values) != len(state.names):
+        return [np.nan] * len(joints)
+    return [values[state.names.index(joint)] if joint in state.names else np.nan
+            for joint in joints]

@@ -1,0 +1,479 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measured runs of a mechanism, (t, q, v, tau), put on even times.
+
+They come from arrays, bags or logs. Bad samples are left out, counted and reported.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+import math
+from typing import Any, Literal, NamedTuple
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.yaml_file import StrictModel
+import numpy as np
+from pydantic import Field
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+MIN_SAMPLES = 20
+# Larger numbers are no measurements, and their squares overflow.
+MOST = 1e100
+# The order of the low-pass filter. It runs forth and back, so it counts twice and shifts no phase.
+_ORDER = 2
+# A filter whose cut-off is above this share of the fastest motion that samples can hold takes
+# nothing away.
+_WHOLE = 0.9
+# Samples further apart than this many usual intervals are a gap, over which nothing is known.
+_GAP = 10.0
+# With more bad samples than this share the data are not what they are taken for.
+_MOST_BAD = 0.5
+# Nor are rates that leave more than this share of the motion unexplained.
+_UNEXPLAINED = 0.25
+# Intervals of runs that differ by less than this share are taken as one.
+_ALIKE = 0.01
+# Intervals of a log are off by the resolution of its clock, a share of a step that asks for no
+# further step.
+_CLOCK = 0.01
+# Samples before and after one that tell a clock which was set back from samples that are late.
+_AROUND = 20
+# Rates are judged by a coordinate only where it moves by this many times its noise.
+_SEEN = 20.0
+
+
+class RunData(StrictModel):
+    """Options of measured runs, wherever they come from."""
+
+    smoothing: float = Field(40.0, gt=0.0, description=(
+        'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]; '
+        'samples that come too seldom to hold so fast a motion are taken as they are'))
+    on_bad: Literal['drop', 'split', 'fail'] = Field('drop', description=(
+        'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
+        'split the motion there; or fail. At a gap of more than ten intervals a new motion '
+        'begins, or it fails'))
+    inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
+        'what forces do between samples: go over into each other, or each is held until the '
+        'next; default: held for topics of commands, else interpolated'))
+    test_runs: list[str] = Field([], description=(
+        'runs to judge the model by; none: the last fifth of each run in time'))
+
+
+class MeasuredRun(NamedTuple):
+    """
+    One run with its measured samples.
+
+    Parameters
+    ----------
+    name : str
+        Of the run.
+    where : str
+        File and run, for messages.
+    t : np.ndarray, shape (N,)
+        Times [s].
+    q : np.ndarray, shape (N, d)
+        Coordinates; here and below, a number that a sample lacks is NaN.
+    v : np.ndarray, shape (N, d), or None
+        Velocities; None, or NaN throughout, where they are to be estimated.
+    tau : np.ndarray, shape (N, m), or None
+        Forces of m <= d motors, None for none.
+    held : bool
+        Whether each force acts until the next, unless the data say otherwise.
+    a : np.ndarray, shape (N, d), or None
+        Accelerations, None where they are to be estimated.
+    notes : tuple of str
+        Further notes for the model card.
+
+    """
+
+    name: str
+    where: str
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray | None
+    tau: np.ndarray | None
+    held: bool = False
+    a: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    A run, or a piece of one without gaps, at even times.
+
+    Parameters
+    ----------
+    name : str
+        Of the run.
+    t : np.ndarray, shape (N,)
+        Times [s].
+    q, v : np.ndarray, shape (N, d)
+        Coordinates and velocities, as measured.
+    tau : np.ndarray, shape (N, m)
+        Forces of the motors, as measured: those on the coordinates, if there are d.
+    q_smooth, v_smooth, a_smooth : np.ndarray, shape (N, d)
+        Coordinates, velocities and accelerations through a zero-phase low-pass filter.
+    held : bool
+        Whether each force acts until the next; else it goes over into it.
+    accelerations : bool
+        Whether they were measured; else they were estimated.
+
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
+    q_smooth: np.ndarray
+    v_smooth: np.ndarray
+    a_smooth: np.ndarray
+    held: bool = False
+    accelerations: bool = False
+
+    @property
+    def forces(self) -> np.ndarray:
+        """Return the mean of the forces over each interval, shape (N - 1, m)."""
+        return self.tau[:-1] if self.held else 0.5 * (self.tau[1:] + self.tau[:-1])
+
+    @property
+    def spacing(self) -> float:
+        """Return the time between samples [s]."""
+        return float(self.t[1] - self.t[0])
+
+
+# The name of a Run in the identification of scenes.
+Motion = Run
+
+
+@dataclass
+class _Report:
+    """Number of samples that could not be used, by the reason, and where runs were cut."""
+
+    lacking: int = 0
+    late: int = 0
+    short: int = 0
+    cuts: int = 0
+    notes: dict[str, None] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        parts = [f'{count} {what}' for count, what in (
+            (self.lacking, 'that lack a number'), (self.late, 'that are late or come twice'),
+            (self.short, f'in pieces of less than {MIN_SAMPLES}')) if count]
+        found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
+        found += [f'cut at {self.cuts} places'] if self.cuts else []
+        return '; '.join([*found, *self.notes])
+
+    def note(self, *texts: str) -> None:
+        """Keep notes, each once, in order."""
+        self.notes.update(dict.fromkeys(texts))
+
+
+def even_runs(runs: Sequence[MeasuredRun], data: RunData, name: str, digest: str = ''
+              ) -> tuple[list[Run], str]:
+    """Return the pieces of runs at even times, and a description of them for the model card."""
+    report = _Report()
+    split = [_split(run, data, report) for run in runs]
+    # The interval of most samples, for runs at different rates.
+    usual = float(np.quantile(np.repeat([one.spacing for one in split], [
+        sum(map(len, one.pieces)) for one in split]), 0.5, method='lower'))
+    found = [run for one in split for run in _even(one, usual, data, report)]
+    if not found:
+        raise DataError(f'{runs[0].where}: no {MIN_SAMPLES} samples in a row every {usual:.4g} s, '
+                        'the interval of most runs; give runs that last longer')
+    facts = [f'{sum(len(run.t) for run in found)} samples', *([f'sha256 {digest}'] * bool(digest))]
+    counts = f'; {report}' if str(report) else ''
+    return found, f'{name} ({", ".join(facts)}{counts})'
+
+
+class _Split(NamedTuple):
+    """A run split into pieces without gaps, and the interval of its samples [s]."""
+
+    run: MeasuredRun
+    pieces: list[np.ndarray]
+    spacing: float
+
+
+def _split(run: MeasuredRun, data: RunData, report: _Report) -> _Split:
+    """Return a run without its bad samples; DataError if on_bad is fail, or most are bad."""
+    if not len(run.t):
+        raise DataError(f'{run.where}: no samples, expected at least {MIN_SAMPLES}; record for '
+                        'longer')
+    if run.v is not None and not np.isfinite(run.v).any(axis=0).all():
+        run = run._replace(v=None)
+    report.note(*run.notes, *['velocities estimated'] * (run.v is None))
+    kept = _kept(run, data, report)
+    intervals = np.diff(run.t[kept])
+    spacing = float(np.median(intervals[intervals > 0.0]))
+    gap = intervals > _GAP * spacing
+    if gap.any() and data.on_bad == 'fail':
+        raise DataError(f'{run.where}: {intervals.max():.3g} s without a sample, {spacing:.3g} s '
+                        'as a rule; cut the run in two there, or take data.on_bad: split')
+    gap |= intervals <= 0.0  # the clock was set back
+    if data.on_bad == 'split':
+        gap |= np.diff(kept) > 1
+    pieces = np.split(kept, np.flatnonzero(gap) + 1)
+    report.cuts += len(pieces) - 1
+    long = [piece for piece in pieces if len(piece) >= MIN_SAMPLES]
+    report.short += len(kept) - sum(map(len, long))
+    if not long:
+        bridge = '' if data.on_bad == 'drop' else ', or take data.on_bad: drop'
+        raise DataError(f'{run.where}: no {MIN_SAMPLES} samples in a row without a gap; record '
+                        f'for longer{bridge}')
+    return _Split(run, long, spacing)
+
+
+def _kept(run: MeasuredRun, data: RunData, report: _Report) -> np.ndarray:
+    """Return the samples of a run that can be used; between two, time goes back at a reset."""
+    lacks = {name: ~(np.abs(part) <= MOST).reshape(len(run.t), -1).all(axis=1)
+             for name, part in run._asdict().items() if isinstance(part, np.ndarray)}
+    lacking = np.any([*lacks.values()], axis=0)
+    there = np.flatnonzero(~lacking)
+    resets = clock_resets(run.t[there])
+    parts = [part[increasing(run.t[part])] for part in np.split(there, resets) if len(part)]
+    kept = np.concatenate(parts) if parts else there
+    late = ~lacking
+    late[kept] = False
+    wrong = np.flatnonzero(lacking | late)
+    if data.on_bad == 'fail' and (wrong.size or resets.size):
+        at = min([*wrong[:1], *there[resets[:1]]])
+        what = 'lacks a number' if lacking[at] else \
+            'is not after the one before, or that one is wrong'
+        raise DataError(f'{run.where}: sample {at + 1} {what}; leave it out, or take '
+                        'data.on_bad: drop or split')
+    if wrong.size > _MOST_BAD * len(run.t):
+        counts = ', '.join(f'{part.sum()} lack a number of {name}'
+                           for name, part in lacks.items() if part.any())
+        raise DataError(f'{run.where}: of {len(run.t)} samples {counts or "none lacks a number"}, '
+                        f'and {late.sum()} are not after the one before: these are no states of '
+                        'one motion; look at what is taken for them')
+    report.lacking += int(lacking.sum())
+    report.late += int(late.sum())
+    if len(kept) < MIN_SAMPLES:
+        raise DataError(f'{run.where}: {len(kept)} samples, expected at least {MIN_SAMPLES}; '
+                        'record for longer')
+    return kept
+
+
+def _even(split: _Split, usual: float, data: RunData, report: _Report) -> Iterator[Run]:
+    """Yield the pieces of a run at even times, by the interval of most samples [s]."""
+    run, pieces, spacing = split
+    # Clocks that jitter make one rate look like several.
+    if abs(spacing - usual) > _ALIKE * usual:
+        report.note(f'{run.name} put from every {spacing:.4g} s on every {usual:.4g} s')
+    long = [piece for piece in pieces
+            if run.t[piece[-1]] - run.t[piece[0]] > (MIN_SAMPLES - 1.5) * usual]
+    report.short += sum(map(len, pieces)) - sum(map(len, long))
+    for number, piece in enumerate(long):
+        name = run.name if len(long) == 1 else f'{run.name}#{number}'
+        yield _resampled(name, run, piece, usual, data, report)
+
+
+def _resampled(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, data: RunData,
+               report: _Report) -> Run:
+    """Return a piece of a run at even times."""
+    t, q = run.t[rows], run.q[rows]
+    v, a = (None if part is None else part[rows] for part in (run.v, run.a))
+    q, turning = unwound(t, q, v)
+    for k in turning:
+        report.note(f'turns of coordinate {k + 1} counted')
+    _check_rates(run, t, q, v, a)
+    tau = np.zeros_like(q) if run.tau is None else run.tau[rows]
+    times = t[0] + spacing * np.arange(int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1)
+    times = np.minimum(times, t[-1])
+    held = run.held if data.inputs is None else data.inputs == 'held'
+    # Where each force acts until the next, the last one counts.
+    tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] if held else \
+        _linear(times, t, tau)
+    # The slope v helps to interpolate q: clocks of drivers jitter by a large part of the interval.
+    q = CubicSpline(t, q)(times) if v is None else CubicHermiteSpline(t, q, v)(times)
+    if v is not None:
+        v = _linear(times, t, v) if a is None else CubicHermiteSpline(t, v, a)(times)
+    a = None if a is None else _linear(times, t, a)
+    return replace(smoothed(name, times, q, v, tau, data.smoothing, a), held=held)
+
+
+def _check_rates(run: MeasuredRun, t: np.ndarray, q: np.ndarray, v: np.ndarray | None,
+                 a: np.ndarray | None) -> None:
+    """Refuse velocities and accelerations that are not rates of positions or velocities."""
+    for name, of, x, rate, remedy in (
+            ('velocities', 'positions', q, v, 'have them estimated, by data.estimate_velocity: '
+             'true of bags or without v in arrays and logs'),
+            ('accelerations', 'velocities', v, a, 'leave out a')):
+        if x is None or rate is None:
+            continue
+        shares = unexplained(t, x, rate)
+        if (shares > _UNEXPLAINED).any():
+            worst = int(np.nanargmax(shares))
+            raise DataError(
+                f'{run.where}: the {name} of coordinate {worst + 1} are not the rates of its {of}:'
+                f' {100.0 * min(shares[worst], 1.0):.0f} % of how it moves is not in them; look '
+                f'for other units, another sign, zeros or outliers in either, or {remedy}')
+
+
+def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
+
+
+def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
+    """Return values, at times along axis 0, through a zero-phase filter of a cut-off [Hz]."""
+    share = 2.0 * spacing * cutoff
+    if share > _WHOLE:
+        return values
+    try:
+        return np.ascontiguousarray(
+            sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
+    except np.linalg.LinAlgError as problem:
+        raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for samples every '
+                        f'{spacing:.4g} s; give a higher one') from problem
+
+
+def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
+             cutoff: float, a: np.ndarray | None = None) -> Run:
+    """Return a run at even times, smoothed, with estimates of the rates that it lacks."""
+    def smooth(values: np.ndarray) -> np.ndarray:
+        return low_pass(name, values, float(t[1] - t[0]), cutoff)
+
+    def rate(values: np.ndarray) -> np.ndarray:
+        return CubicSpline(t, values)(t, 1)
+
+    q_smooth = smooth(q)
+    v_smooth = rate(q_smooth) if v is None else smooth(v)
+    return Run(name, t, q, v_smooth if v is None else v, tau, q_smooth, v_smooth,
+               rate(v_smooth) if a is None else smooth(a), accelerations=a is not None)
+
+
+def clock_resets(t: np.ndarray) -> np.ndarray:
+    """
+    Return the indices of samples before which the clock was set back, in increasing order.
+
+    Three quarters of those before are then later than three quarters of those after. One stamp
+    that is wrong, or some that are late, are no reset.
+    """
+    found: list[int] = []
+    for i in np.flatnonzero(np.diff(t) < 0.0) + 1:
+        before, after = t[max(i - _AROUND, 0):i], t[i:i + _AROUND]
+        if min(len(before), len(after)) == _AROUND and (not found or i - found[-1] >= _AROUND) \
+                and np.quantile(before, 0.25) > np.quantile(after, 0.75):
+            found.append(int(i))
+    return np.array(found, dtype=int)
+
+
+def increasing(t: np.ndarray) -> np.ndarray:
+    """
+    Return the indices of the most samples whose times increase, shape (M,).
+
+    The longest increasing subsequence: a stamp that is far ahead costs one sample, not all that
+    follow (M. Fredman, On computing the length of longest increasing subsequences, Discrete
+    Mathematics 11, 1975).
+    """
+    if (np.diff(t) > 0.0).all():
+        return np.arange(len(t))
+    least: list[float] = []  # the smallest time that ends a subsequence of each length
+    ends: list[int] = []
+    before = np.full(len(t), -1)
+    for i, time in enumerate(t):
+        length = int(np.searchsorted(least, time)) if least and time <= least[-1] else len(least)
+        before[i] = ends[length - 1] if length else -1
+        least[length:length + 1], ends[length:length + 1] = [time], [i]
+    chain, at = [], ends[-1]
+    while at >= 0:
+        chain.append(at)
+        at = int(before[at])
+    return np.array(chain[::-1])
+
+
+def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndarray, list[int]]:
+    """
+    Return coordinates that go on where angles jumped by a turn, and which of them did.
+
+    An angle that is kept within one turn jumps by more than half of one from sample to sample,
+    and never leaves 2 pi. Rates, if given, determine the number of turns between two samples;
+    otherwise it is the smallest possible one.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Times [s].
+    q : np.ndarray, shape (N, d)
+        Coordinates.
+    v : np.ndarray, shape (N, d), or None
+        Their rates.
+
+    """
+    steps = np.diff(q, axis=0)
+    turning = [k for k in range(q.shape[1]) if np.abs(steps[:, k]).max(initial=0.0) > np.pi
+               and np.ptp(q[:, k]) <= 2.0 * np.pi * (1.0 + 1e-6)]
+    q = q.copy()
+    for k in turning:
+        expected = 0.0 if v is None else 0.5 * (v[1:, k] + v[:-1, k]) * np.diff(t)
+        turns = np.round((expected - steps[:, k]) / (2.0 * np.pi))
+        q[1:, k] += 2.0 * np.pi * np.cumsum(turns)
+    return q, turning
+
+
+def unexplained(t: np.ndarray, x: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """
+    Return the share of the motion of each coordinate that its rates do not explain, shape (d,).
+
+    Of the squares of the changes of x over 1, 2, 4, ... samples, the least share that is left
+    when the integral of the rates is taken off: 0 for rates without noise, 1 for rates that are
+    zero. NaN for a coordinate that hardly moves.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Times [s].
+    x, rate : np.ndarray, shape (N, d)
+        Coordinates, and their supposed rates.
+
+    """
+    rest = x - cumulative_trapezoid(rate, t, axis=0, initial=0.0)
+    return np.array([_share(*columns) for columns in zip(x.T, rest.T, strict=True)])
+
+
+def _share(x: np.ndarray, rest: np.ndarray) -> float:
+    changes = np.abs(np.diff(x))
+    steps = changes[changes > 0.0]
+    if not len(steps):
+        return np.nan
+    # A sensor tells no less than its quantum, nor than what it jumps by from sample to sample.
+    noise = max(float(steps.min()), float(np.median(np.abs(np.diff(x, 2)))))
+    shares, apart = [], 1
+    while apart <= len(x) // 2:
+        moved, left = (float(np.mean((part[apart:] - part[:-apart])**2)) for part in (x, rest))
+        if moved > (_SEEN * noise)**2:
+            shares.append(left / moved)
+        apart *= 2
+    return min(shares, default=np.nan)
+
+
+def steps_between(spacing: float, step_size: float) -> int:
+    """Return how many steps of about a size [s], or less, make the interval of samples [s]."""
+    return max(1, math.ceil(spacing / step_size - _CLOCK))
+
+
+def run_of(run: Run) -> str:
+    """Return the name of the run that this is a piece of."""
+    return run.name.rpartition('#')[0] or run.name
+
+
+def train_and_test(runs: Sequence[Run], test_runs: Sequence[str]
+                   ) -> tuple[list[Run], list[Run]]:
+    """Return runs to learn from and runs to judge by: those named, or the last fifth of each."""
+    if test_runs:
+        return ([run for run in runs if run_of(run) not in test_runs],
+                [run for run in runs if run_of(run) in test_runs])
+    ends = [4 * len(run.t) // 5 for run in runs]
+    return ([part_of(run, slice(None, end)) for run, end in zip(runs, ends, strict=True)],
+            [part_of(run, slice(end, None)) for run, end in zip(runs, ends, strict=True)])
+
+
+def part_of(run: Run, rows: slice) -> Run:
+    """Return some samples of a run."""
+    parts: dict[str, Any] = {name: values[rows] for name, values in vars(run).items()
+                             if isinstance(values, np.ndarray)}
+    return replace(run, **parts)

@@ -1,0 +1,158 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Training data from wherever a configuration or a command line says that they are."""
+
+from collections.abc import Sequence
+import os
+from pathlib import Path
+from typing import Annotated
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.learning.data.text import (
+    LogMotions, MeasuredData, read_log_motions, read_measured_log)
+import numpy as np
+from pydantic import Field
+
+Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]
+MotionSource = ArraysData | BagMotions | LogMotions
+# The suffix of files of arrays.
+_ARRAYS = '.npz'
+
+
+def dimension(data: Source) -> int:
+    """Return the number of coordinates of a source."""
+    if isinstance(data, BagData):
+        return len(data.joints)
+    return len(data.box.q if isinstance(data, ExactData) else data.q)
+
+
+def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = ()) -> Dataset:
+    """
+    Sample or read states and their rates of change.
+
+    Parameters
+    ----------
+    data : Source
+        What to learn from.
+    seed : int
+        Of samples.
+    source : Path
+        The file of the configuration; relative paths of the data are looked up in its folder,
+        then in the working directory.
+    given : sequence of str
+        Files that replace those of the configuration.
+
+    Raises
+    ------
+    DataError
+        The data cannot be read, or files are given for exact data.
+
+    """
+    if isinstance(data, ExactData):
+        if given:
+            raise DataError(f'{source}: its data is exact, so --data {given[0]} has no use; '
+                            'leave it')
+        return sample_exact(data, seed)
+    if isinstance(data, BagData):
+        return read_bags(bags_of(source, data.paths, given), data)
+    hint = f', which is {data.source}' if data.source else ''
+    return read_measured_log(one_file(source, data.path, given, hint), data)
+
+
+def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: Sequence[str] = ()
+                 ) -> tuple[list[Run], str]:
+    """
+    Read measured motions.
+
+    Parameters
+    ----------
+    source, given
+        See make_dataset; ``FILE:RUN,RUN`` for some runs of arrays.
+    data : ArraysData, BagMotions or LogMotions
+        Their format.
+    names : sequence of str
+        Of the coordinates.
+
+    Returns
+    -------
+    list of Run and str
+        The motions, which share one interval, and a description of them.
+
+    Raises
+    ------
+    DataError
+        They cannot be read.
+
+    """
+    if isinstance(data, BagMotions):
+        return read_bag_motions(bags_of(source, data.paths, given), data, names)
+    file = one_file(source, data.path, given)
+    if isinstance(data, LogMotions):
+        return read_log_motions(file, data)
+    path, runs = split_runs(str(file)) if given else (file, [])
+    return read_arrays(path, data, len(names), runs)
+
+
+def motions_of(dataset: Dataset, data: RunData) -> tuple[list[Run], str]:
+    """
+    Return states and rates as measured motions, with commands for forces.
+
+    Raises
+    ------
+    DataError
+        They have no times, or no motion has enough samples in a row.
+
+    """
+    if dataset.t is None:
+        raise DataError(f'{dataset.description}: no motions, but single states; give data with '
+                        'times, such as exact data with a trajectory')
+    runs = []
+    for number in np.unique(dataset.motion):
+        rows = dataset.rows(dataset.motion == number)
+        assert rows.t is not None, 'checked above'
+        runs.append(MeasuredRun(
+            str(number), f'{dataset.description}: motion {number}', rows.t, rows.q, rows.dq_dt,
+            rows.commands, held=rows.commands is not None))
+    return even_runs(runs, data, dataset.description)
+
+
+def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> Path:
+    """Return the one file of some data: that given, or that of a configuration; or DataError."""
+    if len(given) > 1:
+        raise DataError(f'{source}: its data are one file, but --data has {len(given)}; join '
+                        'them')
+    if not (given or path):
+        raise DataError(f'{source}: data.path is empty; pass the file with --data FILE{hint}')
+    return Path(given[0]) if given else _beside(source, path)
+
+
+def bags_of(source: Path, paths: Sequence[str], given: Sequence[str]) -> list[Path]:
+    """Return the given bags, or else those of a configuration; DataError if there are none."""
+    if not (given or paths):
+        raise DataError(f'{source}: data.paths is empty; pass bags with --data BAG ...')
+    return [Path(path) for path in given] or [_beside(source, path) for path in paths]
+
+
+def _beside(source: Path, path: str) -> Path:
+    """Return a file in the folder of the configuration if it exists, else the path as given."""
+    beside = source.parent / path
+    return beside if os.path.exists(beside) else Path(path)
+
+
+def guessed(path: str) -> ArraysData | BagMotions:
+    """Return the format of a file that nothing else is said of: arrays or a bag; or DataError."""
+    file, _ = split_runs(path)
+    if file.suffix == _ARRAYS:
+        return ArraysData()
+    if file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml'):
+        return BagMotions()
+    if not os.path.exists(file):
+        raise DataError(f'{file}: no such file; give a bag, or an .npz file of arrays')
+    raise DataError(f'{file}: expected a bag, or an .npz file of arrays; of a text file, name the '
+                    'columns in the data of a training configuration, and give that with --config')

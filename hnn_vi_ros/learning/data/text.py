@@ -1,0 +1,328 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read text files, a row of numbers for each instant: as states and rates, or as runs."""
+
+from array import array
+import os
+from pathlib import Path
+import re
+from typing import Literal, NamedTuple
+
+from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
+from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.learning.data.dataset import (
+    Block, Dataset, Derivatives, differentiate, Mass, mass_matrix, Names, SavitzkyGolay,
+    time_blocks, UNEVENNESS)
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+import numpy as np
+from pydantic import Field, model_validator
+
+MAX_BYTES = 256 << 20
+MAX_VALUE = 1e100  # whose square is still a number
+# Blocks of neighbouring rows in a trial whose derivatives come from one spline through all rows.
+BLOCKS = 20
+
+_COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
+_SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
+Delimiter = Literal['whitespace', 'comma', 'semicolon', 'tab']
+
+
+class MeasuredData(StrictModel):
+    """A measured log: a text file with one row of numbers for each instant."""
+
+    kind: Literal['measured']
+    path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
+    source: str = Field('', max_length=1000, description=(
+        'where the log comes from, for those who lack it'))
+    delimiter: Delimiter = 'whitespace'
+    comment: str = Field('#', min_length=1, description='prefix of lines to skip')
+    columns: Names = Field(min_length=3, description='names of all columns, in order')
+    trial: str | None = Field(None, description='column that numbers separate recordings')
+    time: str = Field(description='column of time [s]')
+    q: Names = Field(min_length=1, description='columns of the coordinates')
+    p: Names = Field(min_length=1, description='columns of the momenta, or of the velocities')
+    mass: Mass | None = Field(None, description=(
+        'p = mass * columns: one for each coordinate, or a matrix by rows; default 1'))
+    dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
+    dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
+    derivatives: Derivatives | None = Field(
+        None, discriminator='kind', description='how missing derivatives are estimated')
+    block: Block = None
+
+    @model_validator(mode='after')
+    def _check(self) -> 'MeasuredData':
+        groups = {'q': self.q, 'p': self.p, 'dq_dt': self.dq_dt, 'dp_dt': self.dp_dt}
+        for key, group in groups.items():
+            if group is not None and len(group) != len(self.q):
+                raise ValueError(f'{key} has {len(group)} entries, expected {len(self.q)}, '
+                                 'one for each coordinate')
+        mass_matrix(self.mass, len(self.q))
+        _check_columns(self, *groups.values())
+        if self.derivatives is None and not (self.dq_dt and self.dp_dt):
+            raise ValueError('derivatives is missing, since the log lacks dq_dt or dp_dt; '
+                             'for example derivatives: {kind: savitzky_golay, window: 0.3}')
+        return self
+
+
+class LogMotions(RunData):
+    """Columns of a text file, of one run or of several that a column numbers."""
+
+    kind: Literal['log'] = 'log'
+    path: str = Field('', description='the log; or given by --data')
+    delimiter: Delimiter = 'whitespace'
+    comment: str = Field('#', min_length=1, description='prefix of lines to skip')
+    columns: Names = Field(min_length=2, description='names of all columns, in order')
+    trial: str | None = Field(None, description='column that numbers separate runs')
+    time: str = Field(description='column of time [s]')
+    q: Names = Field(min_length=1, description='columns of the coordinates')
+    v: Names | None = Field(None, description=(
+        'columns of dq/dt; none: they are estimated from q'))
+    a: Names | None = Field(None, description=(
+        'columns of the accelerations; none: they are estimated'))
+    tau: Names | None = Field(None, description='columns of the forces of the motors; none: none')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'LogMotions':
+        for key in ('v', 'a', 'tau'):
+            group = getattr(self, key)
+            # There may be fewer motors than joints.
+            if group is not None and (len(group) > len(self.q) or (
+                    key != 'tau' and len(group) < len(self.q))):
+                raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
+        _check_columns(self, self.q, self.v, self.a, self.tau)
+        return self
+
+
+Columns = MeasuredData | LogMotions
+
+
+def _check_columns(data: Columns, *groups: Names | None) -> None:
+    """Raise ValueError for a column that there is not, or that is used twice."""
+    used = [data.time, *([] if data.trial is None else [data.trial]),
+            *(name for group in groups for name in group or ())]
+    for name in used:
+        if data.columns.count(name) != 1 or used.count(name) != 1:
+            raise ValueError(f'column {name} must stand once in columns and be used once')
+
+
+class _Trial(NamedTuple):
+    """The rows of one recording: its number, and each column and line number of them."""
+
+    number: float
+    column: dict[str, np.ndarray]
+    lines: np.ndarray
+
+    def stacked(self, names: Names) -> np.ndarray:
+        """Return some columns side by side, shape (N, d)."""
+        return np.stack([self.column[name] for name in names], axis=-1)
+
+
+def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
+    """
+    Read a log and estimate the derivatives that it lacks.
+
+    Where a derivative is estimated, the value that belongs to it is replaced by the smoothed
+    one, and rows too close to an end of their trial for a whole window are left out.
+
+    Parameters
+    ----------
+    path : Path
+        A text file of at most 256 MiB.
+    data : MeasuredData
+        Its columns and how to differentiate.
+
+    Raises
+    ------
+    DataError
+        The file is missing or a row cannot be used; names file, line, column and what is
+        expected.
+
+    """
+    trials, digest = _trials(path, data)
+    trials.sort(key=lambda trial: trial.number)
+    parts, start = [], 0
+    for number, trial in enumerate(trials):
+        part = _rows(path, trial, data)
+        part['block'] += start
+        part['trajectory'] = np.full(len(part['t']), number)
+        start = part['block'].max(initial=start - 1) + 1
+        parts.append(part)
+    rows = sum(len(trial.lines) for trial in trials)
+    return Dataset(
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
+        description=f'{path.name} ({rows} rows, sha256 {digest[:16]})').checked()
+
+
+def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
+    """
+    Read runs from a log, and put each on even times.
+
+    Parameters
+    ----------
+    path : Path
+        A text file of at most 256 MiB; a field that is empty or ``nan`` is a number that lacks.
+    data : LogMotions
+        Its columns.
+
+    Returns
+    -------
+    list of Run and str
+        The runs, and a description of them for the model card.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, or a row cannot; names file and line.
+
+    """
+    trials, digest = _trials(path, data, lacking=True)
+    runs = []
+    for trial in trials:
+        name = f'{trial.number:.15g}' if data.trial else path.stem
+        v, tau, a = (None if names is None else trial.stacked(names)
+                     for names in (data.v, data.tau, data.a))
+        runs.append(MeasuredRun(name, f'{path}: {name}', trial.column[data.time],
+                                trial.stacked(data.q), v, tau, a=a))
+    return even_runs(runs, data, path.name, digest[:16])
+
+
+def _trials(path: Path, data: Columns, lacking: bool = False
+            ) -> tuple[list[_Trial], str]:
+    """Return the recordings of a log, in their order, and its SHA-256; or raise DataError."""
+    table, lines, digest = read_log(path, data, lacking)
+    column = dict(zip(data.columns, table.T, strict=True))
+    numbers = column[data.trial] if data.trial else np.zeros(len(table))
+    unnumbered = np.flatnonzero(~np.isfinite(numbers))
+    if unnumbered.size:
+        raise DataError(f'{path}:{lines[unnumbered[0]]}: column {data.trial}: no number, which '
+                        'tells the run; give one, or leave the row out')
+    trials = []
+    for number in dict.fromkeys(numbers.tolist()):
+        rows = np.flatnonzero(numbers == number)
+        trials.append(_Trial(number, {name: values[rows] for name, values in column.items()},
+                             lines[rows]))
+    return trials, digest
+
+
+def read_log(path: Path, data: Columns, lacking: bool = False
+             ) -> tuple[np.ndarray, np.ndarray, str]:
+    """
+    Return the numbers of a log, the line of each row, and its SHA-256; or raise DataError.
+
+    Parameters
+    ----------
+    path : Path
+        A text file of at most 256 MiB.
+    data : Columns
+        How its rows are read.
+    lacking : bool
+        Whether a field that is empty or ``nan`` is a number that lacks.
+
+    Returns
+    -------
+    np.ndarray, shape (N, columns), np.ndarray of int, shape (N,), and str
+        What is told above.
+
+    """
+    if not os.path.isfile(path):
+        raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
+                        '--data FILE')
+    # As numbers, of eight bytes each: lists of lists would take ten times the log.
+    numbers, lines = array('d'), array('q')
+    try:
+        for number, line in text_lines(path, MAX_BYTES):
+            if row := _row(f'{path}:{number}', line, data, lacking, not lines):
+                numbers.extend(row)
+                lines.append(number)
+        digest = sha256_of(path, MAX_BYTES)
+    except OSError as problem:
+        raise DataError(f'{path}: cannot be read: {problem.strerror}; give a smaller part of it, '
+                        'or another log') from problem
+    except ValueError as problem:
+        raise DataError(f'{path}:{problem}; give a log of rows of numbers') from problem
+    if len(lines) < 2:
+        raise DataError(f'{path}: {len(lines)} rows of data, expected a longer log')
+    return np.array(numbers).reshape(len(lines), -1), np.array(lines), digest
+
+
+def _row(place: str, line: str, data: Columns, lacking: bool, first: bool) -> list[float]:
+    """Return the numbers of a line; none of a comment, or of the header that may come first."""
+    if not line.strip() or line.lstrip().startswith(data.comment):
+        return []
+    # No further than needed: a line may be as long as the file.
+    fields = [field.strip() for field in line.split(
+        _SEPARATORS[data.delimiter], len(data.columns) + 1)]
+    if first and fields == data.columns:
+        return []
+    if len(fields) != len(data.columns):
+        more = ' or more' * (len(fields) > len(data.columns) + 1)
+        raise DataError(f'{place}: {len(fields)} columns{more}, expected '
+                        f'{len(data.columns)}: {listed(data.columns)}')
+    return [np.nan if lacking and field.lower() in ('', 'nan') else
+            _number(place, i, field, name)
+            for i, (field, name) in enumerate(zip(fields, data.columns, strict=True))]
+
+
+def _number(place: str, index: int, field: str, name: str) -> float:
+    value = plain_number(field)
+    if not abs(value) <= MAX_VALUE:
+        remedy = 'write decimals with a point' if _COMMA.fullmatch(field) else \
+            'name the columns in data.columns, and in data.comment how lines to skip begin'
+        raise DataError(f'{place}: column {index + 1} ({name}): expected a finite number, '
+                        f'found {field[:40]!r}; {remedy}')
+    return value
+
+
+def _rows(path: Path, trial: _Trial, data: MeasuredData) -> dict[str, np.ndarray]:
+    """Return states, their rates, time and block of each row of one trial, by name."""
+    t, lines = trial.column[data.time], trial.lines
+    backward = np.flatnonzero(np.diff(t) <= 0.0)
+    if backward.size:
+        raise DataError(f'{path}:{lines[backward[0] + 1]}: column {data.time}: time must '
+                        'increase from row to row; sort the rows, or name the column that '
+                        'separates recordings in data.trial')
+    found = {'q': trial.stacked(data.q),
+             'p': trial.stacked(data.p) @ mass_matrix(data.mass, len(data.q)), 't': t}
+    given = {'q': data.dq_dt, 'p': data.dp_dt}
+    whole, block = slice(None), np.arange(len(t))
+    if None in given.values():
+        window = _window(path, t, data.derivatives, lines)
+        whole = slice(window // 2, len(t) - window // 2)
+        block //= window or max(len(t) // BLOCKS, 1)
+    for name, names in given.items():
+        if names is not None:
+            found[f'd{name}_dt'] = trial.stacked(names)
+            continue
+        assert data.derivatives is not None, 'checked with the configuration'
+        try:
+            found[name], found[f'd{name}_dt'] = differentiate(
+                t, found[name], data.derivatives, window)
+        except (ValueError, np.linalg.LinAlgError) as problem:
+            raise DataError(f'{path}:{lines[0]}: the derivatives of this trial cannot be '
+                            f'estimated ({problem}); look at its times and at '
+                            'data.derivatives') from problem
+    found['block'] = block if data.block is None else time_blocks(t, data.block)
+    return {name: values[whole] for name, values in found.items()}
+
+
+def _window(path: Path, t: np.ndarray, method: object, lines: np.ndarray) -> int:
+    """Return the window in rows, an odd number; 0 for a method without one."""
+    if not isinstance(method, SavitzkyGolay):
+        if len(t) < 5:
+            raise DataError(f'{path}:{lines[0]}: {len(t)} rows in this trial, expected at least 5')
+        return 0
+    spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
+    uneven = np.flatnonzero(np.abs(np.diff(t) - spacing) > UNEVENNESS * spacing)
+    if uneven.size:
+        at = uneven[0]
+        raise DataError(f'{path}:{lines[at + 1]}: {t[at + 1] - t[at]:.6g} s after the row before, '
+                        f'but {spacing:.6g} s on average; use derivatives: '
+                        '{kind: smoothing_spline}, or data.trial to separate recordings')
+    window = method.rows(spacing)
+    if not method.degree + 2 <= window <= len(t) - 1:
+        raise DataError(f'{path}:{lines[0]}: derivatives.window of {method.window:g} s holds '
+                        f'{window} of the {len(t)} rows of this trial, expected '
+                        f'{method.degree + 2} to {len(t) - 1}')
+    return window

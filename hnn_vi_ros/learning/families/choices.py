@@ -1,0 +1,441 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The schema of the choices of a training configuration: a model family, and a loss."""
+
+from collections.abc import Mapping, Sequence
+import re
+from typing import Annotated, ClassVar, Literal
+
+from hnn_vi_ros.errors import listed
+from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.models.exact_prior import exact_systems
+from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
+from hnn_vi_ros.models.mechanical_card import check_prior, check_row, Kind
+from hnn_vi_ros.models.model_card import Scheme
+from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, values_of
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+# Steps of windows: of machines, and of bodies that turn.
+WindowMethod = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
+LieMethod = Literal['lie_leapfrog', 'lie_variational_euler']
+RetractionName = Literal['cayley', 'exponential']
+# Least eigenvalue of S^-1 M^-1 S^-1 of a body that turns.
+BODY_FLOOR = 1e-3
+ON_THE_CPU = {'device': 'is trained on the CPU, in minutes'}
+# A term of a linear combination: sign, number, name.
+_TERM = re.compile(r'\s*([+-]?)\s*(?:(\d+\.?\d*(?:e[+-]?\d+)?)\s*\*\s*)?([^\W\d]\w*)\s*')
+
+
+class FamilyChoice(StrictModel):
+    """
+    A family of models.
+
+    ``losses`` are those that train it; ``refuses`` has the options of train that do not hold for
+    it, each with the reason.
+    """
+
+    kind: str
+    losses: ClassVar[tuple[str, ...]] = ('vector_field', 'steps')
+    refuses: ClassVar[Mapping[str, str]] = {}
+
+
+class HNNChoice(FamilyChoice):
+    """One network H(q, p)."""
+
+    kind: Literal['hnn']
+
+
+class SeparableHNNChoice(FamilyChoice):
+    """Networks T(p) and V(q), for explicit methods."""
+
+    kind: Literal['separable_hnn']
+
+
+class DissipativeHNNChoice(FamilyChoice):
+    """Networks H(q, p) and D(q, p): q' = H_p + D_q, p' = -H_q + D_p."""
+
+    kind: Literal['dissipative_hnn']
+
+
+class DGNetChoice(FamilyChoice):
+    """One network H(q, p), and linear friction."""
+
+    kind: Literal['dgnet']
+    friction: bool = Field(True, description='whether dp/dt = -H_q - gamma p, or gamma = 0')
+    losses: ClassVar[tuple[str, ...]] = ('discrete_gradient', 'vector_field')
+
+
+class VINChoice(FamilyChoice):
+    """A constant mass matrix and a network V(q), learned from positions."""
+
+    kind: Literal['vin']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'of the first coordinate, which sets the unit of energy: positions leave it open'))
+    losses: ClassVar[tuple[str, ...]] = ('discrete_lagrangian',)
+
+
+class LagrangianChoice(FamilyChoice):
+    """A Lagrangian L(q, v): a network added to a constant mass."""
+
+    kind: Literal['lagrangian']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'mean of that of the first coordinate, which sets the unit of energy: motions leave it '
+        'open'))
+    losses: ClassVar[tuple[str, ...]] = ('euler_lagrange',)
+
+
+class ControlAffineChoice(FamilyChoice):
+    """Networks for the mass matrix, the potential and the input map of commands."""
+
+    kind: Literal['control_affine']
+    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
+
+
+class SymplecticFormChoice(FamilyChoice):
+    """A one-form theta(u) and an energy H(u) in any coordinates u, such as (q, dq/dt)."""
+
+    kind: Literal['symplectic_form']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'mean of that of the first coordinate, d theta_q / dp, which sets the unit of energy: '
+        'motions leave it open'))
+    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
+
+
+class VectorField(StrictModel):
+    """The rates of change against (H_p, -H_q), and what a family adds to it."""
+
+    kind: Literal['vector_field'] = 'vector_field'
+    # The one-step map that is trained through.
+    scheme: ClassVar[None] = None
+
+
+class EulerLagrange(StrictModel):
+    """Accelerations against the Euler-Lagrange equation."""
+
+    kind: Literal['euler_lagrange']
+    scheme: ClassVar[None] = None
+
+
+class Steps(StrictModel):
+    """States some steps on against those that a variational integrator gives."""
+
+    kind: Literal['steps']
+    integrator: Literal['variational_euler', 'symplectic_euler', 'symplectic_euler_adjoint',
+                        'generalized_leapfrog', 'implicit_midpoint']
+    step_size: float = Field(gt=0.0, description='h [s]')
+    count: int = Field(1, ge=1, le=100, description='how many steps')
+
+    @property
+    def scheme(self) -> Scheme:
+        """Return the one-step map that is trained through."""
+        return Scheme(integrator=self.integrator, step_size=self.step_size)
+
+
+class DiscreteGradient(StrictModel):
+    """Differences of states against the discrete gradient of H between them."""
+
+    kind: Literal['discrete_gradient']
+    step_size: float = Field(gt=0.0, description='h [s]')
+
+    @property
+    def scheme(self) -> Scheme:
+        """Return the one-step map that is trained through."""
+        return Scheme(integrator='discrete_gradient', step_size=self.step_size)
+
+
+class DiscreteLagrangian(StrictModel):
+    """Three positions in a row against the discrete Euler-Lagrange equation."""
+
+    kind: Literal['discrete_lagrangian']
+    rule: Literal['trapezoid', 'midpoint'] = Field('trapezoid', description=(
+        'for the action of the potential: that of stormer_verlet, or of implicit_midpoint'))
+    step_size: float = Field(gt=0.0, description='h [s]')
+
+    @property
+    def scheme(self) -> Scheme:
+        """Return the one-step map that is trained through."""
+        method = 'stormer_verlet' if self.rule == 'trapezoid' else 'implicit_midpoint'
+        return Scheme(integrator=method, step_size=self.step_size)
+
+
+class FrictionChoice(StrictModel):
+    """Friction of a machine; all that is named adds up."""
+
+    viscous: bool = Field(True, description='-b v')
+    coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
+    stribeck: int = Field(0, ge=0, le=8, description=(
+        'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+    network: bool = Field(False, description=(
+        '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
+        'are'))
+    network_depends_on: list[str] | None = Field(None, description=(
+        'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
+
+
+class MechanicalChoice(FamilyChoice):
+    """Networks M(q) and V(q), and friction."""
+
+    kind: Literal['mechanical']
+    losses: ClassVar[tuple[str, ...]] = ('trajectory', 'forward', 'inverse', 'discrete')
+    refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU
+    features: list[str] | None = Field(None, min_length=1, description=(
+        'the inputs of V: linear combinations of coordinates, such as a + b; default: each '
+        'coordinate'))
+    mass: Literal['learned', 'diagonal', 'constant'] = Field('learned', description=(
+        'M(q), a diagonal one, or a matrix that depends on nothing'))
+    mass_depends_on: list[str] | None = Field(None, description=(
+        'the inputs of M, in the same way; default: each coordinate'))
+    friction: FrictionChoice = Field(default_factory=FrictionChoice)
+    input_map: Literal['identity', 'learned'] = Field('identity', description=(
+        'each joint has a force of its own in the data; or the forces are of motors, at most as '
+        'many as joints, and a constant matrix of their effect on the joints is learned'))
+    prior: str | None = Field(None, description=(
+        'a system whose parameters are fitted, and that the networks are added to: pendulum or '
+        'double_pendulum, rigid links that turn by the angles that are the features; or another '
+        'exact system, by its name in scenes, of the coordinates in their order'))
+    residual: bool = Field(True, description='whether there are networks in addition to a prior')
+    residual_weight: float = Field(1e-3, ge=0.0, description=(
+        'of the size of the networks added to a prior, at random states, in the loss'))
+
+    def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
+        """Return the structure of the networks; ValueError for a name of no coordinate."""
+        seen = names if self.mass_depends_on is None else self.mass_depends_on
+        if self.mass == 'constant':
+            if self.mass_depends_on:
+                raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
+                                 'out')
+            seen = []
+        friction = self.friction
+        if not friction.network and friction.network_depends_on is not None:
+            raise ValueError('friction.network_depends_on: there is no network; take network: '
+                             'true, or leave it out')
+
+        def rows(texts: Sequence[str], key: str) -> list[list[float]]:
+            found = [combination(text, names, key) for text in texts]
+            for row in found:
+                check_row(kinds, row)
+            return found
+        features = rows(self.features or names, 'features')
+        self._check_prior(kinds, features)
+        mass_features = rows(seen, 'mass_depends_on')
+        rubbing = seen if friction.network_depends_on is None else friction.network_depends_on
+        return Structure(
+            kinds, features, mass_features, self.mass == 'diagonal', friction.viscous,
+            friction.coulomb, friction.stribeck, self.prior, self.residual,
+            rows(rubbing, 'friction.network_depends_on') if friction.network else None)
+
+    def _check_prior(self, kinds: list[Kind], features: list[list[float]]) -> None:
+        if self.prior is None:
+            if not self.residual:
+                raise ValueError('residual: without a prior there is nothing but the networks')
+            return
+        if self.prior not in CHAINS and self.prior not in exact_systems():
+            raise ValueError(f'prior: {self.prior!r} is no system of the form p . M(q)^-1 p / 2 '
+                             f'+ V(q); valid: {", ".join(sorted({*CHAINS, *exact_systems()}))}')
+        check_prior(self.prior, kinds, features)
+        if self.prior not in CHAINS and self.input_map != 'identity':
+            raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
+                             'norm of the map would fix again; take input_map: identity')
+        if self.friction.network and not self.residual:
+            raise ValueError('friction.network: residual: false leaves out all networks; leave '
+                             'out one of the two')
+
+
+class RigidBodyChoice(FamilyChoice):
+    """A robot that a URDF describes, whose inertias and friction are identified."""
+
+    kind: Literal['rigid_body']
+    losses: ClassVar[tuple[str, ...]] = ('trajectory', 'inverse')
+    refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU | {'ensemble': (
+        'has the uncertainty of each parameter by its standard errors')}
+    file: str = Field(description=(
+        'the URDF: a path, from the folder of the configuration or else the working directory, or '
+        'package://PACKAGE/PATH'))
+    locked: dict[str, float] = Field({}, description=(
+        'joints that do not move, and where they are held [rad], [m]'))
+    gravity: list[float] = Field([0.0, 0.0, -9.81], min_length=3, max_length=3, description=(
+        'the acceleration of free fall in the frame of the base [m/s^2]'))
+    base: str | None = Field(None, description='the link that rests; default: the root')
+    rotor_inertia: dict[str, float] | Literal['identified'] = Field({}, description=(
+        'of the rotors behind joints, as they feel it [kg m2], [kg]; or it is identified'))
+    offsets: bool = Field(True, description='whether the motors are off by a constant force')
+    friction: FrictionChoice = Field(
+        default_factory=lambda: FrictionChoice(coulomb=1), description='in the joints')
+    residual: list[Literal['potential', 'friction', 'mass']] = Field([], description=(
+        'networks that are added: V(q), the friction -D(q) v, M(q); one, or a list'))
+    residual_weight: float = Field(1e-3, ge=0.0, description=(
+        'of the size of those networks, at random states, in the loss'))
+    # It is a prior of the family mechanical, whose joints have a force each.
+    prior: ClassVar[str] = RIGID_BODY
+    input_map: ClassVar[str] = 'identity'
+
+    @field_validator('residual', mode='before')
+    @classmethod
+    def _listed(cls, value: object) -> object:
+        return [value] if isinstance(value, str) else value
+
+    @model_validator(mode='after')
+    def _check(self) -> 'RigidBodyChoice':
+        if self.friction.network or self.friction.network_depends_on is not None:
+            raise ValueError('friction.network: take residual: friction, a network in addition '
+                             'to the friction of joints')
+        return self
+
+    def robot(self, joints: Sequence[str]) -> RigidBodyTree:
+        """Return the robot of the file, of these joints, or of all that move; or raise."""
+        rotors = {} if isinstance(self.rotor_inertia, str) else self.rotor_inertia
+        return RigidBodyTree(self.file, [*joints] or None, self.locked, self.gravity, self.base,
+                             rotors)
+
+    def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
+        """Return the structure of robot and networks, whose inputs are the coordinates."""
+        robot, rows = self.robot(names), np.eye(len(names)).tolist()
+        tree = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name[:200])
+        left_out = tuple(name for name in ('mass', 'potential') if name not in self.residual)
+        return Structure(
+            kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
+            self.friction.stribeck, self.prior, bool(self.residual),
+            rows if 'friction' in self.residual else None, tree, values_of(tree, robot.bodies),
+            left_out)
+
+
+def combination(text: str, names: Sequence[str], key: str) -> list[float]:
+    """Return the coefficients of a linear combination such as ``a - 2 * b``, or ValueError."""
+    row, at = [0.0] * len(names), 0
+    while at < len(text):
+        term = _TERM.match(text, at)
+        if term is None or (at > 0 and not term[1]) or term[3] not in names:
+            raise ValueError(f'{key}: {text!r} is no linear combination of the coordinates '
+                             f'{listed(names)}, such as {" + ".join(names[:2])}')
+        row[names.index(term[3])] += float(f'{term[1]}{term[2] or 1.0}')
+        at = term.end()
+    return row
+
+
+class LieGroupChoice(FamilyChoice):
+    """Networks of M(q)^-1 and V(q), or one of H(q, p); dissipation and input map."""
+
+    kind: Literal['lie_group']
+    losses: ClassVar[tuple[str, ...]] = ()
+    refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU
+    structured: bool = Field(True, description=(
+        'whether H = p . M^-1 p / 2 + V(q); or the momentum is an input of V too, and M is '
+        'constant'))
+    mass_depends_on: list[Seen] = Field([], max_length=2, description=(
+        'the inputs of M; none: it is constant in the frame of the body'))
+    potential_depends_on: list[Seen] = Field(
+        ['attitude'], min_length=1, max_length=2, description='the inputs of V')
+    dissipation: Literal['none', 'constant', 'learned'] = Field('none', description=(
+        'D of the force -D v, positive semidefinite: constant, or with the inputs of M'))
+    input_map: Literal['identity', 'learned'] = Field('learned', description=(
+        'the inputs are forces in the frame of the body, one for each velocity; or a matrix of '
+        'their effect is learned'))
+    input_map_depends_on: list[Seen] = Field([], max_length=2, description='the inputs of that')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'LieGroupChoice':
+        if not self.structured and self.mass_depends_on:
+            raise ValueError('mass_depends_on: structured: false has a constant M beside the '
+                             'network of all; leave it out')
+        return self
+
+    def card(self, kind: str, mass_scale: list[float], driven: bool) -> LieGroupCard:
+        """Return the inputs of the networks; ValueError for one that this body has not."""
+        potential: list[str] = [*self.potential_depends_on]
+        if not self.structured:
+            potential.append('momentum')
+        drag = {'none': None, 'constant': [], 'learned': self.mass_depends_on or ['attitude']}
+        return LieGroupCard.model_validate({
+            'kind': kind, 'mass_scale': mass_scale, 'floor': BODY_FLOOR,
+            'mass_depends_on': self.mass_depends_on, 'potential_depends_on': potential,
+            'dissipation_depends_on': drag[self.dissipation],
+            'input_map_depends_on': self.input_map_depends_on
+            if driven and self.input_map == 'learned' else None})
+
+
+class WindowStage(StrictModel):
+    """Some steps of Adam on windows of one length."""
+
+    duration: float = Field(gt=0.0, description='of each window [s]')
+    steps: int = Field(ge=1, le=1_000_000)
+    learning_rate: float | None = Field(None, gt=0.0, le=1.0, description=(
+        'of Adam; default: a fifth of that on accelerations'))
+
+
+class Regression(StrictModel):
+    """A fit at single samples: Adam, then L-BFGS."""
+
+    kind: str
+    steps: int = Field(400, ge=1, le=1_000_000, description='of Adam')
+    batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
+        'of L-BFGS, which follow; they end sooner when they make the samples worse that are left '
+        'out of them, a tenth'))
+
+
+class Forward(Regression):
+    """The accelerations at each sample: best where they were measured, or are exact."""
+
+    kind: Literal['forward']
+
+
+class Inverse(Regression):
+    """The forces of the motors at each sample, from its acceleration."""
+
+    kind: Literal['inverse']
+
+
+class Discrete(Regression):
+    """The forced discrete Euler-Lagrange equations of the midpoint rule, from positions alone."""
+
+    kind: Literal['discrete']
+    step_size: float | None = Field(None, gt=0.0, description=(
+        'a multiple of the interval of the samples [s]; default: that at which noise and the '
+        'rule have about the same error'))
+
+
+class Trajectory(StrictModel):
+    """Accelerations first; then windows that are simulated from their smoothed first state."""
+
+    kind: Literal['trajectory'] = 'trajectory'
+    forward_steps: int = Field(400, ge=1, description='of Adam on accelerations')
+    forward_batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    forward_lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
+        'of L-BFGS on accelerations, which follow; they end sooner when they make the samples '
+        'worse that are left out of them, a tenth, as noise lets them'))
+    step_size: float | None = Field(None, gt=0.0, description=(
+        'of the windows, a multiple of the interval of the samples [s]; forces are averaged over '
+        'it; default: the multiple that is next to 0.01 s'))
+    windows: list[WindowStage] = Field(
+        [WindowStage(duration=0.1, steps=600), WindowStage(duration=0.25, steps=400)],
+        description='the stages that follow, in this order')
+    method: WindowMethod = Field('implicit_midpoint', description=(
+        'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
+        'nothing'))
+    batch: int = Field(256, ge=1, description='windows in each of their steps')
+    time_scale: float = Field(0.1, gt=0.0, description=(
+        'an error of q counts as one of v does that makes it in this time [s]'))
+
+
+class BodyStage(StrictModel):
+    """Some steps on windows of so many intervals of the data."""
+
+    intervals: int = Field(ge=1, description='of each window')
+    adam_steps: int = Field(0, ge=0, le=1_000_000)
+    lbfgs_steps: int = Field(0, ge=0, le=1_000_000, description='on the same windows each')
+    lbfgs_windows: int = Field(1024, ge=1, description='so many at most, drawn at random')
+
+
+FieldFamily = Annotated[
+    HNNChoice | SeparableHNNChoice | DissipativeHNNChoice | DGNetChoice | VINChoice
+    | LagrangianChoice | ControlAffineChoice | SymplecticFormChoice,
+    Field(discriminator='kind')]
+FieldLoss = Annotated[
+    VectorField | Steps | DiscreteGradient | DiscreteLagrangian | EulerLagrange,
+    Field(discriminator='kind')]
+MachineFamily = Annotated[MechanicalChoice | RigidBodyChoice, Field(discriminator='kind')]
+MachineLoss = Annotated[Forward | Inverse | Discrete | Trajectory, Field(discriminator='kind')]

@@ -1,0 +1,282 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The schema of a training configuration, by its family, and where the shipped ones lie."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from hnn_vi_ros.errors import DataError, did_you_mean, ModelError
+from hnn_vi_ros.files.package_uri import package_file, SCHEME
+from hnn_vi_ros.files.resources import find_yaml
+from hnn_vi_ros.files.yaml_file import load_yaml, read_yaml, StrictModel
+from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
+from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.sources import dimension, Source
+from hnn_vi_ros.learning.data.text import LogMotions
+from hnn_vi_ros.learning.families.choices import (
+    BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
+    LieGroupChoice, LieMethod, MachineFamily, MachineLoss, Regression, RetractionName,
+    RigidBodyChoice, Trajectory, VectorField)
+from hnn_vi_ros.learning.families.excitation import ExcitationData
+from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.model_card import CoordinateCard
+from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
+from pydantic import BaseModel, Field, model_validator, ValidationError
+
+Widths = Annotated[list[Annotated[int, Field(ge=1, le=4096)]], Field(
+    min_length=1, max_length=16, description='of the hidden layers, of each network')]
+Seed = Annotated[int, Field(ge=0, lt=2**63, description=(
+    'of data, split, initial weights and batches'))]
+Rate = Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class TrainingConfig(StrictModel):
+    """One training run; a file states only what differs from the defaults."""
+
+    description: str = Field('', max_length=1000)
+
+    def check_loss(self, family: FamilyChoice, kind: str) -> None:
+        """Raise ValueError if a loss does not train a family."""
+        if kind not in family.losses:
+            raise ValueError(f'loss: {kind} does not train the family {family.kind}; valid: '
+                             f'{", ".join(family.losses)}')
+
+
+class ReferenceState(StrictModel):
+    """The state that sets the zero of the energy, which its gradient leaves open."""
+
+    q: list[float]
+    p: list[float]
+    energy: float = Field(0.0, description='H there')
+
+
+class FieldConfig(TrainingConfig):
+    """A family that learns a field of (q, p)."""
+
+    coordinates: list[CoordinateCard] = Field(min_length=1)
+    data: Source
+    family: FieldFamily = Field(HNNChoice(kind='hnn'), description='what is learned')
+    loss: FieldLoss = Field(VectorField(), description='how')
+    hidden: Widths = [64, 64]
+    seed: Seed = 0
+    validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description='of the data, held out')
+    test_fraction: float = Field(0.0, ge=0.0, le=0.5, description=(
+        'of the data, held out as well, and looked at once, at the end'))
+    adam_steps: int = Field(1000, ge=1, le=1_000_000)
+    learning_rate: Rate = Field(5e-3, description='of Adam at its start')
+    lbfgs_steps: int = Field(2000, ge=0, le=1_000_000)
+    lbfgs_history: int = Field(50, ge=1, le=1000, description=(
+        'steps that L-BFGS remembers; more go deeper for the same number of steps'))
+    patience: int | None = Field(None, ge=1, description=(
+        'looks at the validation loss, one every 20 steps, without a lower one after which '
+        'training stops early, and goes back to the best weights'))
+    linearity: float = Field(0.0, ge=0.0, description=(
+        'weight of a preference for a linear field where the data leave H open'))
+    reference: ReferenceState | None = Field(None, description='default: H = 0 in the box centre')
+    confine: bool = Field(False, description=(
+        'whether scenes hold states near the box of the data, unless they say otherwise'))
+
+    @model_validator(mode='after')
+    def _check(self) -> 'FieldConfig':
+        d = len(self.coordinates)
+        lengths = {'data': dimension(self.data)}
+        if self.reference is not None:
+            lengths |= {'reference.q': len(self.reference.q),
+                        'reference.p': len(self.reference.p)}
+        for key, length in lengths.items():
+            if length != d:
+                raise ValueError(f'{key} has {length} coordinates, but coordinates names {d}')
+        self.check_loss(self.family, self.loss.kind)
+        if self.linearity and self.loss.kind in ('discrete_lagrangian', 'euler_lagrange'):
+            raise ValueError(f'linearity: needs a field of (q, p), which the loss '
+                             f'{self.loss.kind} does not train; leave it out')
+        if self.confine and not FAMILIES[self.family.kind].canonical:
+            raise ValueError(f'confine: needs canonical momenta, which the family '
+                             f'{self.family.kind} has not')
+        return self
+
+
+class MachineCoordinate(CoordinateCard):
+    """A joint."""
+
+    kind: Kind = Field('revolute', description=(
+        'revolute: an angle with ends; continuous: one that turns over, of period 2 pi; '
+        'prismatic: a length'))
+
+
+class MachineConfig(TrainingConfig):
+    """A family that learns a machine from (q, v, tau)."""
+
+    coordinates: list[MachineCoordinate] = Field([], max_length=MOST_JOINTS, description=(
+        'at least one; of a rigid_body joints of its URDF, and all that move if none is named'))
+    data: Annotated[ArraysData | BagMotions | LogMotions | ExcitationData,
+                    Field(discriminator='kind')]
+    family: MachineFamily
+    loss: MachineLoss | None = Field(None, description=(
+        'how; default: forward where the data hold accelerations, else trajectory'))
+    hidden: Widths = [32, 32]
+    seed: Seed = 0
+    learning_rate: Rate = Field(0.01, description=(
+        'of Adam on accelerations; a fifth of it on windows that name none'))
+
+    @model_validator(mode='after')
+    def _check(self) -> 'MachineConfig':
+        family, loss = self.family, self.loss
+        if loss is not None:
+            self.check_loss(family, loss.kind)
+        if isinstance(family, RigidBodyChoice):
+            return self
+        if isinstance(self.data, ExcitationData):
+            raise ValueError('data: excitation computes motions of a rigid_body; take arrays, bag '
+                             'or log')
+        if not self.coordinates:
+            raise ValueError('coordinates: expected at least one')
+        if family.prior is not None and isinstance(loss, Regression):
+            raise ValueError(f'loss: {loss.kind} fits no prior; take trajectory')
+        if family.input_map == 'learned' and isinstance(loss, Inverse):
+            raise ValueError('input_map: the loss inverse would make the forces on a joint small '
+                             'by a small input map; take forward, discrete or trajectory')
+        self.structure()
+        return self
+
+    @property
+    def windows(self) -> Trajectory:
+        """Return the windows by which a rigid body is fitted."""
+        return self.loss if isinstance(self.loss, Trajectory) else Trajectory()
+
+    def loss_of(self, measured: bool) -> Forward | Inverse | Discrete | Trajectory:
+        """Return the loss, for data whose accelerations were measured or not."""
+        if self.loss is not None:
+            return self.loss
+        return Forward(kind='forward') if measured and self.family.prior is None else Trajectory()
+
+    def structure(self) -> Structure:
+        """Return the structure of the networks; ValueError for a name of no coordinate."""
+        return self.family.structure([coordinate.name for coordinate in self.coordinates],
+                                     [coordinate.kind for coordinate in self.coordinates])
+
+
+class BodyCoordinate(CoordinateCard):
+    """A body."""
+
+    kind: Literal['rotation', 'pose'] = Field(description=(
+        'rotation: it turns about a point; pose: it moves as well'))
+
+
+class BodyConfig(TrainingConfig):
+    """A family that learns a body that turns."""
+
+    coordinates: list[BodyCoordinate] = Field(min_length=1, max_length=1)
+    data: Annotated[BodyArrays | BodyWindows, Field(discriminator='kind')]
+    family: LieGroupChoice
+    method: LieMethod = Field('lie_leapfrog', description=(
+        'of the steps of windows: that of the scene in which the model is to run'))
+    retraction: RetractionName = Field('exponential', description='of these steps')
+    substeps: int = Field(1, ge=1, le=1000, description='steps in each interval of the data')
+    windows: list[BodyStage] = Field(
+        [BodyStage(intervals=1, adam_steps=200, lbfgs_steps=300)],
+        min_length=1, description='the stages of training, in this order')
+    batch: int = Field(256, ge=1, description='windows in each step of Adam')
+    time_scale: float = Field(1.0, gt=0.0, description=(
+        'an error of the pose counts as one of the velocity does that makes it in this time [s]'))
+    hidden: Widths = [32, 32]
+    seed: Seed = 0
+    learning_rate: Rate = Field(0.005, description='of Adam')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'BodyConfig':
+        self.family.card(self.kind, [1.0] * (3 if self.kind == 'rotation' else 6), True)
+        return self
+
+    @property
+    def kind(self) -> Literal['rotation', 'pose']:
+        """Return how the body moves."""
+        return self.coordinates[0].kind
+
+
+AnyConfig = FieldConfig | MachineConfig | BodyConfig
+_SCHEMAS: dict[str, type[FieldConfig] | type[MachineConfig] | type[BodyConfig]] = {
+    **dict.fromkeys(FAMILIES, FieldConfig), 'mechanical': MachineConfig,
+    RIGID_BODY: MachineConfig, 'lie_group': BodyConfig}
+
+
+class _Named(BaseModel):
+    """A configuration, as far as it names its family."""
+
+    family: Any = None
+
+
+def find_config(config: str) -> Path:
+    """
+    Return the file of a training configuration.
+
+    Parameters
+    ----------
+    config : str
+        The name of a shipped one, or the path of a YAML file.
+
+    Raises
+    ------
+    DataError
+        No such configuration; lists the valid names.
+
+    """
+    return find_yaml('training', config, DataError)
+
+
+def load_config(path: Path) -> AnyConfig:
+    """
+    Read and validate a training configuration, by the schema of its family.
+
+    Raises
+    ------
+    DataError
+        It cannot be read or is not valid; names file, line and key.
+
+    """
+    named, places = read_yaml(path, _Named, DataError)
+    kind = named.family.get('kind') if isinstance(named.family, dict) else None
+    if isinstance(kind, str) and kind not in _SCHEMAS:
+        raise DataError(
+            f'{places.place("family", "kind")}: unknown kind {kind[:80]!r}'
+            f'{did_you_mean(kind, _SCHEMAS)}; valid kinds: {", ".join(sorted(_SCHEMAS))}')
+    config = load_yaml(path, _SCHEMAS[kind if isinstance(kind, str) else 'hnn'], DataError)
+    if isinstance(config, MachineConfig) and isinstance(config.family, RigidBodyChoice):
+        return _with_robot(path, config, config.family)
+    return config
+
+
+def load_machine(path: Path) -> MachineConfig:
+    """Read a training configuration of a machine; DataError for another one."""
+    config = load_config(path)
+    if not isinstance(config, MachineConfig):
+        raise DataError(f'{path}: the family {config.family.kind} is no machine; take a '
+                        f'configuration of mechanical or {RIGID_BODY}')
+    return config
+
+
+def _with_robot(path: Path, config: MachineConfig, family: RigidBodyChoice) -> MachineConfig:
+    """Return a configuration whose URDF was found, with the coordinates of its joints."""
+    given = {coordinate.name: coordinate for coordinate in config.coordinates}
+    try:
+        file = package_file(family.file) if family.file.startswith(SCHEME) else \
+            path.parent / family.file
+        family = family.model_copy(update={
+            'file': str(file if os.path.exists(file) else family.file)})
+        robot = family.robot([*given])
+        found = [MachineCoordinate(
+            name=joint.name, q_unit=coordinate.q_unit, p_unit=coordinate.p_unit,
+            kind=joint.kind)  # type: ignore[arg-type]  # those that move are of these kinds
+            for joint, coordinate in zip(robot.joints, robot.coordinates, strict=True)]
+    except ValidationError as problem:
+        first = problem.errors(include_url=False)[0]
+        raise DataError(f'{path}: family: {first["input"]!r}: the name of a joint must be a '
+                        'letter or underscore, then letters, digits, underscores; rename it'
+                        ) from problem
+    except (ModelError, ValueError) as problem:
+        raise DataError(f'{path}: family: {problem}') from problem
+    return config.model_copy(update={'family': family, 'coordinates': found})

@@ -1,0 +1,330 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The training loop: stages of Adam and of L-BFGS, which can be stopped and resumed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field
+import math
+from typing import Any
+
+from hnn_vi_ros.errors import DataError
+import numpy as np
+import torch
+from tqdm import tqdm
+
+# torch's L-BFGS drops curvature pairs below an absolute 1e-10: unscaled, it stops learning once
+# the loss is below 1e-7.
+LBFGS_SCALE = 1e8
+# Steps from one look at held-out data to the next; L-BFGS ends when as many steps gain less than
+# this share of the loss.
+INTERVAL, LEAST_GAIN = 20, 1e-6
+# L-BFGS gets this loss for a point without a finite one, so that its line search shortens the
+# step.
+_TOO_FAR = 1e30
+_REMEDY = 'lower learning_rate, and look for outliers in the data'
+
+
+@dataclass(frozen=True)
+class Stage:
+    """
+    Some steps of one optimiser on one loss.
+
+    Parameters
+    ----------
+    name : str
+        For the card and the progress bar.
+    loss : callable
+        Returns the loss, a scalar: for Adam of another batch each time, for L-BFGS a function of
+        the parameters alone.
+    steps : int
+        How many at most.
+    rate : float, optional
+        Learning rate of Adam, which ends at zero along a cosine; without it the steps are those
+        of L-BFGS.
+    held_out : callable, optional
+        Returns the loss on data that are held out.
+    patience : int, optional
+        Looks at ``held_out`` without a lower value after which the stage ends. Then it ends with
+        the best parameters so far; without it, with the last ones.
+    clip : bool
+        Whether gradients are clipped to length one: a sample that is far off must not undo what
+        the others have taught.
+    pairs, evaluations : int
+        Steps that L-BFGS remembers, and evaluations of the loss at most for each of its steps.
+    remedy : str
+        For a loss that is not finite.
+    begin, ended : callable
+        Called when the stage begins, where it may draw what it is about, and when it has ended.
+
+    """
+
+    name: str
+    loss: Callable[[], torch.Tensor]
+    steps: int
+    rate: float | None = None
+    held_out: Callable[[], float] | None = None
+    patience: int | None = None
+    clip: bool = False
+    pairs: int = 50
+    evaluations: int = 10
+    remedy: str = _REMEDY
+    begin: Callable[[], None] = lambda: None
+    ended: Callable[[], None] = lambda: None
+
+
+@dataclass
+class LossHistory:
+    """
+    Losses over the steps of a run: training, and on held-out data every so often.
+
+    ``begins`` has the first step of each stage.
+    """
+
+    train: list[float] = field(default_factory=list)
+    train_step: list[int] = field(default_factory=list)
+    validation: list[float] = field(default_factory=list)
+    validation_step: list[int] = field(default_factory=list)
+    best_step: int = 0
+    begins: dict[str, int] = field(default_factory=dict)
+
+
+class Problem:
+    """
+    A module, and the stages that fit it.
+
+    Parameters
+    ----------
+    module : torch.nn.Module
+        Its parameters are changed.
+    stages : sequence of Stage
+        In their order. The best parameters so far, by held-out data, are kept from one stage to
+        the next.
+    generator : torch.Generator, optional
+        Draws the batches.
+    losses : mapping of str to float
+        Those of fits that came before.
+
+    """
+
+    def __init__(self, module: Any, stages: Sequence[Stage] = (),
+                 generator: torch.Generator | None = None,
+                 losses: Mapping[str, float] | None = None):
+        self.module, self.stages, self.generator = module, [*stages], generator
+        self.losses = dict(losses or {})
+
+    def fit(self) -> dict[str, float]:
+        """Run all stages, and return the losses at their ends."""
+        return Fit(self).run()
+
+
+class Fit:
+    """
+    A training run, from its first step or from where one was stopped.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its module is changed.
+    name : str
+        For the progress bar.
+
+    Attributes
+    ----------
+    history : LossHistory
+        How the losses fell.
+    losses : dict of str to float
+        The loss of each stage at its end: of Adam the mean of the last tenth of its steps, with
+        patience that at the best parameters.
+
+    """
+
+    def __init__(self, problem: Problem, name: str = ''):
+        self.module, self.stages = problem.module, problem.stages
+        self.history, self.losses = LossHistory(), problem.losses
+        self._name, self._generator = name, problem.generator
+        self._parameters = [part for part in self.module.parameters() if part.requires_grad]
+        self._stage = self._taken = self._waited = 0
+        self._before = self._least = self._loss_at_best = math.inf
+        self._best: dict[str, Any] | None = None
+        self._begin()
+
+    @property
+    def step(self) -> int:
+        """Return the next step to take, counted from the first stage on."""
+        return sum(stage.steps for stage in self.stages[:self._stage]) + self._taken
+
+    def run(self, pause: Callable[['Fit'], None] = lambda fit: None) -> dict[str, float]:
+        """
+        Train to the end, and return the losses of the stages.
+
+        Parameters
+        ----------
+        pause : callable
+            Called every INTERVAL steps, when ``state`` is one to resume from.
+
+        Raises
+        ------
+        DataError
+            The loss is not finite any more.
+
+        """
+        while self._stage < len(self.stages):
+            stage = self.stages[self._stage]
+            with tqdm(total=stage.steps, initial=self._taken, unit='step', disable=None,
+                      desc=f'{self._name}: {stage.name}'.lstrip(': ')) as self._progress:
+                if isinstance(self._optimiser, torch.optim.LBFGS):
+                    self._descend_valley(stage, self._optimiser, pause)
+                else:
+                    self._find_valley(stage, self._optimiser, pause)
+            stage.ended()
+            self._stage, self._taken, self._waited = self._stage + 1, 0, 0
+            self._before = math.inf
+            self._begin()
+        return self.losses
+
+    def _begin(self) -> None:
+        """Begin the next stage, with an optimiser of its own."""
+        if self._stage == len(self.stages):
+            return
+        stage = self.stages[self._stage]
+        self.history.begins.setdefault(stage.name, self.step)
+        self._drawn_from = None if self._generator is None else self._generator.get_state()
+        stage.begin()
+        if stage.rate is None:
+            self._optimiser: torch.optim.Optimizer = torch.optim.LBFGS(
+                self._parameters, max_iter=INTERVAL, max_eval=stage.evaluations * INTERVAL,
+                history_size=stage.pairs, tolerance_grad=0.0, tolerance_change=0.0,
+                line_search_fn='strong_wolfe')
+            return
+        self._optimiser = torch.optim.Adam(self._parameters, lr=stage.rate)
+        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, stage.steps)
+
+    def _find_valley(self, stage: Stage, adam: torch.optim.Optimizer,
+                     pause: Callable[['Fit'], None]) -> None:
+        while self._taken < stage.steps:
+            look = self._taken % INTERVAL == 0
+            if look:
+                pause(self)
+            adam.zero_grad()
+            loss = stage.loss()
+            loss.backward()
+            if self._note(stage, float(loss.detach()), look):
+                break
+            if stage.clip:
+                torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
+            adam.step()
+            self._schedule.step()
+            self._taken += 1
+        self._end(stage, float(np.mean(self.history.train[-max(1, stage.steps // 10):])))
+
+    def _descend_valley(self, stage: Stage, lbfgs: torch.optim.LBFGS,
+                        pause: Callable[['Fit'], None]) -> None:
+        def closure() -> torch.Tensor:
+            lbfgs.zero_grad()
+            loss = LBFGS_SCALE * stage.loss()
+            if not loss.isfinite():
+                # A gradient that is not a number would be all that is left of the parameters.
+                for parameter in self._parameters:
+                    parameter.grad = torch.zeros_like(parameter)
+                return torch.full_like(loss, _TOO_FAR)
+            loss.backward()
+            return loss
+
+        if math.isinf(self._before):
+            self._before = float(stage.loss().detach())
+            self._note(stage, self._before, True)
+        while self._taken < stage.steps:
+            pause(self)
+            steps = min(INTERVAL, stage.steps - self._taken)
+            lbfgs.param_groups[0]['max_iter'] = steps
+            lbfgs.step(closure)
+            self._taken += steps
+            after = float(stage.loss().detach())
+            if self._note(stage, after, True) or not (
+                    self._before - after >= LEAST_GAIN * after):
+                break
+            self._before = after
+        self._end(stage, self.history.train[-1])
+
+    def _end(self, stage: Stage, loss: float) -> None:
+        """Go back to the best parameters of a stage with patience, and note its loss."""
+        if stage.patience is not None and self._best is not None:
+            self.module.load_state_dict(self._best)
+            loss = self._loss_at_best
+        self.losses[stage.name] = loss
+
+    def _note(self, stage: Stage, loss: float, look: bool) -> bool:
+        """Note the loss; return whether that of held-out data has not fallen for too long."""
+        if not math.isfinite(loss):
+            where = 'L-BFGS begins where the loss is not finite' \
+                if stage.rate is None and not self._taken else \
+                f'the loss is {loss} after {self._taken} steps'
+            raise DataError(f'{stage.name}: {where}; {stage.remedy}')
+        history, step = self.history, self.step
+        history.train.append(loss)
+        history.train_step.append(step)
+        self._progress.update(self._taken - self._progress.n)
+        self._progress.set_postfix_str(f'loss {loss:.2e}', refresh=False)
+        if not look or stage.held_out is None:
+            return False
+        held_out = stage.held_out()
+        history.validation.append(held_out)
+        history.validation_step.append(step)
+        if stage.patience is None:
+            history.best_step = step
+            return False
+        if held_out < self._least:
+            self._least, self._loss_at_best, self._waited = held_out, loss, 0
+            self._best, history.best_step = deepcopy(self.module.state_dict()), step
+        else:
+            self._waited += 1
+        return self._waited >= stage.patience
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Return all that the next steps depend on: tensors, numbers and lists of them."""
+        adam = not isinstance(self._optimiser, torch.optim.LBFGS)
+        return {'weights': self.module.state_dict(), 'history': asdict(self.history),
+                'losses': self.losses, 'stage': self._stage, 'taken': self._taken,
+                'before': self._before, 'least': self._least, 'waited': self._waited,
+                'best': self._best, 'loss_at_best': self._loss_at_best,
+                'optimiser': self._optimiser.state_dict(),
+                'schedule': self._schedule.state_dict() if adam else None,
+                'drawn_from': self._drawn_from,
+                'generator': None if self._generator is None else self._generator.get_state()}
+
+    @state.setter
+    def state(self, state: Mapping[str, Any]) -> None:
+        """Go back to a state; the steps that follow are bit-identical to those after it."""
+        state = _of_today(state)
+        self.module.load_state_dict(state['weights'])
+        self.history = LossHistory(**state['history'])
+        self.losses.update(state['losses'])
+        self._stage, self._taken, self._waited = (
+            state[name] for name in ('stage', 'taken', 'waited'))
+        self._before, self._least, self._best, self._loss_at_best = (
+            state[name] for name in ('before', 'least', 'best', 'loss_at_best'))
+        if self._generator is not None:
+            # The stage draws again what it is about, then batches go on where they were.
+            self._generator.set_state(state['drawn_from'])
+        self._begin()
+        self._optimiser.load_state_dict(state['optimiser'])
+        if state['schedule'] is not None:
+            self._schedule.load_state_dict(state['schedule'])
+        if self._generator is not None:
+            self._generator.set_state(state['generator'])
+
+
+def _of_today(state: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a state in this form; before 0.3, there was one stage of Adam and one of L-BFGS."""
+    if 'adam' not in state:
+        return state
+    history = dict(state['history'])
+    adam_steps = history.pop('adam_steps')
+    lbfgs = state['step'] >= adam_steps
+    history['begins'] = {'Adam': 0, **({'L-BFGS': adam_steps} if lbfgs else {})}
+    return {**state, 'history': history, 'losses': {}, 'stage': int(lbfgs),
+            'taken': state['step'] - lbfgs * adam_steps, 'loss_at_best': math.inf,
+            'optimiser': state['lbfgs' if lbfgs else 'adam'],
+            'schedule': None if lbfgs else state['schedule'], 'generator': None}

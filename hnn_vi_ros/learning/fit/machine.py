@@ -1,0 +1,414 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Losses and stages by which a network of a machine is fitted to measured motions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+import math
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.families.choices import (
+    Discrete, Forward, Inverse, Trajectory, WindowMethod, WindowStage)
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.plain_network import PlainNetwork
+from hnn_vi_ros.learning.families.structure import MotionScales
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.loop import Problem, Stage
+from hnn_vi_ros.learning.fit.steps import simulated, Solutions
+import numpy as np
+import torch
+
+# Errors beyond this share of the usual size count by their size, no longer by their square.
+_USUAL_ERROR = 0.25
+# Step size of windows, unless it is given, and samples come as often [s].
+_STEP = 0.01
+# L-BFGS leaves out every tenth of so many blocks of samples; it ends when it has made those worse
+# so many times; and it takes no more than so many samples.
+_BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
+
+Network = MechanicalNetwork | PlainNetwork
+# Returns the loss of some rows of samples.
+Value = Callable[[torch.Tensor], torch.Tensor]
+
+
+class Samples(NamedTuple):
+    """
+    All motions, one after another, as tensors.
+
+    Parameters
+    ----------
+    measured : torch.Tensor, shape (N, d)
+        Coordinates as measured.
+    q, v, a : torch.Tensor, shape (N, d)
+        Smoothed states and accelerations.
+    tau, mean_tau : torch.Tensor, shape (N, m)
+        Commands of the motors as measured, and averaged over the step that begins at each sample.
+    left : torch.Tensor of int, shape (N,)
+        How many samples follow in the same motion.
+    every : int
+        Samples in one step.
+    step_size : float
+        How long it is [s].
+
+    """
+
+    measured: torch.Tensor
+    q: torch.Tensor
+    v: torch.Tensor
+    a: torch.Tensor
+    tau: torch.Tensor
+    mean_tau: torch.Tensor
+    left: torch.Tensor
+    every: int
+    step_size: float
+
+
+def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
+    """Return the samples of motions, for windows of this step size [s], or DataError."""
+    if step_size is None:
+        step_size = max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
+    every = round(step_size / motions[0].spacing)
+    for motion in motions:
+        if every < 1 or abs(every * motion.spacing - step_size) > 0.05 * step_size:
+            raise DataError(f'{motion.name}: sampled every {motion.spacing:.4g} s; step_size must '
+                            f'be a multiple of that, such as {max(every, 1) * motion.spacing:.4g}')
+    parts = [np.concatenate([getattr(motion, name) for motion in motions])
+             for name in ('q', 'q_smooth', 'v_smooth', 'a_smooth', 'tau')]
+    means = np.concatenate([mean_forces(motion, every) for motion in motions])
+    left = np.concatenate([np.arange(len(motion.t))[::-1] for motion in motions])
+    measured, q, v, a, tau, mean, behind = map(torch.tensor, (*parts, means, left))
+    return Samples(measured, q, v, a, tau, mean, behind, every, every * motions[0].spacing)
+
+
+def mean_forces(motion: Run, every: int) -> np.ndarray:
+    """Return forces, shape (N, m), averaged over ``every`` intervals from each sample on."""
+    n, tau = len(motion.t), motion.tau
+    total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
+    starts = np.arange(n)
+    ends = np.minimum(starts + every, n - 1)
+    means = (total[ends] - total) / np.maximum(ends - starts, 1)[:, None]
+    return np.where(ends[:, None] > starts[:, None], means, tau)
+
+
+def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor
+                      ) -> torch.Tensor:
+    """Return the soft size of the errors of the accelerations, in units of their usual size."""
+    return _soft(acceleration_errors(network, samples, rows))
+
+
+def acceleration_errors(network: Network, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
+    """Return the errors of the accelerations, shape (N, d), in units of their usual size."""
+    predicted = network.accelerations(samples.q[rows], samples.v[rows], samples.tau[rows])
+    return (predicted - samples.a[rows]) / torch.tensor(network.scales.a)
+
+
+def force_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
+    """Return the soft size of the errors of the forces, in units of what usual motions take."""
+    predicted = network.forces(samples.q[rows], samples.v[rows], samples.a[rows])
+    unit = torch.tensor(network.scales.inertia * network.scales.a)
+    return _soft((predicted - network.joint_forces(samples.tau[rows])) / unit)
+
+
+def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor
+                  ) -> torch.Tensor:
+    """
+    Return the soft size of the residuals of the forced discrete Euler-Lagrange equations.
+
+    D2 L_d(q0, q1) + D1 L_d(q1, q2) + h (f01 + f12) / 2 = 0 for L_d(q0, q1) = h L((q0 + q1) / 2,
+    (q1 - q0) / h) and forces f at the same midpoint (J. Marsden, M. West, Acta Numerica 10,
+    2001, part 3.2), as an acceleration: a residual of momentum could be made small by small
+    masses.
+    """
+    h, every = samples.step_size, samples.every
+    q0, q1, q2 = (samples.measured[rows + k * every] for k in range(3))
+    (p01, rate01), (p12, rate12) = (
+        network.momenta(0.5 * (start + end), (end - start) / h)
+        for start, end in ((q0, q1), (q1, q2)))
+    given = network.joint_forces(samples.mean_tau[rows] + samples.mean_tau[rows + every])
+    residual = p01 - p12 + 0.5 * h * (rate01 + rate12 + given)
+    return _soft(network.velocities(q1, residual) / h / torch.tensor(network.scales.a))
+
+
+def balanced_step(motions: Sequence[Run]) -> float:
+    """
+    Return the multiple of the samples' interval [s] for discrete_loss.
+
+    Noise sigma of q makes an error of sqrt(6) sigma / h^2 in a second difference, the midpoint
+    rule one of about h^2 / 12 times the fourth derivative of q: where they are the same.
+    """
+    errors, speeds, accelerations = (np.concatenate(parts) for parts in zip(*(
+        (motion.q - motion.q_smooth, motion.v_smooth, motion.a_smooth) for motion in motions),
+        strict=True))
+    # The median, for the filter is wrong at the ends; of normal noise it is 0.6745 sigma.
+    noise = float(np.median(np.abs(errors))) / 0.6745
+    speed, acceleration = (float(np.sqrt(np.mean(part**2))) for part in (speeds, accelerations))
+    # As if all were one oscillation: estimated fourth derivatives are nothing but noise.
+    fourth = acceleration * (acceleration / speed)**2
+    spacing = motions[0].spacing
+    step = (12.0 * math.sqrt(6.0) * noise / fourth)**0.25
+    return max(1, round(step / spacing)) * spacing
+
+
+class Windows(NamedTuple):
+    """
+    Windows of motions that are simulated.
+
+    Parameters
+    ----------
+    steps : int
+        In each.
+    method : str
+        Of their steps.
+    time_scale : float
+        An error of q counts as one of v does that makes it in this time [s].
+
+    """
+
+    steps: int
+    method: WindowMethod
+    time_scale: float
+
+
+def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
+                solutions: Solutions | None = None) -> torch.Tensor:
+    """Return the soft size of the errors of windows from these samples; see window_errors."""
+    return _soft(window_errors(network, samples, starts, windows, solutions))
+
+
+def window_errors(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
+                  solutions: Solutions | None = None) -> torch.Tensor:
+    """
+    Return the errors of q and v after each step of windows, shape (2 steps, N, d).
+
+    ``solutions`` keeps the solutions of the equations, to use them again.
+    """
+    # What has no masses has no momenta, which a variational method steps.
+    method = windows.method if network.has_masses else 'rk4'
+    at = starts + samples.every * torch.arange(windows.steps + 1)[:, None]
+    measured_q, measured_v = samples.q[at], samples.v[at]
+    q, v = _simulated(network, method, measured_q, measured_v[0], samples.mean_tau[at[:-1]],
+                      samples.step_size, solutions)
+    unit = _USUAL_ERROR * torch.tensor(network.scales.v)
+    return torch.stack([(q - measured_q[1:]) / (windows.time_scale * unit),
+                        (v - measured_v[1:]) / unit], dim=1).flatten(0, 1)
+
+
+def _simulated(network: Any, method: WindowMethod, measured: torch.Tensor, v: torch.Tensor,
+               tau: torch.Tensor, h: float, solutions: Solutions | None
+               ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return q and v after each step, from the first that was measured, at held commands."""
+    if method != 'rk4':
+        forces = network.joint_forces(tau.flatten(0, 1)).unflatten(0, tau.shape[:2])
+        q, v, _ = simulated(network, method, measured[0], v, forces, h, measured.diff(dim=0) / h,
+                            solutions)
+        return q, v
+    q, found = measured[0], []
+    for held in tau:
+        q, v = runge_kutta(network.accelerations, q, v, held, h)
+        found.append(torch.stack([q, v]))
+    q, v = torch.stack(found, dim=1)
+    return q, v
+
+
+def _soft(z: torch.Tensor) -> torch.Tensor:
+    return 2.0 * ((1.0 + z.square()).sqrt() - 1.0).mean()
+
+
+def runge_kutta(accelerations: Callable[..., torch.Tensor], q: torch.Tensor, v: torch.Tensor,
+                tau: torch.Tensor, h: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return (q, v) after a step h [s] of the classical method of order 4, at a held force."""
+    a1 = accelerations(q, v, tau)
+    v2 = v + 0.5 * h * a1
+    a2 = accelerations(q + 0.5 * h * v, v2, tau)
+    v3 = v + 0.5 * h * a2
+    a3 = accelerations(q + 0.5 * h * v2, v3, tau)
+    v4 = v + h * a3
+    a4 = accelerations(q + h * v3, v4, tau)
+    return q + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+
+
+def scales_of(motions: Sequence[Run], learns_map: bool = False) -> MotionScales:
+    """
+    Return the scales of motions, with a first input map where one is to be learned.
+
+    Raises
+    ------
+    DataError
+        A coordinate never moves, or the commands do not determine the effect of each motor.
+
+    """
+    q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
+                    for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
+    size = [np.sqrt(np.mean(part**2, axis=0)) for part in (v, a, tau)]
+    # Measured coordinates: smoothed ones differ from rest by rounding.
+    moves = np.any([np.ptp(motion.q, axis=0) > 0.0 for motion in motions], axis=0)
+    if not moves.all() or not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
+        rests = ', '.join(str(k + 1) for k in np.flatnonzero(~moves)) or 'of one or more'
+        raise DataError(f'coordinate {rests} never moves in the data; record while it does, or '
+                        'leave it out of coordinates and data')
+    centre, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
+    if learns_map:
+        input_map, inertia = _first_map(q, v, a, tau)
+        return MotionScales(centre, half, size[0], size[1], inertia, size[2], input_map)
+    # Without forces the scale of energy is open: that of one unit of inertia is taken.
+    driven = size[2] > 0.0
+    inertia = np.where(driven, size[2] / size[1], 1.0)
+    if driven.any():
+        inertia[~driven] = np.exp(np.mean(np.log(inertia[driven])))
+    return MotionScales(centre, half, size[0], size[1], inertia, inertia * size[1])
+
+
+def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """Return an input map and inertias of joints, from accelerations that are linear in u."""
+    rank, motors = int(np.linalg.matrix_rank(u)), u.shape[1]
+    if not rank:
+        raise DataError('input_map: the motors are never commanded in the data, which fixes no '
+                        'scale and tells nothing of them; take input_map: identity')
+    if rank < motors:
+        raise DataError(f'input_map: of the commands of {motors} motors only {rank} are '
+                        'independent, which does not tell what each of them does; leave out '
+                        'motors that are not used, or record while each moves by itself')
+    # What else there is: gravity, springs and friction.
+    others = np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
+                        np.ones((len(q), 1))])
+    rates = np.linalg.lstsq(np.hstack([u, others]), a, rcond=None)[0][:motors].T
+    # The inertias are those for the same force on each joint, in the norm of the network.
+    inertia = np.sqrt(np.mean(u**2)) / np.sqrt(np.mean(a**2, axis=0))
+    input_map = inertia[:, None] * rates
+    factor = math.sqrt(motors) / float(np.linalg.norm(input_map))
+    return factor * input_map, factor * inertia
+
+
+def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
+               ) -> tuple[Windows, torch.Tensor]:
+    """Return the windows of a stage, and the samples that they can begin at, or DataError."""
+    count = round(stage.duration / samples.step_size)
+    starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
+    if count < 1 or not len(starts):
+        raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
+                        'every motion lasts')
+    return Windows(count, loss.method, loss.time_scale), starts
+
+
+class MachineProblem(Problem):
+    """
+    A network, and the stages that fit it to motions: at single samples, or by simulated windows.
+
+    Accelerations that are estimated from measured motions are noisy, and an error of them says
+    little of where a motion goes. So they only find the beginning; then windows of the motions
+    are simulated from their smoothed first states, with the measured forces, short ones first
+    (multiple shooting). Accelerations that were measured, or are exact, tell all.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork or PlainNetwork
+        Changed by a fit. A plain network, which has no masses, takes no loss but accelerations
+        and windows.
+    config : MachineConfig
+        Loss, learning rate and seed.
+    motions : sequence of Run
+        What to learn from.
+    penalty : callable, optional
+        Added to the loss, of a network that begins near its end, and so of windows with them.
+    losses : mapping of str to float
+        Those of fits that came before.
+
+    Raises
+    ------
+    DataError
+        The motions are shorter than a window.
+
+    """
+
+    def __init__(self, network: Network, config: MachineConfig, motions: Sequence[Run],
+                 penalty: Callable[[torch.Generator], torch.Tensor] | None = None,
+                 losses: Mapping[str, float] | None = None):
+        super().__init__(network, (), torch.Generator().manual_seed(config.seed), losses)
+        self._config, self._penalty = config, penalty
+        loss = config.loss_of(all(motion.accelerations for motion in motions))
+        self.stages = self._on_windows(loss, motions) if isinstance(loss, Trajectory) else \
+            self._on_samples(loss, motions)
+
+    def _batches(self, value: Value, rows: torch.Tensor, size: int
+                 ) -> Callable[[], torch.Tensor]:
+        return lambda: value(rows[torch.randint(
+            len(rows), (size,), generator=self.generator)])
+
+    def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[Run]
+                    ) -> list[Stage]:
+        network, penalty, step_size = self.module, self._penalty, motions[0].spacing
+        if isinstance(loss, Discrete):
+            step_size = loss.step_size or balanced_step(motions)
+        samples = samples_of(motions, step_size)
+        at: Callable[..., torch.Tensor] = {
+            'forward': acceleration_loss, 'inverse': force_loss, 'discrete': discrete_loss,
+        }[loss.kind]
+        ahead = 2 * samples.every if isinstance(loss, Discrete) else 0
+        rows = torch.nonzero(samples.left >= ahead)[:, 0]
+        if not len(rows):
+            raise DataError('no motion has three samples at distances of step_size; lower it')
+
+        def value(rows: torch.Tensor) -> torch.Tensor:
+            found = at(network, samples, rows)
+            # The same states again: L-BFGS needs a function.
+            return found if penalty is None else found + penalty(
+                torch.Generator().manual_seed(self._config.seed))
+        return [Stage(loss.kind, self._batches(value, rows, loss.batch), loss.steps,
+                      self._config.learning_rate, clip=True),
+                *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
+
+    def _on_windows(self, loss: Trajectory, motions: Sequence[Run]) -> list[Stage]:
+        samples = samples_of(motions, loss.step_size)
+        found: list[Stage] = []
+        if self._penalty is None:
+            value, rows = partial(acceleration_loss, self.module, samples), torch.arange(
+                len(samples.q))
+            # On samples that Adam had fitted L-BFGS would seem to make it worse at once.
+            learnt = rows[~_left_out(rows)] if loss.forward_lbfgs_steps else rows
+            found = [Stage('forward', self._batches(value, learnt, loss.forward_batch),
+                           loss.forward_steps, self._config.learning_rate, clip=True),
+                     *_polish('forward', value, rows, loss.forward_lbfgs_steps)]
+        return found + [self._windows(loss, stage, samples) for stage in loss.windows]
+
+    def _windows(self, loss: Trajectory, stage: WindowStage, samples: Samples) -> Stage:
+        windows, starts = windows_of(loss, stage, samples)
+        alone: list[int] = []
+
+        def value(chosen: torch.Tensor) -> torch.Tensor:
+            solutions = Solutions()
+            errors = window_loss(self.module, samples, chosen, windows, solutions)
+            alone.append(solutions.alone)
+            return errors if self._penalty is None else errors + self._penalty(self.generator)
+
+        def ended() -> None:
+            if any(alone):
+                print(f'windows of {stage.duration:g} s: {sum(alone)} of '
+                      f'{len(alone) * loss.batch} were solved step by step, which takes longer',
+                      flush=True)
+        return Stage(f'windows_{stage.duration:g}', self._batches(value, starts, loss.batch),
+                     stage.steps, stage.learning_rate or 0.2 * self._config.learning_rate,
+                     clip=True, ended=ended)
+
+
+def _polish(name: str, value: Value, rows: torch.Tensor, steps: int) -> list[Stage]:
+    """Return a stage of L-BFGS that lasts as long as it helps on samples left out."""
+    if not steps or len(rows) < _TENTH:
+        return []
+    left_out = _left_out(rows)
+    learnt = rows[~left_out]
+    learnt = learnt[::max(1, len(learnt) // _MOST_ROWS)]
+
+    def held_out() -> float:
+        with torch.no_grad():
+            return float(value(rows[left_out]))
+    return [Stage(f'{name}_lbfgs', lambda: value(learnt), steps, held_out=held_out,
+                  patience=_PATIENCE)]
+
+
+def _left_out(rows: torch.Tensor) -> torch.Tensor:
+    """Return which of some rows L-BFGS is judged by: blocks, as neighbours tell the same."""
+    block = torch.arange(len(rows)) * min(_BLOCKS, len(rows)) // len(rows)
+    return block % _TENTH == _TENTH - 1

@@ -1,0 +1,370 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Steps of variational methods in torch, which gradients go through; the tableaus give them.
+
+``step`` is of a field of (q, p). Windows of motions of machines are simulated by ``simulated``, by
+the compiled methods of the same names on the same H, with friction and commands where these add
+forces: at the methods' own nodes. There the unknowns are velocities w: with p = M(y) w and
+F(y, w) = (w . M w)_q / 2 - V_q - friction, every method is a chain of nodes
+
+    y = x + a w,    p - b (F + force) = c;    the next x = y + g w,    c = p + e (F + force)
+
+for numbers a, b, g and e of its own. Newton's method solves many nodes at once, of all windows and
+of some steps, from velocities that were measured: the network takes all of them as one batch, and
+what is linear is passed on from node to node. It is not recorded; one step of it more from where
+the equations hold, with their derivatives by x, c and w held, is recorded and has the derivatives
+of the solution by all else (the implicit function theorem).
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.partitioned import Node
+from hnn_vi_ros.learning.families.choices import WindowMethod
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.newton import ENOUGH, newton
+import torch
+
+# Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the
+# first guesses are worse, and more memory is taken. And steps after which each is taken alone.
+_AT_ONCE, _PATIENCE = 4096, 12
+# Share of the states to which equations are solved before a last step of Newton's method. Losses
+# fall to 1e-10 of the squared rates, where an error of 1e-6 in their gradients would show.
+_ENOUGH = 1e-9
+_EPS = torch.finfo(torch.float64).eps
+
+Field = Callable[[torch.Tensor], torch.Tensor]
+
+
+def nodes(integrator: str) -> list[Node]:
+    """Return the stages of a method that can be solved one after another, from its tableau."""
+    tableau = INTEGRATORS[integrator]().partitioned
+    assert tableau is not None, 'the methods of training have one'
+    return tableau.nodes()
+
+
+def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Tensor:
+    """
+    Return the states after a step, differentiable by all that they depend on.
+
+    Each implicit equation R(Z, z, theta) = 0 of a node is solved by Newton's method. By the
+    implicit function theorem dZ = -(R_Z)^-1 (R_z dz + R_theta dtheta), which is the derivative of
+    one more step of Newton's method from the solution, its matrix held fixed.
+
+    Parameters
+    ----------
+    field : callable
+        ``field(z)`` returns (dq/dt, dp/dt), shape (N, 2 d), of states (q, p) of that shape.
+    integrator : str
+        The method.
+    z0 : torch.Tensor, shape (N, 2 d)
+        States.
+    h : float
+        Step size [s].
+
+    Raises
+    ------
+    DataError
+        An equation has no solution that is found: the step is too large for the field.
+
+    """
+    z, d = z0, z0.shape[1] // 2
+    for node in nodes(integrator):
+        own, onward = (h * z0.new_tensor(pair).repeat_interleave(d) for pair in (
+            (node.a, node.b), (node.u, node.w)))
+        at = _solve(field, z, own) if own.any() else z
+        z = z + onward * field(at)
+    if not z.isfinite().all():
+        raise DataError(f'a step of {h:g} s is too large for the field that is being learned: its '
+                        'equation was not solved; take a smaller loss.step_size')
+    return z
+
+
+def _solve(field: Field, z: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+    """Return Z of Z = z + own field(Z), each of shape (N, 2 d)."""
+    start = z.detach()
+    unit = start.abs().amax(dim=0) + _EPS
+    found, matrix = newton(lambda at: at - start - own * field(at),
+                           start + own * field(start).detach(), None, unit, unit, _ENOUGH)
+    missing = found - z - own * field(found)
+    return found - torch.linalg.solve_ex(matrix, missing[:, :, None])[0][:, :, 0]
+
+
+class Method(NamedTuple):
+    """
+    A method as a chain of nodes, by shares of its step size h.
+
+    Parameters
+    ----------
+    before : float
+        The first x is q + before h v.
+    nodes : list of tuple of float
+        a, b, g and e of the nodes of a step.
+    after : float
+        A step ends at q = y + after h w and at p = c, the next ones, of its last node.
+
+    """
+
+    before: float
+    nodes: list[tuple[float, float, float, float]]
+    after: float
+
+
+def _method(integrator: str) -> Method:
+    """Return a method by its nodes; one that begins with a known velocity takes it once."""
+    found = [(node.a, node.b, node.u - node.a, node.w - node.b) for node in nodes(integrator)]
+    (a, b, before, force), *others = found
+    after = found[-1][2]
+    if a or b or force:
+        return Method(0.0, found, after)
+    # The first node is the last one of the step before: both velocities are H_p there.
+    *inner, (a, b, g, e) = others
+    return Method(before, [*inner, (a, b, g + before, e)], after)
+
+
+METHODS: dict[WindowMethod, Method] = {
+    name: _method(name) for name in ('implicit_midpoint', 'variational_euler',
+                                     'generalized_leapfrog')}
+
+
+class States(NamedTuple):
+    """Coordinates, velocities and momenta after each step, each of shape (K, N, d)."""
+
+    q: torch.Tensor
+    v: torch.Tensor
+    p: torch.Tensor
+
+
+class Chain(NamedTuple):
+    """
+    Nodes, one after another, of N windows.
+
+    Parameters
+    ----------
+    x, c : torch.Tensor, shape (N, d)
+        Those of the first node.
+    forces, guess : torch.Tensor, shape (n, N, d)
+        Of each node, and about its velocity.
+    numbers : torch.Tensor, shape (4, n, 1, 1)
+        a, b, g and e of each.
+
+    """
+
+    x: torch.Tensor
+    c: torch.Tensor
+    forces: torch.Tensor
+    guess: torch.Tensor
+    numbers: torch.Tensor
+
+    def of(self, rows: torch.Tensor) -> 'Chain':
+        """Return the chain of some of the windows, not recorded."""
+        return Chain(self.x.detach()[rows], self.c.detach()[rows], self.forces.detach()[:, rows],
+                     self.guess[:, rows], self.numbers)
+
+    def coordinates(self, w: torch.Tensor) -> torch.Tensor:
+        """Return y of each node at velocities w, both of shape (n, N, d)."""
+        a, _, g, _ = self.numbers
+        return self.x + ((a + g) * w).cumsum(dim=0) - g * w
+
+    def residuals(self, p: torch.Tensor, rate: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return p - b (F + force) - c, and the next c, each of shape (n, N, d)."""
+        _, b, _, e = self.numbers
+        total = rate + self.forces
+        after = p + e * total
+        return p - b * total - torch.cat([self.c[None], after[:-1]]), after
+
+
+class Found(NamedTuple):
+    """
+    The first x, shape (N, d), velocities of nodes, (n, N, d), and the equations about these.
+
+    A residual r moves a node whose x and c have moved by z = (dx, dc) by dw = back z - inverse r,
+    and the next by z' = onward z - push r.
+    """
+
+    x: torch.Tensor
+    w: torch.Tensor
+    inverse: torch.Tensor
+    back: torch.Tensor
+    onward: torch.Tensor
+    push: torch.Tensor
+
+    def moves(self, r: torch.Tensor, first: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return all z, shape (n + 1, N, 2 d), of the first, (N, 2 d), and dw, (n, N, d)."""
+        pushed = -(self.push @ r[..., None])
+        z = [first[:, :, None]]
+        for push, onward in zip(pushed, self.onward, strict=True):
+            z.append(torch.baddbmm(push, onward, z[-1]))
+        all_z = torch.stack(z)
+        return all_z[..., 0], (self.back @ all_z[:-1] - self.inverse @ r[..., None])[..., 0]
+
+    def update(self, rows: torch.Tensor, other: 'Found') -> None:
+        """Take what another found of some of the windows."""
+        for old, new in zip(self[1:], other[1:], strict=True):
+            old[:, rows] = new
+
+
+class Solutions:
+    """
+    Solver of the equations of chains, one after another; it can repeat earlier solutions.
+
+    Parameters
+    ----------
+    found : sequence of Found, optional
+        Solutions at the same parameters: derivatives in forward mode need no further iteration.
+
+    Attributes
+    ----------
+    alone : int
+        How often the nodes of a window had to be solved one after another, some steps at a time.
+
+    """
+
+    def __init__(self, found: Sequence[Found] | None = None) -> None:
+        self._found = [] if found is None else [*found]
+        self._next = None if found is None else iter(found)
+        self.alone = 0
+
+    def again(self) -> 'Solutions':
+        """Return a solver that repeats the solutions of this one."""
+        return Solutions(self._found)
+
+    def solve(self, machine: MechanicalNetwork, chain: Chain) -> Found:
+        """Return the solution of a chain; NaN in windows without one."""
+        if self._next is not None:
+            return next(self._next)
+        with torch.no_grad():
+            found, left = _solved(machine, chain)
+            if len(left):
+                self.alone += len(left)
+                part = chain.of(left)
+                w = _one_by_one(machine, part)
+                found.update(left, _equations(machine, part, w)[0])
+        self._found.append(found)
+        return found
+
+
+def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor, v: torch.Tensor,
+              forces: torch.Tensor, h: float, guess: torch.Tensor | None = None,
+              solutions: Solutions | None = None) -> States:
+    """
+    Return the motion of windows, with its derivatives by parameters and forces.
+
+    Parameters
+    ----------
+    machine : MechanicalNetwork
+        What moves.
+    method : str
+        Of the steps.
+    q, v : torch.Tensor, shape (N, d)
+        Where windows begin.
+    forces : torch.Tensor, shape (K, N, d)
+        On the joints, held over each step.
+    h : float
+        Step size [s].
+    guess : torch.Tensor, shape (K, N, d), optional
+        About the mean velocity of each step, such as measured ones; default v.
+    solutions : Solutions, optional
+        Of the equations, if they are to be used again.
+
+    Returns
+    -------
+    States
+        After each step; NaN in windows with a step that has no solution.
+
+    """
+    before, nodes, after = METHODS[method]
+    solutions = solutions or Solutions()
+    guess = v.detach().expand_as(forces) if guess is None else guess
+    x, c, missed = q + before * h * v, machine.momenta(q, v)[0], torch.zeros_like(q)
+    ends = []
+    parts = -(-forces.numel() * len(nodes) // _AT_ONCE)
+    for force, about in zip(forces.tensor_split(min(parts, len(forces))),
+                            guess.tensor_split(min(parts, len(forces))), strict=True):
+        numbers = h * torch.tensor(nodes, dtype=q.dtype).repeat(len(force), 1)
+        chain = Chain(
+            x, c, force.repeat_interleave(len(nodes), dim=0),
+            # What measured velocities were wrong by before, they go on to be wrong by.
+            (about + missed).repeat_interleave(len(nodes), dim=0), numbers.T[:, :, None, None])
+        y, w, c_after = _recorded(machine, chain, solutions.solve(machine, chain))
+        last = slice(len(nodes) - 1, None, len(nodes))
+        ends.append(torch.stack([(y + after * h * w)[last], c_after[last]]))
+        x, c = y[-1] + chain.numbers[2, -1] * w[-1], c_after[-1]
+        missed = w[-1].detach() - about[-1]
+    q, p = torch.cat(ends, dim=1)
+    return States(q, machine.velocities(q.flatten(0, 1), p.flatten(0, 1)).view_as(q), p)
+
+
+def _recorded(machine: MechanicalNetwork, chain: Chain, found: Found
+              ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return y, w and the next c of all nodes, by a step of Newton's method that is recorded."""
+    y = chain._replace(x=found.x).coordinates(found.w)
+    p, rate = (part.view_as(y) for part in machine.momenta(y.flatten(0, 1), found.w.flatten(0, 1)))
+    r, c_after = chain.residuals(p, rate)
+    # Where c has moved is in the first residual.
+    z, dw = found.moves(r, torch.cat([chain.x - found.x, torch.zeros_like(chain.x)], dim=1))
+    d = y.shape[2]
+    return (y + z[:-1, :, :d] + chain.numbers[0] * dw, found.w + dw, c_after + z[1:, :, d:])
+
+
+def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[Found, torch.Tensor]:
+    """Return the solution of a chain, and the windows where Newton's method did not converge."""
+    w, unit = chain.guess.clone(), torch.tensor(machine.scales.v)
+    left, found = torch.arange(len(chain.x)), None
+    for _ in range(_PATIENCE):
+        part = chain.of(left)
+        at, r = _equations(machine, part, w[:, left])
+        _, dw = at.moves(r, torch.zeros_like(r[0]).repeat(1, 2))
+        w[:, left] += dw
+        if found is None:
+            found = at._replace(w=w)
+        else:
+            found.update(left, at._replace(w=w[:, left]))
+        left = left[~(dw.abs() <= ENOUGH * unit).all(dim=2).all(dim=0)]
+        if not len(left):
+            break
+    assert found is not None
+    return found, left
+
+
+def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
+               ) -> tuple[Found, torch.Tensor]:
+    """Return the equations of a chain about velocities, and their residuals, (n, N, d)."""
+    y = chain.coordinates(w)
+    p, rate, p_v, p_q, rate_q, rate_v = (
+        part.unflatten(0, w.shape[:2])
+        for part in machine.linearised(y.flatten(0, 1), w.flatten(0, 1)))
+    a, b, g, e = chain.numbers[..., None]
+    d, one = w.shape[2], torch.eye(w.shape[2], dtype=w.dtype)
+    by_x, c_by_x = p_q - b * rate_q, p_q + e * rate_q
+    inverse = torch.linalg.inv_ex(p_v - b * rate_v + a * by_x)[0]
+    # How w moves the next x and c.
+    follows = torch.cat([(a + g) * one.expand_as(p_v), p_v + e * rate_v + a * c_by_x], dim=2)
+    back = inverse @ torch.cat([-by_x, one.expand_as(by_x)], dim=3)
+    onward = follows @ back
+    onward[..., :d, :d] += one
+    onward[..., d:, :d] += c_by_x
+    return Found(chain.x, w, inverse, back, onward, follows @ inverse), chain.residuals(p, rate)[0]
+
+
+def _one_by_one(machine: MechanicalNetwork, chain: Chain) -> torch.Tensor:
+    """Return the velocities of nodes, shape (n, N, d), each found after the one before it."""
+    scales, x, c, found = machine.scales, chain.x, chain.c, []
+    unit, momentum = torch.tensor(scales.v), torch.tensor(scales.inertia * scales.v)
+    w = chain.guess[0]
+    for force, (a, b, g, e) in zip(chain.forces, chain.numbers[..., 0, 0].T, strict=True):
+        w, _ = newton(partial(_residual, machine, x, c, force, a, b), w, None, unit, momentum)
+        p, rate = machine.momenta(x + a * w, w)
+        x, c = x + (a + g) * w, p + e * (rate + force)
+        found.append(w)
+    return torch.stack(found)
+
+
+def _residual(machine: MechanicalNetwork, x: torch.Tensor, c: torch.Tensor, force: torch.Tensor,
+              a: torch.Tensor, b: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+    p, rate = machine.momenta(x + a * w, w)
+    return p - b * (rate + force) - c

@@ -1,0 +1,454 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Identify a robot of rigid bodies and its friction from measured motions.
+
+The forces are linear in the parameters theta, Y(q, v, a) theta = tau, and theta(x) is physically
+consistent for every x, with x = 0 for the URDF. Least squares on the stacked regressor Y, each
+joint in units of its own noise, and a small preference for x = 0 fix x; along directions that the
+data determine to less than _DETERMINED that preference is as strong as a sample. Noise of
+accelerations biases this estimate towards zero; a fit of simulated windows can follow.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.runs import low_pass, Run
+from hnn_vi_ros.learning.families.choices import Inverse, Trajectory
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.rigid_tree import RigidTree
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import (
+    acceleration_errors, samples_of, window_errors, Windows, windows_of)
+from hnn_vi_ros.learning.fit.steps import Solutions
+from hnn_vi_ros.learning.inertias.rigid_body import fit_errors, inverse_softplus, LEAST, spread
+from hnn_vi_ros.models.rigid_body_card import BaseParameter, EACH, Identification, INERTIAL
+import numpy as np
+from scipy.linalg import qr
+from scipy.optimize import least_squares, OptimizeResult
+from scipy.stats import norm, t as student_t
+import torch
+
+# Samples at most, and blocks of them for each joint that count as independent of each other:
+# longer than noise is remembered, and some for each number that is fitted.
+_SAMPLES, _BLOCKS = 20000, 25
+# Windows that are simulated at most: a tree takes ten times what a chain does.
+_WINDOWS = 200
+# States whose accelerations are looked at.
+_STATES = 2000
+# Data determine a direction if their noise moves it by less than one part in so many of the URDF;
+# singular values below this share of the largest one are rounding.
+_DETERMINED, _ROUNDING = 3.0, 1e-8
+# Noise is not less than this share of the force; preference for the URDF, in standard deviations.
+_LEAST_NOISE, _PREFERENCE = 1e-9, 0.1
+# Factors of base parameters smaller than this, in units of parameters, are left out.
+_SMALL = 1e-6
+# Masses come last among base parameters: their columns are scaled by this factor.
+_MASS_LAST = 1e-3
+
+
+class Unknowns:
+    """
+    Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb); some of them are fixed.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a RigidTree, and without networks.
+    rotors, offsets : bool
+        Whether those are identified as well.
+
+    """
+
+    def __init__(self, network: MechanicalNetwork, rotors: bool, offsets: bool):
+        tree, structure, d = network.prior, network.structure, network.d
+        assert isinstance(tree, RigidTree)
+        self.network, self.tree, friction = network, tree, network.friction
+        terms = structure.coulomb + structure.stribeck
+        self.sizes = [INERTIAL * d, d, d, structure.viscous * d, terms * d]
+        order = [body.coordinate for body in tree.tree.bodies]
+        force = friction.force_unit.numpy()
+        inertia = network.scales.inertia
+        self.scale = np.concatenate([
+            np.ones(self.sizes[0]), inertia[order], force[order],
+            friction.viscous_unit.numpy()[:self.sizes[3]], np.tile(force, terms)])
+        moves = np.repeat([True, rotors, offsets, True, True], self.sizes)
+        self.free = np.flatnonzero(moves)
+        self.least = np.concatenate([
+            np.full(self.sizes[0], -np.inf), np.zeros(d), np.full(d, -np.inf),
+            np.full(sum(self.sizes[3:]), LEAST)])
+        self.start = np.concatenate([np.zeros(self.sizes[0]), tree.rotor.detach().numpy()
+                                     / self.scale[self.sizes[0]:][:d], np.zeros(d),
+                                     np.full(sum(self.sizes[3:]), 10.0 * LEAST)])
+
+    def linear(self, x: torch.Tensor) -> torch.Tensor:
+        """Return all that the forces are linear in, shape (k,), of x in units of ``scale``."""
+        log, rotors, offsets, friction = self._parts(x)
+        values = torch.cat([self.tree.inertial(log), rotors[:, None], offsets[:, None]], dim=1)
+        return torch.cat([values.flatten(), friction])
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of ``linear`` by x."""
+        found: np.ndarray = torch.func.jacfwd(self.linear)(torch.tensor(x)).numpy()
+        return found
+
+    def _parts(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        log, rotors, offsets, *friction = (x * torch.tensor(self.scale)).split(self.sizes)
+        return log.reshape(-1, INERTIAL), rotors, offsets, torch.cat(friction)
+
+    def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the parameters of the network, of x."""
+        log, rotors, offsets, forces = self._parts(x)
+        friction, d = self.network.friction, self.network.d
+        viscous, coulomb = forces.split(self.sizes[3:])
+        found = {'prior.raw': log, 'prior.rotor': rotors, 'prior.offset': offsets}
+        if len(viscous):
+            found['friction.raw_viscous'] = inverse_softplus(viscous / friction.viscous_unit)
+        if len(coulomb):
+            found['friction.raw_force'] = inverse_softplus(
+                coulomb.reshape(-1, d) / friction.force_unit)
+        return found
+
+    def give(self, x: np.ndarray) -> None:
+        """Give the network these."""
+        with torch.no_grad():
+            for name, parameter in self.raw(torch.tensor(x)).items():
+                self.network.get_parameter(name).copy_(parameter)
+
+
+class Equations(NamedTuple):
+    """
+    Forces of N samples of d joints, by k parameters that they are linear in.
+
+    Parameters
+    ----------
+    matrix : np.ndarray, shape (N, d, k)
+        The regressor.
+    forces : np.ndarray, shape (N, d)
+        As measured.
+    blocks : np.ndarray of int, shape (N,)
+        Which stretch of a motion a sample is of.
+
+    """
+
+    matrix: np.ndarray
+    forces: np.ndarray
+    blocks: np.ndarray
+
+
+class Information(NamedTuple):
+    """
+    Information of the data on the inertial parameters at x, with rotors and offsets.
+
+    Parameters
+    ----------
+    held : np.ndarray, shape (n, m)
+        Directions of the n free entries of x that the data do not determine.
+    excited : np.ndarray, shape (n, r)
+        The others, which are orthogonal to these.
+    felt : np.ndarray, shape (n, s)
+        All directions that change forces at all, the excited ones first.
+    base : np.ndarray, shape (s, k)
+        Factors of parameters in the combinations that the forces depend on.
+    units : np.ndarray, shape (s,)
+        Changes of the base parameters with x, each by its first parameter.
+    idle : list of np.ndarray, each (k,)
+        Changes of parameters that make no force.
+
+    """
+
+    held: np.ndarray
+    excited: np.ndarray
+    felt: np.ndarray
+    base: np.ndarray
+    units: np.ndarray
+    idle: list[np.ndarray]
+
+
+def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
+             rotors: bool = False, offsets: bool = True) -> dict[str, float]:
+    """
+    Identify a tree and its friction, whose widths stay what they are.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a RigidTree and without networks; changed in place. It keeps what was found of it as
+        ``prior.identification``.
+    config : MachineConfig
+        How.
+    motions : sequence of Run
+        What to learn from, with forces.
+    rotors, offsets : bool
+        Whether those are identified as well.
+
+    Returns
+    -------
+    dict
+        The loss after each fit, infinite where windows were thrown far.
+
+    Raises
+    ------
+    DataError
+        There are no forces on some joint.
+
+    """
+    unknowns = Unknowns(network, rotors, offsets)
+    equations = equations_of(network, motions, config.data.smoothing)
+    for coordinate, force in zip(config.coordinates, equations.forces.T, strict=True):
+        if not force.any():
+            raise DataError(f'the data hold no force of {coordinate.name}, by which alone masses '
+                            'are known; record while its motor works')
+    weights = _weights(equations, unknowns)
+    whitened = Equations(equations.matrix * weights[:, None], equations.forces * weights,
+                         equations.blocks)
+    x = _regress(unknowns, whitened)
+    known = _information(unknowns, whitened, x)
+    error = np.mean(_residuals(unknowns, whitened, x)**2)
+    losses = {'rigid_body_inverse': float(error)}
+    covariance = _covariance(unknowns, whitened, known, x)
+    weak = _base_errors(unknowns, known, covariance, x) * _DETERMINED > known.units
+    if not isinstance(config.loss, Inverse):
+        x, found, covariance = _fit_windows(unknowns, whitened, config.windows, motions, x)
+        losses |= found
+    unknowns.give(x)
+    unknowns.tree.identification = _summary(unknowns, known, weak, covariance, x)
+    return losses
+
+
+def equations_of(network: MechanicalNetwork, motions: Sequence[Run], cutoff: float
+                 ) -> Equations:
+    """Return the equations of motions; what was measured is filtered as the motions are [Hz]."""
+    tree = network.prior
+    assert isinstance(tree, RigidTree)
+    every = max(1, sum(len(motion.t) for motion in motions) // _SAMPLES)
+    length = sum(len(motion.t) for motion in motions) / (_BLOCKS * network.d)
+    found, first = [], 0
+    for motion in motions:
+        with torch.no_grad():
+            q, v, a = map(torch.tensor, (motion.q_smooth, motion.v_smooth, motion.a_smooth))
+            matrix = torch.cat([tree.columns(q, v, a), network.friction.columns(v)], dim=2).numpy()
+        forces = motion.tau
+        if not motion.accelerations:
+            # Alike, so that they stay equal.
+            matrix, forces = (low_pass(motion.name, part, motion.spacing, cutoff)
+                              for part in (matrix, forces))
+        blocks = first + (np.arange(len(motion.t)) / length).astype(int)
+        first = blocks[-1] + 1
+        found.append((matrix[::every], forces[::every], blocks[::every]))
+    return Equations(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _weights(equations: Equations, unknowns: Unknowns) -> np.ndarray:
+    """Return one over the noise of each joint, autocorrelation included."""
+    n, d = equations.forces.shape
+    size = np.sqrt(np.mean(equations.forces**2, axis=0))
+    weights, least = 1.0 / size, _LEAST_NOISE * size
+    columns = np.abs(unknowns.slopes(unknowns.start)).max(axis=1)
+    used = np.flatnonzero(columns)
+    for _ in range(2):
+        rows = (equations.matrix[:, :, used] * columns[used] * weights[:, None]).reshape(n * d, -1)
+        found = np.linalg.lstsq(rows, (equations.forces * weights).ravel(), rcond=_ROUNDING)[0]
+        errors = equations.forces - equations.matrix[:, :, used] @ (columns[used] * found)
+        sums = np.stack([errors[equations.blocks == block].sum(axis=0)
+                         for block in np.unique(equations.blocks)])
+        # The variance of sums, that of each sample if they are independent.
+        noise = np.maximum((sums**2).sum(axis=0) / n, np.mean(errors**2, axis=0))
+        weights = 1.0 / np.maximum(np.sqrt(noise), least)
+    return weights
+
+
+def _residuals(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> np.ndarray:
+    with torch.no_grad():
+        found: np.ndarray = equations.matrix @ unknowns.linear(torch.tensor(x)).numpy()
+    return found - equations.forces
+
+
+def _regress(unknowns: Unknowns, equations: Equations) -> np.ndarray:
+    """Return x by least squares; QR leaves as many equations as there are parameters."""
+    k = equations.matrix.shape[2]
+    R = np.asarray(np.linalg.qr(np.hstack([
+        equations.matrix.reshape(-1, k), equations.forces.reshape(-1, 1)]), mode='r'))
+    free, start = unknowns.free, unknowns.start
+    known = _information(unknowns, equations, start)
+    inertial = len(known.held)
+    prefer = np.eye(len(free)) * _PREFERENCE
+    prefer[:inertial, :inertial] += known.held @ known.held.T
+
+    def full(z: np.ndarray) -> np.ndarray:
+        x = start.copy()
+        x[free] = z
+        return x
+
+    def residuals(z: np.ndarray) -> np.ndarray:
+        linear = unknowns.linear(torch.tensor(full(z))).numpy()
+        return np.r_[R[:, :k] @ linear - R[:, k], prefer @ (z - start[free])]
+
+    def jacobian(z: np.ndarray) -> np.ndarray:
+        return np.vstack([R[:, :k] @ unknowns.slopes(full(z))[:, free], prefer])
+    found = least_squares(residuals, start[free], jacobian, (unknowns.least[free], np.inf),
+                          x_scale=1.0, ftol=1e-12, xtol=1e-10, gtol=1e-10, max_nfev=500)
+    return full(found.x)
+
+
+def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Information:
+    """Return the information by the singular values of the regressor without friction."""
+    k, rows = equations.matrix.shape[2], equations.matrix.reshape(-1, equations.matrix.shape[2])
+    values = EACH * unknowns.network.d
+    slopes = unknowns.slopes(x)
+    inertial = unknowns.free[unknowns.free < sum(unknowns.sizes[:3])]
+    G = slopes[:values][:, inertial]
+    # Behind the columns of friction: what it cannot explain.
+    whole = np.asarray(np.linalg.qr(
+        np.hstack([rows[:, values:], rows[:, :values]]), mode='r'))
+    R = whole[k - values:, k - values:]
+    _, sizes, V = np.linalg.svd(R @ G)
+    felt = int(np.sum(sizes > _ROUNDING * sizes[0]))
+    rank = int(np.sum(sizes[:felt] > _DETERMINED))
+    # Parameters in units of what x changes them by.
+    unit = np.sqrt((G**2).sum(axis=1))
+    used = np.flatnonzero(unit)
+    # People know moments better than masses, which come last.
+    pick = np.where(used % EACH == 0, _MASS_LAST, 1.0) * unit[used]
+    _, triangle, order = qr(R[:, used] * pick, mode='economic', pivoting=True)
+    count = int(np.sum(np.abs(np.diag(triangle)) > _ROUNDING * abs(triangle[0, 0])))
+    factors = np.linalg.solve(triangle[:count, :count], triangle[:count, count:])
+    base, idle = np.zeros((count, k)), []
+    first, others = used[order[:count]], used[order[count:]]
+    base[np.arange(count), first] = 1.0
+    factors[np.abs(factors) < _SMALL] = 0.0
+    base[:, others] = factors * pick[order[:count]][:, None] / pick[order[count:]]
+    for column, other in enumerate(others):
+        change = np.zeros(k)
+        change[other] = 1.0
+        change[first] = -base[:, others[column]]
+        idle.append(change)
+    return Information(V[rank:].T, V[:rank].T, V[:felt].T, base, unit[first], idle)
+
+
+def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
+                 motions: Sequence[Run], x: np.ndarray
+                 ) -> tuple[np.ndarray, dict[str, float], np.ndarray]:
+    """
+    Return x of the least errors of windows along determined directions, losses, and covariance.
+
+    Accelerations come first: their errors do not shrink with a common factor of the forces.
+    """
+    samples, losses = samples_of(motions, loss.step_size), {}
+    network, covariance = unknowns.network, np.zeros((len(x), len(x)))
+    rows = spread(torch.arange(len(samples.q)), _STATES)
+    inertial = sum(unknowns.sizes[:3])
+    # From least squares on forces, and from the URDF with the friction that they found.
+    tries = [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
+             for one in (x, np.r_[unknowns.start[:inertial], x[inertial:]])]
+    # The determined directions there differ from those where the fit began.
+    tries += [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
+              for one, _, found in tries if found is not None]
+    x, directions, found = min(tries, key=lambda one: np.inf if one[2] is None else one[2].cost)
+    losses['rigid_body_forward'] = _loss_of(found)
+    for stage in loss.windows:
+        windows, starts = windows_of(loss, stage, samples)
+        chosen = spread(starts, _WINDOWS)
+
+        def errors(solutions: Solutions, windows: Windows = windows,
+                   chosen: torch.Tensor = chosen) -> torch.Tensor:
+            return window_errors(network, samples, chosen, windows, solutions)
+        x, directions, found = _fit(unknowns, equations, x, errors)
+        losses[f'rigid_body_{stage.duration:g}'] = _loss_of(found)
+        if found is None:
+            continue
+        # Errors of one window after another, as soft as they count.
+        soft = (1.0 + found.fun**2)**-0.25
+        parts = -1, len(chosen), unknowns.network.d
+        jacobian = (found.jac * soft[:, None]).reshape(*parts, directions.shape[1])
+        scores = np.einsum('snd,sndk->nk', (found.fun * soft).reshape(parts), jacobian)
+        J = jacobian.reshape(-1, directions.shape[1])
+        blocks = np.arange(len(chosen)) * min(_BLOCKS * network.d, len(chosen)) // len(chosen)
+        covariance = directions @ _sandwich(J.T @ J, scores, blocks) @ directions.T
+    return x, losses, covariance
+
+
+def _fit(unknowns: Unknowns, equations: Equations, x: np.ndarray,
+         errors: Callable[[Solutions], torch.Tensor]
+         ) -> tuple[np.ndarray, np.ndarray, OptimizeResult | None]:
+    """Return the best x along the directions determined at x, these directions, and the fit."""
+    known = _information(unknowns, equations, x)
+    directions, others = _directions(unknowns, known.excited), unknowns.free[len(known.held):]
+    least = np.full(directions.shape[1], -np.inf)
+    least[known.excited.shape[1]:] = unknowns.least[others] - x[others]
+    found = fit_errors(
+        unknowns.network,
+        lambda z: unknowns.raw(torch.tensor(x) + torch.tensor(directions) @ z),
+        np.zeros(len(least)), least, errors)
+    return (x if found is None else x + directions @ found.x), directions, found
+
+
+def _loss_of(found: OptimizeResult | None) -> float:
+    return np.inf if found is None else 2.0 * float(found.cost) / len(found.fun)
+
+
+def _directions(unknowns: Unknowns, inertial: np.ndarray) -> np.ndarray:
+    """Return the directions of x that these are of its inertial part, and all of friction."""
+    free, (rows, count) = unknowns.free, inertial.shape
+    found = np.zeros((len(unknowns.start), count + len(free) - rows))
+    found[free[:rows], :count] = inertial
+    found[free[rows:], count:] = np.eye(len(free) - rows)
+    return found
+
+
+def _covariance(unknowns: Unknowns, equations: Equations, known: Information, x: np.ndarray
+                ) -> np.ndarray:
+    """Return the covariance of x that the residuals tell, zero along what changes no force."""
+    directions = _directions(unknowns, known.felt)
+    J = equations.matrix @ (unknowns.slopes(x) @ directions)
+    scores = np.einsum('nd,ndk->nk', _residuals(unknowns, equations, x), J)
+    rows = J.reshape(-1, J.shape[2])
+    return directions @ _sandwich(rows.T @ rows, scores, equations.blocks) @ directions.T
+
+
+def _sandwich(gram: np.ndarray, scores: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """
+    Return the covariance of least squares from scores (N, k) that are correlated in blocks.
+
+    Residuals of g blocks have lost the k numbers that were fitted: hence g / (g - k), and the
+    quantiles of Student's t for g - k, by which 1.96 standard errors stay 95 %.
+    """
+    names, k = np.unique(blocks), len(gram)
+    sums = np.stack([scores[blocks == name].sum(axis=0) for name in names])
+    inverse = np.linalg.pinv(gram, hermitian=True)
+    left = max(len(names) - k, 1)
+    share = len(names) / left * (student_t.ppf(0.975, left) / norm.ppf(0.975))**2
+    found: np.ndarray = share * inverse @ (sums.T @ sums) @ inverse
+    return found
+
+
+def _base_errors(unknowns: Unknowns, known: Information, covariance: np.ndarray, x: np.ndarray
+                 ) -> np.ndarray:
+    """Return the standard errors of base parameters, shape (s,)."""
+    base = known.base @ unknowns.slopes(x)
+    errors: np.ndarray = np.sqrt(np.maximum(np.diag(base @ covariance @ base.T), 0.0))
+    return errors
+
+
+def _summary(unknowns: Unknowns, known: Information, weak: np.ndarray, covariance: np.ndarray,
+             x: np.ndarray) -> Identification:
+    """Return the result for the model card."""
+    names, units = unknowns.tree.names, [*unknowns.tree.tree.units.values()]
+    linear = unknowns.linear(torch.tensor(x)).numpy()
+    errors = _base_errors(unknowns, known, covariance, x)
+    found = [BaseParameter(
+        combination=dict(_factors(names, row)), value=float(row @ linear),
+        standard_error=float(error), unit=units[int(np.argmax(row == 1.0))])
+        for row, error in zip(known.base, errors, strict=True)]
+    return Identification(
+        base_parameters=[one for one, poor in zip(found, weak, strict=True) if not poor],
+        weak=[one for one, poor in zip(found, weak, strict=True) if poor],
+        held=[dict(_factors(names, row)) for row in known.idle], force_error=[])
+
+
+def _factors(names: Sequence[str], row: np.ndarray) -> Iterator[tuple[str, float]]:
+    """Yield the parameters of a combination, that of factor 1 first."""
+    places = np.flatnonzero(row[:len(names)]).tolist()
+    for place in sorted(places, key=lambda place: (row[place] != 1.0, place)):
+        yield names[place], float(row[place])

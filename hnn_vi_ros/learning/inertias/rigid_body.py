@@ -1,0 +1,270 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fit the parameters of a rigid body with friction to measured motions, by least squares.
+
+The forces are linear in the parameters, and so the fit begins with them; but noise of the
+accelerations biases this estimate. Windows that are simulated end the fit, by the trust-region
+form of the Levenberg-Marquardt method.
+"""
+
+from collections.abc import Callable, Sequence
+
+from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.learning.fit.machine import (
+    acceleration_errors, Samples, samples_of, scales_of, window_errors, Windows, windows_of)
+from hnn_vi_ros.learning.fit.steps import Solutions
+from hnn_vi_ros.models.mechanical_card import Kind
+from hnn_vi_ros.models.planar_chain import CHAINS
+import numpy as np
+from scipy.optimize import least_squares, lsq_linear, OptimizeResult
+import torch
+
+# Evenly spread samples and windows; more change the parameters by less than their errors.
+_SAMPLES, _WINDOWS = 4000, 500
+# Evaluations of each fit at most; it usually ends earlier.
+_EVALUATIONS = 60
+# Least inertia and friction that a fit begins with, in units of the usual ones.
+LEAST = 1e-4
+# How far above its bound a number begins, in the same units.
+_ABOVE = 10.0 * LEAST
+
+
+def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]
+                   ) -> dict[str, float]:
+    """
+    Fit prior and friction of a network, whose widths of friction stay what they are.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a prior and without networks; changed in place.
+    loss : Trajectory
+        Its windows are simulated.
+    motions : sequence of Run
+        What to learn from.
+
+    Returns
+    -------
+    dict
+        The loss after each fit, infinite where one had no place to begin: windows were thrown far.
+
+    """
+    samples = samples_of(motions, loss.step_size)
+    physical = _Physical(network)
+    # The forces are linear in the parameters of rigid links.
+    found = _regression(physical, samples) if physical.prior.linear else physical.now()
+    rows = spread(torch.arange(len(samples.q)), _SAMPLES)
+    losses = {}
+    found, losses['rigid_body_forward'] = _least_squares(
+        physical, found, lambda _: acceleration_errors(network, samples, rows))
+    for stage in loss.windows:
+        windows, starts = windows_of(loss, stage, samples)
+        chosen = spread(starts, _WINDOWS)
+
+        def errors(solutions: Solutions, windows: Windows = windows,
+                   chosen: torch.Tensor = chosen) -> torch.Tensor:
+            return window_errors(network, samples, chosen, windows, solutions)
+        found, losses[f'rigid_body_{stage.duration:g}'] = _least_squares(physical, found, errors)
+    physical.give(found)
+    return losses
+
+
+def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwork | None:
+    """
+    Return a chain of as many links as there are coordinates, by the angles that fit better.
+
+    None if no chain has so many links, if none follows the motions through the first windows, or
+    if the forces are not those on the joints.
+    """
+    d = motions[0].q.shape[1]
+    if motions[0].tau.shape[1] != d:
+        return None
+    scales = scales_of(motions)
+    kinds: list[Kind] = ['revolute'] * d
+    fitted: list[tuple[float, int, MechanicalNetwork]] = []
+    for kind, links in CHAINS.items():
+        # Angles from the vertical, and from the link before.
+        for features in (np.eye(d), np.tril(np.ones((d, d))))[:d if links == d else 0]:
+            network = MechanicalNetwork(Structure(
+                kinds, features.tolist(), [], prior=kind, residual=False), [1], scales, 0)
+            *_, last = fit_rigid_body(network, loss, motions).values()
+            if np.isfinite(last):
+                fitted.append((last, len(fitted), network))
+    return min(fitted)[2] if fitted else None
+
+
+def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
+    """Return at most about so many rows, evenly spread."""
+    return rows[:: max(1, len(rows) // most)]
+
+
+class _Physical:
+    """
+    Parameters of a rigid body and of its friction in their own units: forces are linear in them.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        A network with a prior.
+
+    """
+
+    def __init__(self, network: MechanicalNetwork):
+        prior, structure = network.prior, network.structure
+        assert prior is not None
+        d, n = network.d, structure.coulomb + structure.stribeck
+        self.network, self.prior = network, prior
+        motors = network.raw_map.numel() if network.scales.input_map is not None else 0
+        self.sizes = [len(prior.names), structure.viscous * d, n * d, motors]
+        free = [name.startswith(('coupling', 'gravity')) for name in prior.names]
+        self.scale = np.concatenate([
+            prior.scale().numpy(), network.friction.viscous_unit.numpy()[:self.sizes[1]],
+            np.tile(network.friction.force_unit.numpy(), n), np.ones(motors)])
+        # In units of scale. Inertia is positive; friction has no slope below its least.
+        self.least = np.concatenate([
+            np.where(free, -np.inf, 0.0), np.full(sum(self.sizes[1:3]), LEAST),
+            np.full(motors, -np.inf)])
+
+    def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the parameters of the network."""
+        friction = self.network.friction
+        values, viscous, forces, input_map = x.split(self.sizes)
+        forces = forces.reshape(-1, self.network.d)
+        found = {'prior.raw': self.prior.raw_of(values)}
+        if len(viscous):
+            found['friction.raw_viscous'] = inverse_softplus(viscous / friction.viscous_unit)
+        if len(forces):
+            found['friction.raw_force'] = inverse_softplus(forces / friction.force_unit)
+        if len(input_map):
+            found['raw_map'] = input_map.reshape(self.network.d, -1)
+        return found
+
+    def now(self) -> np.ndarray:
+        """Return the parameters that the network has."""
+        network = self.network
+        b, c, *_ = network.friction.coefficients()
+        parts = [self.prior.values(), b[:self.sizes[1]], c.flatten()]
+        if self.sizes[3]:
+            parts.append(network.raw_map.flatten())
+        return torch.cat(parts).detach().numpy()
+
+    def give(self, x: np.ndarray) -> None:
+        """Give the network these parameters."""
+        with torch.no_grad():
+            for name, parameter in self.raw(torch.tensor(x)).items():
+                self.network.get_parameter(name).copy_(parameter)
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter if it is one, shape (N, d, k)."""
+        network, prior = self.network, self.prior
+        columns = [(prior.mass(q, unit) @ a[:, :, None])[:, :, 0] + prior.forces(q, v, unit)
+                   for unit in torch.eye(len(prior.names), dtype=torch.float64)]
+        return torch.cat([torch.stack(columns, dim=-1), network.friction.columns(v)], dim=2)
+
+
+def inverse_softplus(x: torch.Tensor) -> torch.Tensor:
+    """Return log(exp(x) - 1), of LEAST at the least."""
+    return torch.log(torch.expm1(torch.clamp(x, min=LEAST)))
+
+
+def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
+    """Return the parameters that explain the forces best, by the input map that there is."""
+    rows = spread(torch.arange(len(samples.q)), _SAMPLES)
+    q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
+    with torch.no_grad():
+        tau = physical.network.joint_forces(tau)
+    # Each joint in units of its own force.
+    scales = physical.network.scales
+    unit = torch.tensor(scales.inertia * scales.a)
+    matrix = (physical.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
+    right = (tau / unit).flatten().numpy()
+    least = (physical.least * physical.scale)[:matrix.shape[1]]
+    if right.any():
+        found = lsq_linear(matrix, right, (least, np.inf)).x
+    else:
+        # Without forces all is known up to a common factor: the first inertia is one.
+        found = np.append(1.0, lsq_linear(
+            matrix[:, 1:], -matrix[:, 0], (least[1:], np.inf)).x)
+    n = physical.sizes[0]
+    values = physical.prior.possible(torch.tensor(found[:n])).numpy()
+    end = n + sum(physical.sizes[1:3])
+    # Accelerations may show no friction, where windows do: it begins above its least.
+    friction = np.maximum(found[n:], 10.0 * LEAST * physical.scale[n:end])
+    return np.concatenate([values, friction, physical.now()[end:]])
+
+
+def _least_squares(physical: _Physical, start: np.ndarray,
+                   errors: Callable[[Solutions], torch.Tensor]) -> tuple[np.ndarray, float]:
+    """Return the parameters of the least soft size of errors, and that size."""
+    scale = torch.tensor(physical.scale)
+    found = fit_errors(physical.network, lambda x: physical.raw(x * scale),
+                       start / physical.scale, physical.least, errors)
+    if found is None:
+        return start, np.inf
+    # The cost is half a sum; the losses of networks are means of the same terms.
+    return found.x * physical.scale, 2.0 * float(found.cost) / len(found.fun)
+
+
+def fit_errors(network: MechanicalNetwork,
+               raw: Callable[[torch.Tensor], dict[str, torch.Tensor]], start: np.ndarray,
+               least: np.ndarray, errors: Callable[[Solutions], torch.Tensor]
+               ) -> OptimizeResult | None:
+    """
+    Fit numbers by the soft size of errors.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        Whose errors they are.
+    raw : callable
+        ``raw(x)`` returns parameters of the network by name.
+    start, least : np.ndarray, shape (k,)
+        Numbers to begin with, and their lower bounds. What rests on its bound begins above it: a
+        step ends where it meets a bound, so that one number there would hold all the others.
+    errors : callable
+        Errors of the network; takes the solver of its steps, which keeps solutions.
+
+    Returns
+    -------
+    OptimizeResult or None
+        What scipy.optimize.least_squares returns; None where errors are infinite to begin with.
+
+    """
+    module = _Errors(network, errors)
+
+    def residuals(x: torch.Tensor, solutions: Solutions) -> torch.Tensor:
+        parts = {f'network.{name}': part for name, part in raw(x).items()}
+        return torch.func.functional_call(module, parts, (solutions,)).reshape(-1)
+
+    def values(x: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            # Infinite where M would not be positive, and where a window is thrown far.
+            return np.nan_to_num(residuals(torch.tensor(x), Solutions()).numpy(), nan=np.inf)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        at, solutions = torch.tensor(x), Solutions()
+        with torch.no_grad():
+            residuals(at, solutions)
+            return torch.func.jacfwd(
+                lambda x: residuals(x, solutions.again()))(at).numpy()
+    start = np.maximum(start, least + _ABOVE)
+    if not np.isfinite(values(start)).all():
+        return None
+    return least_squares(values, start, jacobian, (least, np.inf), loss='soft_l1', x_scale='jac',
+                         ftol=1e-5, max_nfev=_EVALUATIONS)
+
+
+class _Errors(torch.nn.Module):
+    """Errors of a network, as a module whose parameters can be replaced."""
+
+    def __init__(self, network: MechanicalNetwork, errors: Callable[[Solutions], torch.Tensor]):
+        super().__init__()
+        self.network, self.errors = network, errors
+
+    def forward(self, solutions: Solutions) -> torch.Tensor:
+        """Return them."""
+        return self.errors(solutions)

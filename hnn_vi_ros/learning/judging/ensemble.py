@@ -1,0 +1,503 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ensembles: resampled data, members in one model, and what their spread tells of errors."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+import warnings
+
+from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run
+from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
+from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.mechanical_card import mean_card, MOST_MEMBERS
+from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
+from hnn_vi_ros.run.companions import Accompanied
+from hnn_vi_ros.run.ensemble import simulate_many
+from hnn_vi_ros.run.members import Members
+from hnn_vi_ros.run.spread import deviation, member_scenes
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+# The share of measured data that no member is trained on; the spread is calibrated on it.
+HELD_OUT = 0.2
+# Blocks of time that motions of machines are cut into, and the fewest that can be resampled.
+_BLOCKS, _FEWEST_BLOCKS = 20, 5
+# Fewer simulations than this tell nothing of 90 %.
+_FEWEST = 20
+# A field takes so many motions to find the factors, and as many to check them; so many samples
+# after the first one of each, and so many steps from one to the next.
+_MOTIONS, _SAMPLES, _STEPS = 500, 20, 2
+# Steps of the exact motions from one sample to the next, and how far out of the training domain
+# they are followed, in its half-widths: some systems have no bound.
+_FINE, _OUTMOST = 50, 1.5
+# A machine takes simulations of at most this duration and so far apart [s], with so many instants,
+# and no more than so many.
+_HORIZON, _EVERY, _INSTANTS, _MOST = 0.5, 0.05, 20, 200
+# Commands hold to the end of the simulation [s].
+_FOREVER = 1e9
+
+
+def check_count(count: int) -> None:
+    """Raise ParameterError if an ensemble cannot have so many members."""
+    if not 2 <= count <= MOST_MEMBERS:
+        raise ParameterError(f'--ensemble {count}: expected 2 to {MOST_MEMBERS} members')
+
+
+def _drawn(count: int, seed: int) -> np.ndarray:
+    """Return as many numbers of blocks, drawn with replacement: a block bootstrap."""
+    return np.random.default_rng([seed, 1]).choice(count, count)
+
+
+def resampled(dataset: Dataset, seed: int) -> Dataset:
+    """
+    Return a block bootstrap of data: as many blocks, drawn with replacement.
+
+    Copies of a block stay one block, which a split keeps together, and are motions of their own.
+    """
+    blocks = np.unique(dataset.block)
+    order = np.argsort(dataset.block, kind='stable')
+    drawn = blocks[_drawn(len(blocks), seed)]
+    first, behind = (np.searchsorted(dataset.block[order], drawn, side=side)
+                     for side in ('left', 'right'))
+    rows = [order[a:b] for a, b in zip(first, behind, strict=True)]
+    chosen, copy = np.concatenate(rows), np.repeat(np.arange(len(rows)), [*map(len, rows)])
+    _, trajectory = np.unique(np.column_stack([copy, dataset.motion[chosen]]), axis=0,
+                              return_inverse=True)
+    return replace(dataset.rows(chosen), trajectory=trajectory.ravel()).checked()
+
+
+def resampled_blocks(blocks: Sequence[Run], seed: int) -> list[Run]:
+    """Return a block bootstrap of motions, in their order."""
+    return [blocks[k] for k in sorted(_drawn(len(blocks), seed))]
+
+
+def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | None]:
+    """Return data to train on, and data to calibrate by; None where those are drawn later."""
+    if isinstance(config.data, ExactData) or dataset.t is None:
+        return dataset, None
+    return dataset.split(HELD_OUT, config.seed)
+
+
+def kept_and_held(motions: Sequence[Run], config: MachineConfig
+                  ) -> tuple[list[Run], list[Run]]:
+    """
+    Return blocks of motions to train members on, and a fifth of the blocks, for calibration.
+
+    A block is a motion, or a part of one that lasts about a twentieth of all of them, but not
+    less than 1 s or twice the longest window of the loss.
+
+    Raises
+    ------
+    DataError
+        There are not even five blocks.
+
+    """
+    loss = config.loss_of(all(motion.accelerations for motion in motions))
+    stages = loss.windows if isinstance(loss, Trajectory) else []
+    least = 2.0 * max([_HORIZON, *(stage.duration for stage in stages)])
+    lengths = [len(motion.t) * motion.spacing for motion in motions]
+    length = max(least, sum(lengths) / _BLOCKS, MIN_SAMPLES * motions[0].spacing)
+    blocks = [part_of(motion, slice(rows[0], rows[-1] + 1))
+              for motion, time in zip(motions, lengths, strict=True)
+              for rows in np.array_split(
+                  np.arange(len(motion.t)), max(1, int(time / length * (1.0 + 1e-12))))]
+    if len(blocks) < _FEWEST_BLOCKS:
+        raise DataError(f'--ensemble: the motions to learn from make {len(blocks)} blocks of '
+                        f'{length:.3g} s, expected at least {_FEWEST_BLOCKS}; record for longer, '
+                        'or train one model')
+    order = np.random.default_rng(config.seed).permutation(len(blocks))
+    held = round(HELD_OUT * len(blocks))
+    return [blocks[k] for k in sorted(order[held:])], [blocks[k] for k in sorted(order[:held])]
+
+
+def combined(members: Sequence[Checkpoint], name: str, box: Box | None = None) -> Checkpoint:
+    """Return members as one model, of means of their losses; its box is given, or their mean."""
+    cards = [member.card for member in members]
+    losses = {key: float(np.mean([card.losses[key] for card in cards if key in card.losses]))
+              for key in cards[0].losses}
+    mechanical = [card.mechanical for card in cards if card.mechanical is not None]
+    return Checkpoint(cards[0].model_copy(update={
+        'name': name, 'losses': losses, 'energy_error': None,
+        'mechanical': mean_card(mechanical) if mechanical else None,
+        'box': box or Box(q=cards[0].box.q,
+                          p=np.mean([card.box.p for card in cards], axis=0).tolist()),
+        'ensemble': EnsembleCard(members=cards)}), {}, members=tuple(members))
+
+
+class Calibration(NamedTuple):
+    """
+    Scores of an ensemble on motions that no member has seen.
+
+    A score is abs(x - mean) / deviation of a coordinate or momentum at an instant.
+
+    Parameters
+    ----------
+    scores, others : np.ndarray, shape (n, 2 d)
+        Those that factors are found by, and those that they are checked by.
+    source : str
+        Where they come from, for the model card.
+
+    """
+
+    scores: np.ndarray
+    others: np.ndarray
+    source: str
+
+
+def calibrated(checkpoint: Checkpoint, find: Callable[[], Calibration]) -> Checkpoint:
+    """
+    Return an ensemble whose card tells by what its spread is multiplied (split conformal).
+
+    The factor of a coordinate or momentum is the least of its scores that the share ``level``
+    of them does not exceed; on the other scores the share is counted that the bands cover. Where
+    that cannot be done there are no factors, and the card says why.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    find : callable
+        Returns the scores.
+
+    References
+    ----------
+    J. Lei, M. G'Sell, A. Rinaldo, R. Tibshirani, L. Wasserman, Distribution-Free Predictive
+    Inference for Regression, JASA 2018.
+
+    """
+    ensemble = checkpoint.card.ensemble
+    assert ensemble is not None, 'an ensemble has its card'
+    try:
+        found = find()
+        factors = conformal_factors(found.scores, ensemble.level)
+        update = {'factors': factors, 'coverage': float((found.others <= factors).mean()),
+                  'calibration': found.source}
+    except HnnViRosError as problem:
+        # The model is kept all the same, and its card gives the reason.
+        update = {'calibration': f'none: {problem}'[:1000]}
+    return replace(checkpoint, card=checkpoint.card.model_copy(update={
+        'ensemble': ensemble.model_copy(update=update)}))
+
+
+def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
+    """
+    Return the ceil((n + 1) level)-th smallest of n scores, shape (n, 2 d), of each column.
+
+    Raises
+    ------
+    DataError
+        There are too few, or a member comes apart from all others so often that none is finite.
+
+    """
+    ordered = np.sort(scores, axis=0)
+    rank = int(np.ceil((len(ordered) + 1) * level))
+    if rank > len(ordered) or not (
+            (0.0 < ordered[rank - 1]) & (ordered[rank - 1] < np.inf)).all():
+        raise DataError('the spread of the ensemble cannot be calibrated: too few held-out '
+                        'motions in the training domain, or members that do not differ')
+    found: list[float] = ordered[rank - 1].tolist()
+    return found
+
+
+def ensemble_text(card: ModelCard) -> str:
+    """Return one sentence on the spread of an ensemble; '' for one model."""
+    ensemble = card.ensemble
+    if ensemble is None:
+        return ''
+    count = f'{len(ensemble.members)} members, whose mean is judged'
+    if ensemble.factors is None or ensemble.coverage is None:
+        return f'{count}; their spread was not calibrated ({ensemble.calibration})'
+    factors = ', '.join(f'{factor:.3g}' for factor in ensemble.factors)
+    return (f'{count}; bands of {100.0 * ensemble.level:g} %: {factors} times the spread of q and '
+            f'p, which covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+
+
+@contextmanager
+def drafted(checkpoint: Checkpoint) -> Iterator[str]:
+    """Write a model to a temporary file, from which scenes and effects read it."""
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter('ignore', AlarmWarning)
+        draft = Path(folder) / 'draft.safetensors'
+        save_checkpoint(draft, checkpoint)
+        yield str(draft)
+
+
+def _scores(error: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Return abs(error) / spread, infinite where that is not a number."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        scores = np.abs(error) / spread
+    return np.where(np.isnan(scores) | np.isinf(spread), np.inf, scores)
+
+
+class Held(NamedTuple):
+    """
+    Motions of a field that training has not seen.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (K + 1,)
+        Times from 0 on [s].
+    q, p : np.ndarray, shape (K + 1, M, d)
+        Their states.
+    inside : np.ndarray of bool, shape (K + 1, M)
+        Up to where each stays in the training domain.
+
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    inside: np.ndarray
+
+
+def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset | None
+                      ) -> Calibration:
+    """
+    Return the scores of held-out motions of H alone, one half of them for either use.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    config : FieldConfig
+        How it was trained.
+    test : Dataset or None
+        Measured data that training has not seen; new exact data are drawn.
+
+    Raises
+    ------
+    DataError
+        There are too few.
+
+    """
+    if isinstance(config.data, ExactData):
+        held = held_exact(checkpoint, config, 2 * _MOTIONS, config.seed + 2)
+    else:
+        held = None if test is None else _held_measured(checkpoint, test)
+    count = 0 if held is None else held.q.shape[1]
+    if held is None or count < _FEWEST:
+        raise DataError(f'{count} held-out motions of H alone, expected at least {_FEWEST}')
+    scores = scores_of(checkpoint, held)
+    halves = np.split(np.random.default_rng(config.seed).permutation(count), [count // 2])
+    first, second = (scores[:, half][held.inside[1:, half]] for half in halves)
+    return Calibration(first, second, (
+        f'{len(halves[0])} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
+        f'{len(halves[1])} others'))
+
+
+def scores_of(checkpoint: Checkpoint, held: Held) -> np.ndarray:
+    """Return abs(x - mean) / deviation, shape (K, M, 2 d), behind the first instant."""
+    mean, *members = simulate_held(checkpoint, held)
+    return _scores(np.concatenate([held.q, held.p], axis=-1) - mean, deviation(members))[1:]
+
+
+def simulate_held(checkpoint: Checkpoint, held: Held) -> list[np.ndarray]:
+    """Return motions of the mean and of each member from the same states, (K + 1, M, 2 d) each."""
+    with drafted(checkpoint) as draft:
+        scene = Scene.build(
+            hamiltonian={'kind': 'learned', 'model': draft, 'confine': False},
+            integrator='gauss8', step_size=held.t[1] / _STEPS,
+            initial_state=(held.q[0, 0], held.p[0, 0]), name=checkpoint.card.name)
+        found = [simulate_many(one, held.q[0], held.p[0], float(held.t[-1]),
+                               samples=len(held.t) - 1)
+                 for one in (scene, *member_scenes(scene, len(checkpoint.members)))]
+    return [np.concatenate([one.q, one.p], axis=-1) for one in found]
+
+
+def horizon(dataset: Dataset) -> float:
+    """Return a time in which a motion goes about once around the box of data [s]."""
+    half = 0.5 * np.ptp(np.hstack([dataset.q, dataset.p]), axis=0)
+    rates = np.sqrt(np.mean(np.hstack([dataset.dq_dt, dataset.dp_dt])**2, axis=0))
+    return float(2.0 * np.pi * (half / rates).max())
+
+
+def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: int
+               ) -> Held | None:
+    """Return motions of an exact system from new states of the box; None if they are driven."""
+    data = config.data
+    assert isinstance(data, ExactData), 'asked of such data alone'
+    if data.commands is not None or data.damping or data.velocities:
+        return None  # no motion of H alone
+    drawn = data.model_copy(update={
+        'samples': count, 'edge_share': 0.0, 'noise': 0.0, 'trajectory': None})
+    start, t = sample_exact(drawn, seed), np.linspace(
+        0.0, horizon(sample_exact(drawn, config.seed)), _SAMPLES + 1)
+    z = _follow(data.hamiltonian.create(), np.hstack([start.q, start.p]), t, checkpoint)
+    return _within(checkpoint, t, *np.split(z, 2, axis=-1))
+
+
+def _follow(hamiltonian: Hamiltonian, z: np.ndarray, t: np.ndarray, checkpoint: Checkpoint
+            ) -> np.ndarray:
+    """Return the exact motions at even times, (K + 1, M, 2 d), held where they are far outside."""
+    low, high = checkpoint.card.box.bounds
+    h, found, d = t[1] / _FINE, [z], z.shape[1] // 2
+
+    def rates(z: np.ndarray) -> np.ndarray:
+        dH_dq, dH_dp = hamiltonian.gradient(z[:, :d], z[:, d:])
+        outside = np.abs(z - 0.5 * (low + high)) > 0.5 * _OUTMOST * (high - low)
+        return np.where(outside.any(axis=1)[:, None], 0.0, np.hstack([dH_dp, -dH_dq]))
+
+    for _ in t[1:]:
+        for _ in range(_FINE):  # the method of Runge and Kutta, of order 4
+            a = rates(z)
+            b = rates(z + 0.5 * h * a)
+            c = rates(z + 0.5 * h * b)
+            z = z + h / 6.0 * (a + 2.0 * b + 2.0 * c + rates(z + h * c))
+        found.append(z)
+    return np.stack(found)
+
+
+def _held_measured(checkpoint: Checkpoint, test: Dataset) -> Held | None:
+    """Return the measured motions from the first state of each held-out block on."""
+    blocks = [test.rows(test.block == block) for block in np.unique(test.block)]
+    blocks = [rows for rows in blocks
+              if rows.t is not None and len(rows.t) > 1 and (np.diff(rows.t) > 0.0).all()]
+    if not blocks:
+        return None
+    times = [rows.t - rows.t[0] for rows in blocks if rows.t is not None]
+    T = min(horizon(test), float(np.median([time[-1] for time in times])))
+    t = np.linspace(0.0, T, _SAMPLES + 1)
+    q, p = (np.stack([
+        CubicHermiteSpline(time, getattr(rows, name), getattr(rows, rate))(t)
+        for rows, time in zip(blocks, times, strict=True) if time[-1] >= T], axis=1)
+        for name, rate in (('q', 'dq_dt'), ('p', 'dp_dt')))
+    return _within(checkpoint, t, q, p)
+
+
+def _within(checkpoint: Checkpoint, t: np.ndarray, q: np.ndarray, p: np.ndarray) -> Held:
+    low, high = checkpoint.card.box.bounds
+    z = np.concatenate([q, p], axis=-1)
+    inside = ((low <= z) & (z <= high)).all(axis=-1)
+    return Held(t, q, p, np.logical_and.accumulate(inside, axis=0))
+
+
+def machine_calibration(checkpoint: Checkpoint, held: Sequence[Run], test: Sequence[Run]
+                        ) -> Calibration:
+    """
+    Return the scores of simulations of a machine from measured states.
+
+    Those of the second half of each count: at first, noise of the states outweighs how members
+    differ. Momenta are M(q) v of the mean.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    held, test : sequence of Run
+        Blocks that no member has seen, and the motions that the model is judged by.
+
+    Raises
+    ------
+    DataError
+        There are too few simulations in the training domain.
+
+    """
+    first, second = ([scores for motion in machine_scores(checkpoint, motions)
+                      for scores in motion] for motions in (held, test))
+    if min(len(first), len(second)) < _FEWEST:
+        raise DataError(
+            f'{len(first)} and {len(second)} simulations in the training domain, of what was '
+            f'held out and of the test, expected at least {_FEWEST}')
+    return Calibration(np.concatenate(first), np.concatenate(second), (
+        f'{len(first)} simulations of {_duration(held):.3g} s from states of what was held out, '
+        f'and coverage on {len(second)} of the test motions'))
+
+
+def _duration(motions: Sequence[Run]) -> float:
+    return min(_HORIZON, max(float(motion.t[-1] - motion.t[0]) for motion in motions))
+
+
+def machine_scores(checkpoint: Checkpoint, motions: Sequence[Run], most: int | None = _MOST
+                   ) -> list[list[np.ndarray]]:
+    """
+    Return abs(x - mean) / deviation of simulations from measured states, with measured forces.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The ensemble.
+    motions : sequence of Run
+        The measured motions.
+    most : int, optional
+        How many simulations at most; None: all.
+
+    Returns
+    -------
+    list of list of np.ndarray, shape (instants, 2 d)
+        For each motion, of the second half of each simulation that stays in the training domain
+        until then, up to where it leaves that.
+
+    """
+    spacing = motions[0].spacing
+    every = max(1, round(_duration(motions) / (_INSTANTS * spacing)))
+    count = max(every, round(_duration(motions) / spacing) // every * every)
+    apart = max(1, round(_EVERY / spacing))
+    starts = [(k, start) for k, motion in enumerate(motions)
+              for start in range(0, len(motion.t) - count, apart)]
+    starts = [starts[k] for k in np.unique(
+        np.linspace(0, len(starts) - 1, min(most or len(starts), len(starts))).astype(int))]
+    found: list[list[np.ndarray]] = [[] for _ in motions]
+    ensemble = checkpoint.card.ensemble
+    assert ensemble is not None, 'asked of ensembles alone'
+    card = checkpoint.card.model_copy(update={
+        'ensemble': EnsembleCard(members=ensemble.members)})  # without factors
+    with drafted(replace(checkpoint, card=card)) as draft:
+        driven = any(motion.tau.any() for motion in motions)
+        scene = _scene(draft, card, spacing, driven)
+        members = Members(scene)
+        simulation = Accompanied(build(scene), [members])
+        for k, start in starts:
+            scores = _machine_scores(simulation, members, card.box, motions[k],
+                                     start + np.arange(0, count + 1, every))
+            if len(scores):
+                found[k].append(scores)
+    return found
+
+
+def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
+    effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
+    if driven:
+        assert card.mechanical is not None, 'the family has one'
+        where: dict[str, object] = {'coordinates': [one.name for one in card.coordinates]} \
+            if card.mechanical.input_map is None else {'model': model}
+        effects.append({'kind': 'external_force', 'timeout': _FOREVER, **where})
+    zero = [0.0] * len(card.coordinates)
+    return Scene.build(
+        hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
+        integrator='implicit_midpoint', step_size=spacing,
+        initial_state=(np.mean(card.box.q, axis=1).tolist(), zero), name=card.name)
+
+
+def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: Run,
+                    rows: np.ndarray) -> np.ndarray:
+    """Return the scores of one simulation at some samples, shape (instants, 2 d)."""
+    q, v = motion.q_smooth[rows], motion.v_smooth[rows]
+    measured = np.hstack([q, momentum(simulation.hamiltonian, q, v, np.zeros_like(v))])
+    low, high = box.bounds
+    inside = np.logical_and.accumulate(((low <= measured) & (measured <= high)).all(axis=1))
+    tau, found = motion.forces, []
+    try:
+        simulation.restart(*np.split(measured[0], 2))
+        for at in range(1, int(inside.sum())):
+            for k in range(rows[at - 1], rows[at]):
+                if simulation.takes_commands:
+                    simulation.set_command(tau[k])
+                simulation.advance(1)
+            found.append(_scores(measured[at] - np.concatenate([simulation.q, simulation.p]),
+                                 members.spread))
+    except StepFailure:
+        # No band covers a motion that the mean does not predict.
+        found += [np.full(measured.shape[1], np.inf)] * (int(inside.sum()) - 1 - len(found))
+    return np.array(found)[max(0, (len(rows) - 1) // 2 - 1):]

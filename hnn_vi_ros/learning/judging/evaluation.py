@@ -1,0 +1,416 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Evaluation of a model: simulated freely from measured states, and compared."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.damping import Damping
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.input_map import has_map
+from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
+from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.errors import DataError, StepFailure
+from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
+from hnn_vi_ros.learning.data.runs import Run, steps_between
+from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
+from hnn_vi_ros.learning.judging.energy_account import balance, energy_mismatch, unaccounted
+from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.run.twin import VALID
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+import torch
+
+# Commands hold to the end of the simulation [s].
+_FOREVER = 1e9
+
+# ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
+# start on: not a number from where a simulation fails, infinite from where one is given up.
+Predict = Callable[[Run, np.ndarray, int], np.ndarray]
+
+
+class Fan(NamedTuple):
+    """
+    Predictions of one motion from many of its states.
+
+    Parameters
+    ----------
+    motion : Run
+        The measured motions.
+    starts : np.ndarray of int, shape (n,)
+        Samples from which they begin.
+    q : np.ndarray, shape (n, count + 1, d)
+        Coordinates at the samples from there on; see Predict.
+
+    """
+
+    motion: Run
+    starts: np.ndarray
+    q: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scores:
+    """
+    Scores of a prediction against measured motions.
+
+    Parameters
+    ----------
+    horizons : dict of float to np.ndarray, shape (d,)
+        Root mean square of the error of each coordinate at the end of each horizon [s].
+    starts : dict of float to int
+        How many simulations each is of.
+    valid_prediction_time : float
+        Median over the starts [s].
+    censored : float
+        Share of the starts whose prediction was still valid when it, or its run, ended.
+    failed : int
+        Simulations that failed; their errors are infinite.
+    energy_mismatch : dict of float to float, optional
+        Of a model, over each horizon; see energy_account.energy_mismatch.
+
+    """
+
+    horizons: dict[float, np.ndarray]
+    starts: dict[float, int]
+    valid_prediction_time: float
+    censored: float
+    failed: int
+    energy_mismatch: dict[float, float] | None = None
+
+
+def simulated(simulation: Simulation, spacing: float, least: float, variance: np.ndarray
+              ) -> Predict:
+    """
+    Return the predictions of a simulation, with the measured forces as its commands.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose step size is a whole part of the samples' interval. It takes commands, one for each
+        coordinate, if the motions have forces.
+    spacing : float
+        The samples' interval [s].
+    least : float
+        How long each prediction lasts at least, the longest horizon [s]; it is given up as soon
+        as it is no longer valid.
+    variance : np.ndarray, shape (d,)
+        The unit in which errors are judged for that.
+
+    """
+    steps = round(spacing / simulation.step_size)
+
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+        needed = samples_in(least, motion)
+        q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
+        p = np.zeros(motion.q.shape[1])
+        tau = motion.forces
+        for row, start in zip(q, starts, strict=True):
+            row[0] = motion.q_smooth[start]
+            p = momentum(simulation.hamiltonian, motion.q_smooth[start], motion.v_smooth[start],
+                         p)
+            valid = True
+            try:
+                simulation.restart(motion.q_smooth[start], p)
+                for k in range(min(count, len(tau) - start)):
+                    if k >= needed and not valid:
+                        row[k + 1:] = np.inf
+                        break
+                    if simulation.takes_commands:
+                        simulation.set_command(tau[start + k])
+                    simulation.advance(steps)
+                    row[k + 1] = simulation.q
+                    error = row[k + 1] - motion.q[start + k + 1]
+                    valid = valid and bool((error**2 / variance).sum() < VALID)
+            except StepFailure:
+                continue  # the row stays no number from here on, which the scores count
+            except ValueError as problem:
+                raise DataError(f'{motion.name}: the state at {motion.t[start]:.6g} s cannot be '
+                                f'simulated: {problem}') from problem
+        return q
+    return predict
+
+
+def constant_velocity(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    """Return motions without any force, as predictions."""
+    t = motion.spacing * np.arange(count + 1)
+    return motion.q_smooth[starts][:, None] + t[:, None] * motion.v_smooth[starts][:, None]
+
+
+def linear_model(motions: Sequence[Run]) -> Predict:
+    """Return predictions of x_(k+1) = A x_k + B tau_k + c, x = (q, v), by least squares."""
+    inputs, targets = [], []
+    for motion in motions:
+        x = np.hstack([motion.q_smooth, motion.v_smooth])
+        tau = motion.forces
+        inputs.append(np.hstack([x[:-1], tau, np.ones((len(tau), 1))]))
+        targets.append(x[1:] - x[:-1])
+    matrix = np.linalg.lstsq(np.concatenate(inputs), np.concatenate(targets), rcond=None)[0]
+    spacing = motions[0].spacing
+
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+        share = motion.spacing / spacing
+        d = motion.q.shape[1]
+        x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
+        tau = motion.forces
+        q = [x[:, :d]]
+        # A matrix may well let motions grow until they are no numbers, which the scores count.
+        with np.errstate(over='ignore', invalid='ignore'):
+            for k in range(count):
+                row = np.minimum(starts + k, len(tau) - 1)
+                x = x + share * np.hstack([x, tau[row], np.ones((len(x), 1))]) @ matrix
+                q.append(x[:, :d])
+        return np.stack(q, axis=1)
+    return predict
+
+
+def predicted_by(network: Network) -> Predict:
+    """Return the predictions of a network, by the Runge-Kutta method of order 4."""
+    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+        tau = torch.tensor(motion.forces)
+        q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
+        rows, found = torch.tensor(starts), [q]
+        with torch.no_grad():
+            for k in range(count):
+                # Beyond the end of the motion nothing is judged.
+                held = tau[torch.clamp(rows + k, max=len(tau) - 1)]
+                q, v = runge_kutta(network.accelerations, q, v, held, motion.spacing)
+                found.append(q)
+        return torch.stack(found, dim=1).numpy()
+    return predict
+
+
+def variance_of(motions: Sequence[Run]) -> np.ndarray:
+    """
+    Return the variance of each coordinate over motions, shape (d,).
+
+    It is infinite, so that no error counts in its units, for a coordinate that never moves.
+
+    Raises
+    ------
+    DataError
+        None moves.
+
+    """
+    q = np.concatenate([motion.q for motion in motions])
+    moves = np.ptp(q, axis=0) > 0.0
+    if not moves.any():
+        raise DataError(f'{motions[0].name}: no coordinate moves, so that nothing can be judged; '
+                        'give other motions')
+    return np.where(moves, q.var(axis=0), np.inf)
+
+
+def samples_in(time: float, motion: Run) -> int:
+    """Return the samples of a motion in a time [s], at most all of them."""
+    return round(min(time / motion.spacing, len(motion.t)))
+
+
+def fans_of(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], every: float,
+            longest: float) -> list[Fan]:
+    """Return predictions from many measured states, for as long as ``score`` asks for them."""
+    for horizon in horizons:
+        if all(samples_in(horizon, motion) >= len(motion.t) for motion in motions):
+            raise DataError(f'no motion lasts {horizon:g} s, a horizon; give shorter --horizons')
+        if any(samples_in(horizon, motion) < 1 for motion in motions):
+            raise DataError(f'a horizon of {horizon:g} s is less than the {motions[0].spacing:.4g}'
+                            ' s from sample to sample; give longer --horizons')
+    fans = []
+    for motion in motions:
+        n = len(motion.t)
+        starts = np.arange(0, n - samples_in(min(horizons), motion),
+                           max(1, samples_in(every, motion)))
+        if len(starts):
+            count = min(samples_in(max(longest, *horizons), motion), n - 1)
+            fans.append(Fan(motion, starts, predict(motion, starts, count)))
+    return fans
+
+
+def score(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], every: float,
+          longest: float) -> Scores:
+    """
+    Predict from many measured states, and compare.
+
+    Parameters
+    ----------
+    predict : callable
+        The predictions that are judged.
+    motions : sequence of Run
+        The measured motions.
+    horizons : sequence of float
+        After which errors are taken [s].
+    every : float
+        Time from one start to the next [s].
+    longest : float
+        How long predictions last for the valid prediction time, at least the longest horizon [s].
+
+    Raises
+    ------
+    DataError
+        No motion lasts as long as a horizon, or samples are further apart.
+
+    """
+    fans = fans_of(predict, motions, horizons, every, longest)
+    return score_fans(fans, horizons, variance_of(motions))
+
+
+def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndarray) -> Scores:
+    """Compare predictions with the measured motions, of this variance, shape (d,); see score."""
+    errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
+    times, ended, failed = [], [], 0
+    for motion, starts, q in fans:
+        n, spacing, count = len(motion.t), motion.spacing, q.shape[1] - 1
+        room = n - 1 - starts
+        at = np.minimum(starts[:, None] + np.arange(count + 1), n - 1)
+        error = q - motion.q[at]
+        failed += int((np.isnan(error).any(axis=2)
+                       & (np.arange(count + 1) <= room[:, None])).any(axis=1).sum())
+        error = np.where(np.isfinite(error), error, np.inf)
+        for horizon in horizons:
+            k = samples_in(horizon, motion)
+            if k <= count:
+                errors[horizon].append(error[room >= k, k])
+        with np.errstate(over='ignore', invalid='ignore'):
+            # Not a number: an infinite error of a coordinate that has no variance.
+            beyond = ~((error**2 / variance).sum(axis=2) < VALID)
+        beyond &= np.arange(count + 1) <= room[:, None]
+        found = beyond.any(axis=1)
+        times.append(np.where(found, beyond.argmax(axis=1), np.minimum(count, room)) * spacing)
+        ended.append(~found)
+    with np.errstate(over='ignore'):
+        rms = {horizon: np.sqrt(np.mean(np.concatenate(parts)**2, axis=0))
+               for horizon, parts in errors.items()}
+    return Scores(rms, {horizon: sum(map(len, parts)) for horizon, parts in errors.items()},
+                  float(np.median(np.concatenate(times))),
+                  float(np.mean(np.concatenate(ended))), failed)
+
+
+def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
+    """Return the scores of several predictions as a Markdown table."""
+    first = next(iter(scores.values()))
+    head = [f'{horizon:g} s: {", ".join(names)}' for horizon in first.horizons]
+    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | energy mismatch | failed |',
+             f'|---|{"---|" * (len(head) + 3)}']
+    for name, found in scores.items():
+        cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
+        least = '>= ' if found.censored >= 0.5 else ''
+        mismatch = ' '.join(f'{100.0 * value:.3g}%'
+                            for value in (found.energy_mismatch or {}).values())
+        lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
+                     f'| {mismatch or "-"} | {found.failed} |')
+    return '\n'.join(lines)
+
+
+def verdict(scores: dict[str, Scores]) -> str:
+    """Return one plain sentence."""
+    said = [f'{"at least " if found.censored >= 0.5 else ""}{found.valid_prediction_time:.2g} s'
+            for found in scores.values()]
+    others = ', '.join(f'{name} {text}' for name, text in zip(
+        [*scores][1:], said[1:], strict=True))
+    return f'The model follows the machine for {said[0]} (median); {others}.'
+
+
+def as_json(scores: dict[str, Scores]) -> dict[str, Any]:
+    """Return the content of ``--json``: the model's numbers, and those of its baselines."""
+    model, *others = (numbers(found) for found in scores.values())
+    return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
+
+
+def numbers(scores: Scores) -> dict[str, Any]:
+    """Return scores for JSON, which has no infinity: None for an error that has no bound."""
+    def known(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+    return {'horizons': {f'{horizon:.15g}': [known(value) for value in rms.tolist()]
+                         for horizon, rms in scores.horizons.items()},
+            'valid_prediction_time': scores.valid_prediction_time,
+            'censored': scores.censored, 'failed': scores.failed,
+            'energy_mismatch': scores.energy_mismatch and {
+                f'{horizon:.15g}': known(value)
+                for horizon, value in scores.energy_mismatch.items()}}
+
+
+def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Effect]]:
+    """Return H, method, step size (None: that of the data) and effects of a model or scene."""
+    if model.endswith('.safetensors'):
+        hamiltonian = load_learned(Path(model), confine=False)
+        if not hamiltonian.canonical:
+            return hamiltonian, VariationalMidpoint(), None, []
+        return hamiltonian, ImplicitMidpoint(), None, own_effects(model, hamiltonian)
+    scene = load_scene(model if not is_path('scene', model) else Path(model))
+    scene, _ = resolve(scene)
+    hamiltonian, effects = scene.create_hamiltonian(), scene.create_effects()
+    for effect in effects:
+        if isinstance(effect, ExternalForce):
+            effect.timeout = _FOREVER
+            if effect.names:
+                checkpoint = getattr(hamiltonian, 'checkpoint', None)
+                if checkpoint is not None and has_map(checkpoint):
+                    raise DataError(f'{model}: its model has learned what the motors do to the '
+                                    'joints, and external_force acts on the joints themselves; '
+                                    'give it the model in place of coordinates')
+                # Each coordinate has a measured force, in the order of H.
+                effect.names = tuple(names_of(hamiltonian))
+    return hamiltonian, scene.create_integrator(), scene.step_size, effects
+
+
+def names_of(hamiltonian: Hamiltonian) -> list[str]:
+    """Return the names of the coordinates."""
+    return [coordinate.name for coordinate in hamiltonian.coordinates]
+
+
+def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
+    """Return the effects that a model has learned in addition to H, and its external force."""
+    checkpoint = load_checkpoint(model, ensembles=True)
+    card = checkpoint.card
+    effects: list[Effect] = [
+        ExternalForce(model=model, timeout=_FOREVER) if has_map(checkpoint) else
+        ExternalForce(names_of(hamiltonian), timeout=_FOREVER)]
+    if card.mechanical is not None:
+        effects.append(LearnedFriction(model))
+    if card.friction is not None:
+        effects.append(Damping(model=model))
+    if 'dissipation' in checkpoint.networks:
+        effects.append(LearnedDissipation(model))
+    return effects
+
+
+def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
+                  motions: Sequence[Run], step_size: float | None = None) -> Simulation:
+    """
+    Return the simulation that predicts motions, which share one interval.
+
+    Steps are the data's interval, or the largest whole part of it that is about ``step_size`` or
+    less.
+    """
+    spacing = motions[0].spacing
+    steps = 1 if step_size is None else steps_between(spacing, step_size)
+    return Simulation(hamiltonian, integrator, spacing / steps, motions[0].q_smooth[0],
+                      np.zeros(hamiltonian.dimension), effects)
+
+
+def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Run],
+          horizons: Sequence[float], every: float, longest: float
+          ) -> tuple[dict[str, Scores], list[Fan]]:
+    """Return the scores of a model, and of constant velocity for scale; and its predictions."""
+    variance = variance_of(motions)
+    predict = simulated(simulation, motions[0].spacing, max(horizons), variance)
+    fans = fans_of(predict, motions, horizons, every, longest)
+    scores = {'model': score_fans(fans, horizons, variance),
+              'constant velocity': score(constant_velocity, motions, horizons, every, longest)}
+    if not unaccounted(effects):
+        mismatch = energy_mismatch(
+            [balance(simulation.hamiltonian, effects, motion) for motion in motions],
+            motions[0].spacing, horizons)
+        scores['model'] = replace(scores['model'], energy_mismatch=mismatch)
+    return scores, fans

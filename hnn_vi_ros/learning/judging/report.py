@@ -1,0 +1,285 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of training and of evaluation: a page, pictures, and recordings for rerun."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+import platform
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.fit.field import Comparison
+from hnn_vi_ros.learning.fit.loop import LossHistory
+from hnn_vi_ros.learning.judging.evaluation import Fan
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.energy_error import interval_text
+from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.viewer.rerun_curves import write_curves
+from hnn_vi_ros.viewer.rerun_predictions import PredictedRun, write_predictions
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+import numpy as np
+import torch
+
+# The picture of the field: most rows of coordinates, arrows and points.
+_MOST_ROWS, _MOST_ARROWS, _MOST_POINTS = 4, 150, 2000
+# The files of an evaluation.
+REPORT, PICTURE, RECORDING = 'report.md', 'predictions.png', 'predictions.rrd'
+# Predictions begin four times while one lasts: denser ones hide one another.
+_OVERLAP = 4
+# Those of a run in a recording, and how many times as long as one the picture is.
+_MOST, _WINDOW = 80, 12.0
+# Colours that people who see no red or no green can distinguish as well (Okabe, Ito).
+_COLORS = '#d55e00', '#0072b2', '#009e73', '#cc79a7'
+_INK = '#333333'
+# Room above and below what was measured, in its range; predictions may leave it.
+_ROOM = 0.25
+
+
+class Outputs(NamedTuple):
+    """The files of a training run, in the folder of the model."""
+
+    model: Path
+    losses: Path
+    curves: Path
+    picture: Path
+    report: Path
+
+    @classmethod
+    def beside(cls, model: Path, picture: str) -> 'Outputs':
+        """Return the files of a model, whose picture is of this name."""
+        return cls(model, *(model.with_suffix(suffix) for suffix in (
+            '.loss.png', '.loss.rrd', f'.{picture}.png', '.report.md')))
+
+
+class Judged(NamedTuple):
+    """
+    Result of judging a trained model.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+        The model, with the result on its card.
+    text : str
+        The result as it is printed.
+    page : str
+        The same for the report: Markdown.
+    draw : callable, optional
+        ``draw(path)`` writes the picture.
+
+    """
+
+    checkpoint: Checkpoint
+    text: str
+    page: str
+    draw: Callable[[Path], None] | None = None
+
+
+def page(title: str, *parts: str) -> str:
+    """Return a page of Markdown, of the parts that are not empty."""
+    return '\n\n'.join([f'# {title}', *filter(None, parts)]) + '\n'
+
+
+def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, history: LossHistory,
+                 seconds: float, device: str) -> None:
+    """
+    Write the pictures, the curves and the page of a training run.
+
+    Parameters
+    ----------
+    outputs : Outputs
+        Where to.
+    config : TrainingConfig
+        How the model was trained.
+    judged : Judged
+        What came of it.
+    history : LossHistory
+        How the losses fell.
+    seconds : float
+        Wall time of the training.
+    device : str
+        Where it ran.
+
+    """
+    card, pictures = judged.checkpoint.card, list[str]()
+    if judged.draw is not None:
+        judged.draw(outputs.picture)
+        pictures += [f'![{outputs.picture.name}]({outputs.picture.name})']
+    if history.train:
+        plot_history(history, card.name, outputs.losses)
+        write_curves(outputs.curves, card.name, {
+            'training': (history.train_step, history.train),
+            'validation': (history.validation_step, history.validation)})
+        pictures += [f'![Losses]({outputs.losses.name})',
+                     f'The losses as curves: `rerun {outputs.curves.name}`.']
+    facts: dict[str, Any] = {
+        'family': card.family, 'data': card.dataset, 'seed': card.seed,
+        'steps': history.train_step[-1] if history.train else 0, 'best step': history.best_step,
+        'wall time': f'{seconds:.1f} s on {device}, {platform.machine()}, torch '
+        f'{torch.__version__}', 'command': f'`{card.training_command}`',
+        **{key: f'{value:.4g}' for key, value in card.losses.items()}}
+    if card.energy_error is not None:
+        error = card.energy_error
+        facts |= {
+            f'energy error, {name} [J]': f'{value:.3g} ({interval_text(interval)}), against the '
+            f'{error.compared_with} at {error.states} states, which vary by {error.spread:.3g}'
+            for name, value, interval in (('RMS', error.rms, error.rms_interval),
+                                          ('largest', error.sup, error.sup_interval))}
+    table = '\n'.join(['| | |', '|---|---|', *(
+        f'| {key} | {value} |' for key, value in facts.items())])
+    settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
+    outputs.report.write_text(page(
+        card.name, config.description, table, judged.page, *pictures,
+        f'## Configuration\n\n```yaml\n{settings}```'), encoding='utf-8')
+
+
+def plot_history(history: LossHistory, name: str, path: Path) -> None:
+    """Write the loss curves as a PNG, with a line where each stage begins."""
+    figure = Figure(figsize=(7.0, 4.5), layout='constrained')
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.semilogy(history.train_step, history.train, label='training, with every term')
+    if history.validation:
+        axes.semilogy(history.validation_step, history.validation, '--', label='validation')
+    for stage, step in history.begins.items():
+        axes.axvline(step, color='0.6', linewidth=0.8)
+        axes.annotate(stage, (step, 0.97), (4, 0), va='top', color='0.4',
+                      xycoords=('data', 'axes fraction'), textcoords='offset points')
+    axes.set(title=name, xlabel='step', ylabel='loss [-], in units of the data')
+    axes.legend()
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=150)
+
+
+def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
+    """Write a picture of the learned against the true field, or of its residuals on data."""
+    rows = min(len(card.coordinates), _MOST_ROWS)
+    columns = 2 if comparison.states is not None else 1
+    figure = Figure(figsize=(6.0 * columns, 4.0 * rows), layout='constrained')
+    FigureCanvasAgg(figure)
+    figure.suptitle(f'{card.name}: learned field against '
+                    f'{"the true one" if comparison.exact else "held-out data"}')
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for i in range(rows):
+        if comparison.states is not None:
+            _draw_arrows(grid[i, 0], comparison, card, i)
+        _draw_residuals(grid[i, -1], comparison, card, i)
+    figure.savefig(path, dpi=110)
+
+
+def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
+    d, coordinate = len(card.coordinates), card.coordinates[i]
+    # A loss over several steps has the first of them first.
+    assert comparison.states is not None, 'drawn where there are some'
+    states = comparison.states[:_MOST_ARROWS]
+    x, y = states[:, i], states[:, d + i]
+    box = np.array([card.box.q[i], card.box.p[i]])
+    # Arrows keep their direction in the picture: both axes in units of the box.
+    size = np.ptp(box, axis=1)
+    for values, color, width, label in (
+            (comparison.target, '0.7', 0.008, 'true' if comparison.exact else 'data'),
+            (comparison.predicted, '#1f77b4', 0.003, 'learned')):
+        u, v = values[:len(states), i] / size[0], values[:len(states), d + i] / size[1]
+        axes.quiver(x, y, u, v, angles='uv', color=color, width=width, label=label,
+                    scale=20.0 * np.sqrt(np.mean(comparison.target[:, i]**2)) / size[0])
+    limits = box + 0.15 * size[:, None] * [-1.0, 1.0]  # arrows stick out
+    axes.set(xlim=limits[0], ylim=limits[1], xlabel=f'{coordinate.name} [{coordinate.q_unit}]',
+             ylabel=f'its momentum [{coordinate.p_unit}]',
+             title='field at held-out states' + (', projected' if d > 1 else ''))
+    axes.legend(loc='upper right', framealpha=0.6)
+
+
+def _draw_residuals(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
+    d = len(card.coordinates)
+    for k, part in enumerate(comparison.parts):
+        unit = comparison.units[k * d + i]
+        target = comparison.target[:_MOST_POINTS, k * d + i] / unit
+        error = comparison.predicted[:_MOST_POINTS, k * d + i] / unit - target
+        axes.plot(target, error, '.', markersize=3.0,
+                  label=f'{part} of {card.coordinates[i].name}')
+    axes.axhline(0.0, color='0.6', linewidth=0.8)
+    axes.set(xlabel=f'{"true rate" if comparison.exact else "rate in the data"} / its RMS',
+             ylabel='error / RMS of the rate', title='residuals at held-out states')
+    axes.legend(loc='upper right')
+    axes.grid(alpha=0.3)
+
+
+def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], horizon: float,
+                     coordinates: Sequence[Coordinate]) -> None:
+    """
+    Write the page, the picture and the recording of an evaluation.
+
+    Parameters
+    ----------
+    folder : Path
+        An empty one.
+    name : str
+        Of what was judged.
+    text : str
+        The result: Markdown.
+    fans : sequence of Fan
+        Its predictions.
+    horizon : float
+        How much of each is shown [s].
+    coordinates : sequence of Coordinate
+        d of them.
+
+    """
+    runs = shown(fans, horizon)
+    draw_predictions(folder / PICTURE, name, coordinates, runs)
+    write_predictions(folder / RECORDING, name, coordinates, runs)
+    (folder / REPORT).write_text(
+        page(name, text, f'![Predictions over the measurement]({PICTURE})',
+             f'All runs: `rerun {RECORDING}`.'), encoding='utf-8')
+
+
+def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
+    """Return as many predictions, of one horizon [s] each, as can be told apart."""
+    runs = []
+    for motion, starts, q in fans:
+        last = round(horizon / motion.spacing)
+        # A long run shows only some of them, evenly spread.
+        apart = max(last / _OVERLAP, len(motion.t) / _MOST)
+        keep = np.unique(np.searchsorted(starts, np.arange(0.0, starts[-1] + 1.0, apart)))
+        predicted = []
+        for row in keep[keep < len(starts)]:
+            t, path = motion.t[starts[row]:][:last + 1], q[row, :last + 1]
+            # A simulation that failed, or that left all bounds, is drawn for as long as it ran.
+            end = min(len(t), int(np.isfinite(path).all(axis=1).cumprod().sum()))
+            predicted.append((t[:end], path[:end]))
+        runs.append(PredictedRun(motion.name, motion.t, motion.q, predicted))
+    return runs
+
+
+def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
+                     runs: Sequence[PredictedRun]) -> None:
+    """Write a picture of the predictions over the middle of the longest run."""
+    run = max(runs, key=lambda candidate: candidate.t[-1] - candidate.t[0])
+    length = max((t[-1] - t[0] for t, _ in run.predicted), default=0.0)
+    middle, half = 0.5 * (run.t[0] + run.t[-1]), 0.5 * _WINDOW * length
+    window = max(middle - half, run.t[0]), min(middle + half, run.t[-1])
+    inside = (run.t >= window[0]) & (run.t <= window[1])
+    predicted = [(t, q) for t, q in run.predicted if t[0] >= window[0] and t[-1] <= window[1]]
+    d = len(coordinates)
+    figure = Figure(figsize=(11.0, 1.2 + max(2.0, 6.0 / d) * d), layout='constrained')
+    FigureCanvasAgg(figure)
+    figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}')
+    grid = figure.subplots(d, 1, sharex=True, squeeze=False)[:, 0]
+    for i, (axes, coordinate) in enumerate(zip(grid, coordinates, strict=True)):
+        measured = run.q[inside, i]
+        axes.plot(run.t[inside], measured, color=_INK, linewidth=2.2, label='measured')
+        for k, (t, q) in enumerate(predicted):
+            color = _COLORS[k % len(_COLORS)]
+            axes.plot(t, q[:, i], color=color, linewidth=0.9,
+                      label='predicted, from each dot' if k == 0 else None)
+            axes.plot(t[:1], q[:1, i], '.', color=color, markersize=4.0)
+        low, high = measured.min(), measured.max()
+        room = _ROOM * (high - low) or 1.0
+        axes.set(xlim=window, ylim=(low - room, high + room),
+                 ylabel=f'{coordinate.name} [{coordinate.q_unit}]')
+        axes.grid(alpha=0.3)
+    grid[0].legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    grid[-1].set_xlabel('t [s]')
+    figure.savefig(path, dpi=130)

@@ -1,0 +1,296 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Train models of machines from measured motions, and judge them by others."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.learning.data.runs import Run, run_of, train_and_test
+from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.families.choices import Forward, RigidBodyChoice, Trajectory
+from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.plain_network import PlainNetwork
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.loop import Problem
+from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
+from hnn_vi_ros.learning.inertias.identification import identify
+from hnn_vi_ros.learning.inertias.identification_report import identified_text, with_force_errors
+from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body, fit_rigid_body
+from hnn_vi_ros.learning.judging.energy_account import balance
+from hnn_vi_ros.learning.judging.ensemble import (
+    calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
+    resampled_blocks)
+from hnn_vi_ros.learning.judging.evaluation import (
+    judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table, verdict)
+from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
+from hnn_vi_ros.learning.tasks.base import Task
+from hnn_vi_ros.models.checkpoint import Checkpoint, widths_of
+from hnn_vi_ros.models.energy_error import energy_spread, interval_text
+from hnn_vi_ros.models.ensemble import load_member
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, PredictionError
+from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
+from hnn_vi_ros.version import __version__
+import numpy as np
+import torch
+
+# A model is judged by errors after these horizons, from starts at this distance, and by valid
+# prediction times up to this limit [s].
+_HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
+
+
+class MachineTask(Task):
+    """
+    A model of a machine with friction and motors, trained on measured motions; see Task.
+
+    Parameters
+    ----------
+    source : Path
+        The file of the configuration.
+    config : MachineConfig
+        How to train.
+    given : sequence of str
+        Files that replace those of the configuration.
+    ensemble : bool
+        Whether members are trained, each on resampled blocks of the motions.
+
+    """
+
+    picture = 'predictions'
+
+    def __init__(self, source: Path, config: MachineConfig, given: Sequence[str],
+                 ensemble: bool):
+        self._config, self._ensemble = config, ensemble
+        self._train, self._test, description = _read(source, config, given)
+        self._known, self._held = kept_and_held(self._train, config) if ensemble else (
+            self._train, [])
+        print(f'data: {description}', flush=True)
+        # Where data come from, and by which licence, goes with the model.
+        self._description = f'{config.description} {description}'.lstrip() + _scale(
+            config, self._train)
+
+    def arrays(self) -> Iterator[np.ndarray]:
+        """Yield the arrays of the motions to learn from; see Task."""
+        return (part for motion in self._train for part in vars(motion).values()
+                if isinstance(part, np.ndarray))
+
+    def problem(self, config: MachineConfig, device: str) -> Problem:
+        """Return a fresh network, its prior fitted, with the stages that follow; see Task."""
+        return problem_of(config, resampled_blocks(self._known, config.seed) if self._ensemble
+                          else self._known)
+
+    def describe(self, problem: Problem, config: MachineConfig, name: str, command: str
+                 ) -> Checkpoint:
+        """Return a trained network with its card; see Task."""
+        if _opens_scale(config, self._train):
+            fix_scale(problem.module, self._train)
+        return describe(problem.module, config, self._train, self._description, problem.losses,
+                        name, command)
+
+    def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
+        """Return members as one model; see Task."""
+        return combined(members, name)
+
+    def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
+        """Return the model with its prediction errors, and those of baselines; see Task."""
+        checkpoint = with_energy_error(checkpoint, self._test)
+        if self._ensemble:
+            checkpoint = calibrated(checkpoint, lambda: machine_calibration(
+                checkpoint, self._held, self._test))
+        else:
+            checkpoint = with_force_errors(checkpoint, problem.module, self._test)
+        config, test, network = self._config, self._test, problem.module
+        horizons = [horizon for horizon in _HORIZONS if any(
+            motion.t[-1] - motion.t[0] >= horizon for motion in test)]
+        hamiltonian, effects = _parts_of(checkpoint)
+        asked = test, horizons, _EVERY, _LONGEST
+        scores, fans = judge(simulation_of(hamiltonian, ImplicitMidpoint(), effects, test),
+                             effects, *asked)
+        prediction = PredictionError.model_validate(numbers(scores['model']))
+        card = checkpoint.card.model_copy(update={'prediction_error': prediction})
+        print('for comparison, a plain network of (q, v, tau):', flush=True)
+        plain = PlainNetwork(network.structure.kinds, config.hidden, scales_of(
+            self._train, config.family.input_map == 'learned'), config.seed)
+        MachineProblem(plain, _of_plain_network(config), self._train).fit()
+        others = {'linear model': linear_model(self._train), 'plain network': predicted_by(plain)}
+        if 'prismatic' not in network.structure.kinds:
+            rigid = best_rigid_body(config.windows, self._train)
+            others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
+        scores |= {name: score(other, *asked) for name, other in others.items()}
+        text = '\n\n'.join(filter(None, (
+            table(scores, [coordinate.name for coordinate in config.coordinates]),
+            verdict(scores), ensemble_text(card))))
+        return Judged(
+            replace(checkpoint, card=card), text,
+            f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),
+            lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
+                                          shown(fans, max(horizons))))
+
+
+def problem_of(config: MachineConfig, motions: Sequence[Run]) -> Problem:
+    """
+    Return a network, its prior fitted if it has one, with the stages that follow.
+
+    Raises
+    ------
+    DataError
+        There are forces of motors instead of joints, or no prior follows the motions.
+
+    """
+    d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
+    family, learns_map = config.family, config.family.input_map == 'learned'
+    if motors != d and isinstance(family, RigidBodyChoice):
+        raise DataError(f'the data have {motors} columns of forces for {d} joints; a rigid_body '
+                        'needs the force of each joint')
+    if motors != d and not learns_map:
+        raise DataError(f'the data have {motors} forces for {d} coordinates: of motors, not of '
+                        'joints; take input_map: learned')
+    structure, scales = config.structure(), scales_of(motions, learns_map)
+    network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
+    if structure.prior is None:
+        return MachineProblem(network, config, motions)
+    rigid = MechanicalNetwork(replace(structure, residual=False, friction_features=None),
+                              config.hidden, scales, config.seed)
+    losses = identify(rigid, config, motions, family.rotor_inertia == 'identified',
+                      family.offsets) if isinstance(family, RigidBodyChoice) else \
+        fit_rigid_body(rigid, config.windows, motions)
+    if not np.isfinite([*losses.values()]).all():
+        looked = 'URDF' if isinstance(family, RigidBodyChoice) else \
+            'features, which must be the angles of its links from the vertical,' \
+            if structure.prior in CHAINS else 'coordinates, which must be those of the system,'
+        raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
+                        'and for outliers in the data')
+    if not structure.residual:
+        return Problem(rigid, losses=losses)
+    network.begin_with(rigid)
+
+    def penalty(generator: torch.Generator) -> torch.Tensor:
+        return family.residual_weight * network.residual_size(
+            network.random_states(config.windows.batch, generator))
+    return MachineProblem(network, config, motions, penalty, losses)
+
+
+def learn(config: MachineConfig, motions: Sequence[Run]
+          ) -> tuple[MechanicalNetwork, dict[str, float]]:
+    """Return a network that was fitted, and its losses: after its prior, if it has one."""
+    problem = problem_of(config, motions)
+    return problem.module, problem.fit()
+
+
+def fix_scale(network: MechanicalNetwork, motions: Sequence[Run]) -> None:
+    """Give the first coordinate a mean inertia of 1: motions without forces leave it open."""
+    q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
+    with torch.no_grad():
+        network.scale_energy(1.0 / float(network.masses(q)[:, 0, 0].mean()))
+
+
+def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
+             description: str, losses: dict[str, float], name: str, command: str) -> Checkpoint:
+    """Return a trained network with its card."""
+    q, v = (np.concatenate([getattr(motion, key) for motion in motions])
+            for key in ('q_smooth', 'v_smooth'))
+    networks = network.networks()
+    with torch.no_grad():
+        p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
+    card = ModelCard(
+        name=name, family='mechanical', mechanical=network.card(config.coordinates[0].p_unit),
+        coordinates=[CoordinateCard(name=c.name, q_unit=c.q_unit, p_unit=c.p_unit)
+                     for c in config.coordinates],
+        box=Box.of(q, p), dataset=description, seed=config.seed, losses=losses,
+        training_command=command, package_version=__version__, **widths_of(networks))
+    return Checkpoint(card, networks)
+
+
+def with_energy_error(checkpoint: Checkpoint, motions: Sequence[Run]) -> Checkpoint:
+    """Return a model whose card tells its energy along motions, against the work on them."""
+    hamiltonian, effects = _parts_of(checkpoint)
+    balances = [balance(hamiltonian, effects, motion) for motion in motions]
+    error = energy_spread(
+        np.concatenate([found.energy for found in balances]),
+        np.repeat(np.arange(len(motions)), [len(found.energy) for found in balances]),
+        checkpoint.card.seed, np.concatenate([found.work for found in balances]),
+        'work of forces and friction')
+    return replace(checkpoint, card=checkpoint.card.model_copy(update={'energy_error': error}))
+
+
+def _parts_of(checkpoint: Checkpoint) -> tuple[Hamiltonian, list[Effect]]:
+    """Return H and the effects of a model; effects read it from a file, so from a draft."""
+    hamiltonian = load_member(checkpoint, None)
+    with drafted(checkpoint) as draft:
+        return hamiltonian, own_effects(draft, hamiltonian)
+
+
+def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:
+    """Return whether motions without forces leave the scale of energy open."""
+    own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
+    return not own_scale and not any(motion.tau.any() for motion in motions)
+
+
+def _scale(config: MachineConfig, motions: Sequence[Run]) -> str:
+    """Return a note on the scale of energy for the model card, where forces do not fix it."""
+    text = ''
+    if config.family.prior not in (None, RIGID_BODY, *CHAINS):
+        text = f'; the scale of energy is that of {config.family.prior}'
+    elif _opens_scale(config, motions):
+        text = ('; no forces, which leaves the scale of energy open: the mean inertia of '
+                f'{config.coordinates[0].name} is 1')
+    if config.family.input_map == 'learned':
+        text += ('; an input map was learned, which leaves the scale of energy open: the mean '
+                 'square of its columns is 1')
+    return text
+
+
+def _remarks(config: MachineConfig, card: ModelCard) -> str:
+    """Return the remarks on the table of a report."""
+    same = _of_plain_network(config) is config
+    held, error = ', '.join(config.data.test_runs) or 'the last fifth of each run', \
+        card.energy_error
+    energy = '' if error is None else (
+        f'On what was held out H is off by {error.rms:.3g} J RMS '
+        f'({interval_text(error.rms_interval)}) against the '
+        f'{error.compared_with}, which makes it vary by {error.spread:.3g} J.\n')
+    return (f'Held out: {held}. The table is of free simulations of it, from a state every '
+            f'{_EVERY:g} s, with the measured forces: the root mean square of the error at the '
+            'end of each horizon. The energy mismatch is the change of H over each horizon '
+            'less the work of forces and friction, as a share of its range. The plain network '
+            'of (q, v, tau) has the same hidden layers and was trained '
+            f'{"in the same way" if same else "by windows"}; a rigid body is a chain of links '
+            f'fitted by least squares.\n\n{energy}')
+
+
+def _of_plain_network(config: MachineConfig) -> MachineConfig:
+    """Return how a plain network is trained: it has no masses, which some losses need."""
+    return config if isinstance(config.loss, Forward | Trajectory | None) else \
+        config.model_copy(update={'loss': Trajectory()})
+
+
+def _read(source: Path, config: MachineConfig, given: Sequence[str]
+          ) -> tuple[list[Run], list[Run], str]:
+    """Return motions to learn from, motions to judge by, and what they are."""
+    data, joints = config.data, [coordinate.name for coordinate in config.coordinates]
+    if isinstance(data, ExcitationData):
+        if given:
+            raise DataError(f'{source}: its data are computed, so --data {given[0]} has no use; '
+                            'leave it')
+        assert isinstance(config.family, RigidBodyChoice), 'checked with the configuration'
+        motions, description = excited_motions(data, config.family.robot(joints), config.seed)
+    else:
+        motions, description = read_motions(source, data, joints, given)
+    names = list(dict.fromkeys(run_of(motion) for motion in motions))
+    for run in data.test_runs:
+        if run not in names:
+            raise DataError(f'{source}: data.test_runs: no run {run!r} among {listed(names)}')
+    train, test = train_and_test(motions, data.test_runs)
+    if not train:
+        raise DataError(f'{source}: data.test_runs leave nothing to learn from')
+    longest = max(motion.t[-1] - motion.t[0] for motion in test)
+    if longest < _HORIZONS[0]:
+        raise DataError(f'{source}: what is held out lasts {longest:.3g} s, expected at least '
+                        f'{_HORIZONS[0]:g} s to judge by; name longer runs in data.test_runs')
+    return train, test, description

@@ -1,0 +1,198 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Costs of accuracy: errors of their order, methods that fit, and what is recommended holds."""
+
+from functools import cache
+import math
+
+from exact_motions import exact_orbit
+from hnn_vi_ros.accuracy import cost
+from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs, run_errors
+from hnn_vi_ros.accuracy.path_reference import exact_path, Instants
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+import numpy as np
+import pytest
+
+
+def problem_of(name: str) -> InitialValueProblem:
+    """Return what a shipped scene simulates."""
+    scene = load_scene(name)
+    return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                               np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Let studies measure few methods, so that little is compiled."""
+    def only(*kinds: str) -> None:
+        monkeypatch.setattr(cost, 'INTEGRATORS', {kind: INTEGRATORS[kind] for kind in kinds})
+    return only
+
+
+@cache
+def kepler_study() -> CostStudy:
+    """Return the costs of methods of orders 1, 2, 4 and 8 on an orbit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cost, 'INTEGRATORS', {kind: INTEGRATORS[kind] for kind in (
+            'symplectic_euler', 'stormer_verlet', 'rk4', 'gauss8', 'lie_leapfrog', 'dop853',
+            'discrete_euler_lagrange', 'time_transformed', 'variational_midpoint')})
+        return measure_costs(problem_of('kepler'), 10.0, 60.0, error=1e-6)
+
+
+@pytest.mark.parametrize('kind, order', [
+    ('symplectic_euler', 1), ('stormer_verlet', 2), ('rk4', 4), ('gauss8', 8)])
+def test_errors_of_a_method_fall_with_its_order(kind, order):
+    study = kepler_study()
+    own = [row for row in study.costs if row.method.kind == kind
+           and 100.0 * study.floor < row.path_error < 1e-2]
+    assert len(own) >= 4
+    h, errors = np.array([(row.step_size, row.path_error) for row in own]).T
+    slope = np.polyfit(np.log(h), np.log(errors), 1)[0]
+    # Over steps that are not all small the slope is not yet the order, to a tenth or two of it.
+    assert 0.8 * order < slope < 1.3 * order
+
+
+def test_rows_cost_more_the_smaller_their_steps_and_name_what_they_took():
+    study = kepler_study()
+    for kind in ('stormer_verlet', 'rk4'):
+        own = [row for row in study.costs if row.method.kind == kind]
+        assert [row.step_size for row in own] == sorted((row.step_size for row in own),
+                                                        reverse=True)
+        per_step = {'stormer_verlet': 1, 'rk4': 4}[kind]
+        # Of a symmetric splitting a step begins with the gradient that the last one ended with.
+        assert all(row.gradients * row.step_size == pytest.approx(per_step, rel=1e-2, abs=1.0)
+                   for row in own)
+        assert all(row.seconds > 0.0 for row in own)
+
+
+def test_methods_that_do_not_fit_are_left_out_once_with_the_reason():
+    study = kepler_study()
+    assert study.left_out == {
+        'is made for rotations and poses, of which this H has none': ['lie_leapfrog'],
+        'is made for coordinates that are not canonical, those of a model of the family '
+        'symplectic_form': ['variational_midpoint'],
+        'needs an argument of the scene: discrete_lagrangian is required, or a model in its place':
+            ['discrete_euler_lagrange']}
+    assert not study.unreached
+    assert {row.method.kind for row in study.costs} == {
+        'symplectic_euler', 'stormer_verlet', 'rk4', 'gauss8', 'dop853', 'time_transformed'}
+
+
+def test_recommendation_holds_its_error_in_an_independent_run():
+    """Against Kepler's equation in 40 digits, at instants that were not compared."""
+    best = kepler_study().recommended(1e-6)
+    assert best is not None and best.path_error <= 0.95e-6
+    simulation = problem_of('kepler').simulation(best.method, best.step_size)
+    worst, turn = 0.0, np.array([[-0.6, 0.8], [-0.8, -0.6]])
+    steps = round(10.0 / best.step_size)
+    every = next(k for k in (7, 11, 13, 1) if steps > 5 * k)
+    while simulation.steps + every <= steps:
+        simulation.advance(every)
+        orbit = exact_orbit(0.6, simulation.time)
+        # The scene's apocentre is on (0.6, 0.8), that of exact_orbit on (-1, 0).
+        exact = np.array([*turn @ orbit[:2], *turn @ orbit[2:]])
+        worst = max(worst, np.abs(np.concatenate([simulation.q, simulation.p]) - exact).max())
+    assert 0.0 < worst <= 1e-6
+
+
+def test_recommendation_is_the_cheapest_and_none_below_what_is_known():
+    study = kepler_study()
+    best = study.recommended(1e-6)
+    assert all(row.seconds >= best.seconds for row in study.costs
+               if study.error(row) <= 0.95e-6 - study.floor)
+    # More steps were tried near the error: the next longer one of the method does not hold it.
+    longer = [row for row in study.costs if row.method.kind == best.method.kind
+              and best.step_size < row.step_size <= 1.3 * best.step_size]
+    assert longer and all(study.error(row) > 0.95e-6 - study.floor for row in longer)
+    assert study.recommended(0.5 * study.floor) is None
+
+
+def test_errors_of_a_run_are_those_of_the_states_it_comes_by():
+    problem, h = problem_of('exact_pendulum'), 0.05
+    reference = exact_path(problem, Instants.of(2.0, 2.0, 40))
+    errors = run_errors(problem.simulation('rk4', h), reference)
+    q, p = problem.simulation('rk4', h).record(40, 1)
+    exact = problem.hamiltonian.exact_motion(problem.q, problem.p, h * np.arange(1, 41)).path
+    assert errors.path == np.abs(np.hstack([q, p]) - exact).max()
+    assert errors.energy == np.abs(problem.hamiltonian.energy(q, p)
+                                   - problem.hamiltonian.energy(problem.q, problem.p)).max()
+    assert errors.gradients == 160
+    # One that is known to be bad enough ends early.
+    early = run_errors(problem.simulation('rk4', h), reference, 1e-12)
+    assert 1e-12 < early.path < errors.path and early.gradients < errors.gradients
+
+
+def test_run_that_overflows_is_a_failure_and_no_row_of_the_table(few):
+    few('explicit_euler', 'gauss8')
+    problem = problem_of('henon_heiles')
+    with pytest.raises(StepFailure, match='not finite'), np.errstate(all='ignore'):
+        reference = exact_path(problem_of('kepler'), Instants.of(400.0, 400.0, 1))
+        run_errors(problem.simulation('explicit_euler', 1.0), reference.__class__(
+            Instants.of(400.0, 400.0, 1), np.empty((0, 4)), math.inf, ''))
+    study = measure_costs(problem, 20.0, 20.0)
+    assert all(not row.failure for row in study.costs if study.error(row) < math.inf)
+
+
+def test_bodies_that_turn_are_measured_by_the_methods_made_for_them(few):
+    few('lie_leapfrog', 'lie_gauss8', 'kahan_li8', 'gauss8')
+    study = measure_costs(problem_of('heavy_top'), 2.0, 60.0)
+    assert study.reference.how.startswith('lie_gauss16') and not study.no_path
+    assert {str(row.method) for row in study.costs} == {
+        'lie_leapfrog', 'lie_gauss8', 'kahan_li8 (base lie_stormer_verlet)'}
+    reason, = study.left_out
+    assert reason == 'adds to coordinates, which would take a rotation (attitude) off its group'
+    assert study.cheapest(1e-9) is not None
+
+
+def test_effects_are_taken_and_their_errors_are_of_the_balance(few):
+    few('generalized_leapfrog', 'gauss8', 'stormer_verlet')
+    study = measure_costs(problem_of('exact_damped_driven_pendulum'), 5.0, 60.0)
+    assert not study.no_path and study.cheapest(1e-8).method.kind == 'gauss8'
+    gauss = [row for row in study.costs if row.method.kind == 'gauss8']
+    assert gauss[-1].energy_error < 1e-9
+
+
+def test_random_motion_is_measured_by_its_energy(few):
+    few('generalized_leapfrog', 'gauss8')
+    study = measure_costs(problem_of('exact_brownian_oscillator'), 2.0, 30.0)
+    assert study.no_path == 'Thermostat draws other numbers at each step size'
+    assert all(math.isnan(row.path_error) for row in study.costs) and study.floor == 0.0
+    assert study.recommended(1e-4).energy_error <= 1e-4
+    assert study.left_out == {'cannot take the effect thermostat': ['gauss8']}
+
+
+def test_chaos_is_measured_by_its_energy_and_the_reason_is_given(few):
+    few('gauss8')
+    study = measure_costs(problem_of('exact_double_pendulum'), 300.0, 30.0)
+    assert 'as they do in chaos; a shorter --duration' in study.no_path
+    assert study.recommended(1e-3) is not None
+
+
+def test_methods_that_time_does_not_suffice_for_are_named(few):
+    few('gauss8', 'rk4', 'stormer_verlet')
+    study = measure_costs(problem_of('exact_pendulum'), 10.0, 1e-6)
+    # The first one is measured in any case.
+    assert {row.method.kind for row in study.costs} == {'gauss8'}
+    assert study.unreached == ['stormer_verlet', 'rk4']
+
+
+def test_scene_s_own_method_keeps_its_arguments(few):
+    few('time_transformed', 'yoshida4', 'gauss8')
+    own = Method('yoshida4', {'base': 'implicit_midpoint'})
+    study = measure_costs(problem_of('exact_pendulum'), 1.0, 30.0, own)
+    assert 'yoshida4 (base implicit_midpoint)' in {str(row.method) for row in study.costs}
+    assert study.left_out == {
+        'is for close encounters, of which this path has none': ['time_transformed']}
+
+
+def test_cheapest_is_of_the_energy_where_there_is_no_path():
+    study = kepler_study()
+    rows = [Cost(Method('rk4'), 0.1, math.nan, 1e-3, 2e-6, 40.0),
+            Cost(Method('gauss8'), 0.1, math.nan, 1e-9, 5e-6, 80.0),
+            Cost(Method('explicit_euler'), 0.1, failure='not finite at t = 1 s')]
+    chaos = CostStudy(study.problem, study.known, study.reference, 'chaos', rows)
+    assert chaos.cheapest(1e-2) == rows[0] and chaos.cheapest(1e-6) == rows[1]
+    assert chaos.cheapest(1e-12) is None and chaos.recommended(1e-6) == rows[1]

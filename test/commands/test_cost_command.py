@@ -1,0 +1,177 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command that tells what accuracy costs: its table, its files, and what it refuses."""
+
+import csv
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from hnn_vi_ros.accuracy import cost as core
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method
+from hnn_vi_ros.commands import cost, cost_figure
+from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.files import standard_streams
+from hnn_vi_ros.files.yaml_text import parse_yaml
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene import load_scene
+import numpy as np
+from PIL import Image
+import pytest
+
+KINDS = ('gauss8', 'stormer_verlet', 'rk4', 'lie_leapfrog')
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Measure few methods, so that little is compiled."""
+    monkeypatch.setattr(core, 'INTEGRATORS', {kind: INTEGRATORS[kind] for kind in KINDS})
+
+
+def test_table_picture_and_rows_are_of_one_study(tmp_path, capsys):
+    picture, rows = tmp_path / 'cost.png', tmp_path / 'cost.csv'
+    assert cost.main(['exact_pendulum', '--error', '1e-6', '--duration', '5', '--plot',
+                      str(picture), '--csv', str(rows)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ''
+    assert 'exact_pendulum: path errors up to 5 s' in out
+    assert 'reference: exact: Jacobi elliptic functions, known to ' in out
+    assert re.search(r'left out, since each is made for rotations .*: lie_leapfrog\n', out)
+    with rows.open() as file:
+        lines = list(csv.DictReader(file))
+    assert {line['method'] for line in lines} == {*KINDS} - {'lie_leapfrog'}
+    # Each cell of the table is the cheapest row of its method within the error of its column.
+    head = next(line for line in out.splitlines() if line.startswith('error'))
+    errors = [float(word) for word in head.split()[1:]]
+    for kind in ('gauss8', 'stormer_verlet', 'rk4'):
+        cells = re.split(r' {2,}', next(
+            line for line in out.splitlines() if line.startswith(f'{kind} ')).strip())[1:]
+        for error in errors:
+            good = [line for line in lines if line['method'] == kind and line['status'] == 'ok'
+                    and float(line['path_error']) <= error]
+            if not good:
+                assert cells.pop(0) == '-'
+                continue
+            best = min(good, key=lambda line: float(line['seconds_per_simulated_second']))
+            step, time = cells.pop(0), cells.pop(0).strip('*')
+            assert step == f'{float(best["step_size"]):.3g}'
+            assert float(time) == pytest.approx(
+                1e6 * float(best['seconds_per_simulated_second']), rel=0.01)
+    # In each column one is the cheapest.
+    assert out.count('*') == len(errors) + 1
+    with Image.open(picture) as image:
+        assert image.width >= 1500
+        # Lines of several colours on white.
+        assert len(image.convert('RGB').getcolors(10**6)) > 100
+
+
+def test_what_is_recommended_can_be_pasted_and_holds(tmp_path, capsys):
+    assert cost.main(['exact_pendulum', '--error', '1e-6', '--duration', '5']) == 0
+    text = capsys.readouterr().out.partition('take this, ')[2].partition('\n\n')[2]
+    chosen = parse_yaml(text, 'what was printed', HnnViRosError)[0]
+    scene = load_scene('exact_pendulum').changed(chosen)
+    hamiltonian = scene.create_hamiltonian()
+    start = np.array(scene.initial_state.q), np.array(scene.initial_state.p)
+    own = scene.integrator.model_dump(exclude={'kind'}, exclude_defaults=True)
+    problem = InitialValueProblem(hamiltonian, (), *start)
+    simulation = problem.simulation(Method(scene.integrator.kind, own), scene.known_step_size)
+    steps = round(5.0 / scene.known_step_size)
+    q, p = simulation.record(steps, 1)
+    t = scene.known_step_size * np.arange(1, steps + 1)
+    exact = hamiltonian.exact_motion(*start, t).path
+    assert np.abs(np.hstack([q, p]) - exact).max() <= 1e-6
+
+
+def test_error_that_nothing_holds_is_one_line_with_the_nearest(capsys):
+    assert cost.main(['exact_pendulum', '--error', '1e-15', '--duration', '1']) == 1
+    out, err = capsys.readouterr()
+    assert 'gauss8' in out and err.count('\n') == 1
+    assert '--error 1e-15: nothing that was measured holds it; the nearest is ' in err
+
+
+def test_scene_with_auto_effects_and_events_is_measured(tmp_path, capsys):
+    path = tmp_path / 'mine.yaml'
+    path.write_text(
+        'hamiltonian: {kind: pendulum}\nintegrator: {kind: auto, energy_error: 1.0e-3, '
+        'horizon: 10.0}\neffects: [{kind: damping, rate: 0.1}]\n'
+        'events: [{when: angle = 0, then: log}]\ninitial_state: {q: [1.0], p: [0.0]}\n')
+    assert cost.main([str(path), '--duration', '2']) == 0
+    out = capsys.readouterr().out
+    assert 'events of the scene are not looked for' in out
+    assert re.search(r'^gauss8 ', out, re.M)
+
+
+@pytest.mark.parametrize('words, message', [
+    (['nothing'], "no scene 'nothing'"),
+    (['exact_pendulum', '--error', '0'], '--error 0: must be a positive number'),
+    (['exact_pendulum', '--error', 'nan'], '--error nan: must be a positive number'),
+    (['exact_pendulum', '--duration', '-1'], '--duration -1: must be a positive number'),
+    (['exact_pendulum', '--seconds', 'inf'], '--seconds inf: must be a positive number'),
+    (['exact_pendulum', '--plot', 'a.jpg'], 'valid: .png, .svg, .pdf'),
+    (['exact_pendulum', '--csv', 'no/folder.csv'], "no folder 'no'; make it first"),
+    (['exact_pendulum', '--csv', 'there.csv'], 'exists already; name another file'),
+])
+def test_bad_input_is_one_line_before_any_time_is_spent(words, message, monkeypatch, tmp_path):
+    monkeypatch.setattr(cost, 'measure_costs', lambda *arguments: pytest.fail('it was measured'))
+    monkeypatch.chdir(tmp_path)
+    Path('there.csv').touch()
+    with pytest.raises(HnnViRosError, match=re.escape(message)) as problem:
+        cost.main(words)
+    assert '\n' not in str(problem.value)
+
+
+def test_scene_that_does_not_fit_together_is_refused_at_its_place(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    path.write_text('hamiltonian: {kind: double_pendulum}\nintegrator: {kind: stormer_verlet}\n'
+                    'step_size: 0.01\ninitial_state: {q: [1.0, 0.0], p: [0.0, 0.0]}\n')
+    with pytest.raises(HnnViRosError, match='needs H = T') as problem:
+        cost.main([str(path)])
+    assert '\n' not in str(problem.value)
+
+
+def test_file_that_cannot_be_written_is_one_line(tmp_path, monkeypatch):
+    def full(*arguments: object) -> None:
+        raise OSError(28, 'No space left on device')
+    monkeypatch.setattr(cost, '_write_csv', full)
+    with pytest.raises(ParameterError, match='--csv .*: cannot be written .No space left'):
+        cost.main(['exact_pendulum', '--duration', '1', '--csv', str(tmp_path / 'a.csv')])
+
+
+def test_every_method_has_a_line_of_its_own():
+    assert cost_figure.STYLES.keys() == INTEGRATORS.keys()
+    # Those that are made for rotations are in no picture with the others.
+    for turning in (True, False):
+        looks = [style for kind, style in cost_figure.STYLES.items()
+                 if kind.startswith('lie_') == turning]
+        assert len(set(looks)) == len(looks)
+
+
+def test_exact_scene_needs_no_torch():
+    """As of a pip install without the extra of training, which lacks tqdm as well."""
+    code = ('import sys\nfor name in ("torch", "tqdm", "plotly", "rclpy"):\n'
+            '    sys.modules[name] = None\n'
+            'sys.argv = ["hnn", "cost", "exact_pendulum", "--duration", "1", "--seconds", "1"]\n'
+            'from hnn_vi_ros.cli import main\nmain()')
+    result = subprocess.run([sys.executable, '-c', code], env=os.environ | {
+        'MPLBACKEND': 'Agg'}, capture_output=True, text=True, timeout=280, check=False)
+    assert result.returncode == 0, result.stderr
+    assert 'exact_pendulum: path errors up to 1 s' in result.stdout
+
+
+def test_progress_is_a_bar_on_a_terminal_and_elsewhere_a_line_now_and_then(monkeypatch, capsys):
+    clock = iter([0.0, 1.0, 11.0, 12.0, 22.0])
+    monkeypatch.setattr(standard_streams.time, 'monotonic', lambda: next(clock))
+    line = standard_streams.ProgressLine()
+    for share in (0.1, 0.2, 0.3, 0.4):
+        line.show(share, 'rk4')
+    line.close()
+    # After 10 s at the earliest, and 10 s from one to the next.
+    assert capsys.readouterr().err == ' 20%  rk4\n 40%  rk4\n'
+    clock = iter([0.0, 1.0])
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    bar = standard_streams.ProgressLine()
+    bar.show(0.5, 'gauss8')
+    bar.close()
+    assert capsys.readouterr().err == f'\r\x1b[K[{"#" * 12}{"." * 12}]  50%  gauss8\r\x1b[K'

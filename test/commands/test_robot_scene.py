@@ -1,0 +1,120 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene that is written for a robot: valid, at rest, and never over another file."""
+
+from pathlib import Path
+import re
+import shutil
+
+from hnn_vi_ros.commands.robot_scene import held, write_scene
+from hnn_vi_ros.commands.scene_tool import main
+from hnn_vi_ros.errors import ModelError, SceneError
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+from urdf_robots import chain, SHIPPED, TREE
+
+TREE_FILE = 'tree: 1.urdf'
+
+
+@pytest.fixture(params=[TREE_FILE, *(path.name for path in SHIPPED)])
+def robot(request, tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / 'robots' / request.param
+    path.parent.mkdir()
+    if request.param == TREE_FILE:
+        path.write_text(TREE)
+    else:
+        shutil.copy(next(file for file in SHIPPED if file.name == request.param), path)
+    return path
+
+
+def test_new_scene_of_a_robot_is_valid_and_stays_where_it_rests(robot, capsys):
+    assert main(['--new', str(robot), '--out', 'new.yaml']) == 0
+    out = capsys.readouterr().out
+    assert re.match(r'new\.yaml: written\nnew: valid: urdf \+ .*joint_limits, generalized', out)
+    simulation = build(load_scene('new.yaml'))
+    start = simulation.q.copy()
+    simulation.advance(round(0.5 / simulation.step_size))
+    assert simulation.rescued == 0
+    # The state has six digits: what is left of forces are 1e-6 of the weights.
+    assert np.abs(simulation.q - start).max() < 1e-4
+    scale = simulation.hamiltonian.kernel.energy_scale
+    assert abs(simulation.energy_balance) < 1e-8 * scale + 1e-8
+
+
+def test_new_scene_names_joints_limits_and_what_is_held(tmp_path):
+    (tmp_path / 'robot.urdf').write_text(TREE)
+    scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
+    text = (tmp_path / 'new.yaml').read_text()
+    assert ('- rail     # prismatic, -0.5 to 0.5 m, damping 2.5 N s/m, friction 0.5 N\n'
+            '    - wrist    # revolute, -2 to 1.5 rad\n') in text
+    assert 'follower: 0.0   # [m]\n' in text and 'ratio squared [kg m2], [kg].\n' in text
+    assert 'each of these joints [N m], [N], [N m], [N], [N m]:\n' in text
+    assert 'speed: 0.01}   # [rad/s], [m/s]\n' in text
+    assert scene.hamiltonian.file == 'robot.urdf'
+    assert scene.hamiltonian.joints == ['hip', 'rail', 'wrist', 'finger', 'tail']
+    assert scene.hamiltonian.locked == {'follower': 0.0}
+    assert [effect.kind for effect in scene.effects] == ['joint_friction', 'joint_limits']
+
+
+def test_robot_that_stands_upright_at_zero_rests_hanging(tmp_path):
+    """The lengths are turned over: both rods point up where the angles are zero."""
+    (tmp_path / 'robot.urdf').write_text(chain([1.0, 1.0], [-1.0, -0.7]))
+    scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
+    assert np.abs(scene.initial_state.q) == pytest.approx([np.pi, 0.0], abs=2e-6)
+    assert scene.effects == []
+    # Its faster small motion has 6.6 rad/s, and 100 steps in a period.
+    assert scene.step_size == 0.005
+
+
+def test_joints_that_cannot_move_or_are_too_many_are_held():
+    text = chain([1.0] * 14, [1.0] * 14).replace(
+        'name="j2" type="continuous"', 'name="j2" type="revolute"').replace(
+        '<parent link="l1"/>', '<parent link="l1"/><limit lower="0.5" upper="0.5"/>')
+    assert held(parse_urdf(text.encode(), 'robot')) == {'j2': 0.5, 'j14': 0.0}
+
+
+def test_units_of_slides_are_those_of_lengths(tmp_path):
+    text = TREE.replace('type="revolute"', 'type="prismatic"').replace(
+        '"continuous">', '"prismatic">')
+    (tmp_path / 'robot.urdf').write_text(text)
+    write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+    text = (tmp_path / 'new.yaml').read_text()
+    assert 'rad' not in text and 'N m' not in text and 'kg m2' not in text
+    assert '# [m/s]\n' in text and 'squared [kg].' in text
+    assert 'joints [N], [N], [N], [N], [N]:' in text
+
+
+def test_new_scene_takes_the_place_of_no_file(tmp_path):
+    (tmp_path / 'robot.urdf').write_text(TREE)
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text('mine')
+    with pytest.raises(SceneError, match='mine.yaml: exists already; name another file'):
+        write_scene(str(tmp_path / 'robot.urdf'), mine)
+    assert mine.read_text() == 'mine'
+    with pytest.raises(SceneError, match='ends in .yaml'):
+        write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new')
+
+
+@pytest.mark.parametrize('file, message', [
+    ('none.urdf', 'none.urdf: no such file'), ('package://none/robot.urdf', "no package 'none'")])
+def test_robot_that_is_not_there_is_said(file, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError, match=message):
+        write_scene(file, None)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('masses, lengths', [
+    ([1e-300, 1e-300], [1.0, 1.0]), ([1.0, 1.0], [1e12, 1e-12]), ([1e-300, 1e12], [1.0, 1e-9])])
+def test_scene_of_a_robot_of_any_sizes_is_valid_or_refused_in_a_line(masses, lengths, tmp_path):
+    (tmp_path / 'robot.urdf').write_text(chain(masses, lengths))
+    try:
+        scene = write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'robot.yaml')
+    except ModelError as refused:
+        assert 'robot.urdf: where it rests' in str(refused) and '\n' not in str(refused)
+    else:
+        build(load_scene(scene))

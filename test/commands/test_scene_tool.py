@@ -1,0 +1,237 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene executable: each task, its exit status, and the schema that editors read."""
+
+import json
+import math
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from hnn_vi_ros.commands.scene_tool import lyapunov_line, main
+from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.files.json_schema import json_schema
+from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.run.effect_cost import measure_effects
+from hnn_vi_ros.scene import load_scene, Scene
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCHEMA = json.loads(json_schema(Scene, 'A scene of hnn_vi_ros'))
+# Those whose model is shipped.
+SCENES = [name for name in shipped_names('scene') if name != 'air_track']
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_check_says_of_a_shipped_scene_what_it_is(name: str, capsys):
+    assert main(['--check', name]) == 0
+    captured = capsys.readouterr()
+    assert re.fullmatch(rf'{name}: valid: .+, h = [\d.]+ s, (not )?conservative\n', captured.out)
+    assert captured.err == ''
+
+
+def test_check_answers_each_scene_and_fails_if_one_is_wrong(tmp_path, capsys):
+    text = shipped_file('scene', 'bouncing_mass').read_text(encoding='utf-8')
+    wrong = tmp_path / 'wrong.yaml'
+    wrong.write_text(text.replace('coordinate: z', 'coordinate: y', 1))
+    assert main(['--check', 'harmonic_oscillator', str(wrong), 'nothing', 'kepler']) == 1
+    captured = capsys.readouterr()
+    assert [line.partition(':')[0] for line in captured.out.splitlines()] == [
+        'harmonic_oscillator', 'kepler']
+    first, second = captured.err.splitlines()
+    assert 'wrong.yaml' in first and 'effects.0' in first and 'valid coordinates: z' in first
+    assert second.startswith("scene: no scene 'nothing'; shipped: air_track, ")
+
+
+def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):
+    text = shipped_file('scene', 'brownian_oscillator').read_text(encoding='utf-8')
+    wrong = tmp_path / 'wrong.yaml'
+    wrong.write_text(text.replace('generalized_leapfrog', 'rk4'))
+    assert main(['--check', str(wrong)]) == 1
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1
+    assert 'thermostat' in error and 'rk4' in error and 'generalized_leapfrog' in error
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['--check'], ['--list', '--schema'], ['--new'], ['--list', '--out', 'a.yaml'],
+    ['--explain'], ['--explain', 'a', 'b'], ['kepler']])
+def test_wrong_usage_exits_2(arguments: list[str]):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+
+
+def test_list_names_every_scene_and_marks_those_without_their_model(
+        tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)  # no models/ of the user's
+    assert main(['--list']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == shipped_names('scene')
+    assert len({line.index(load_scene(line.split()[0]).description) for line in lines}) == 1
+    assert [line.split()[0] for line in lines if 'model absent' in line] == ['air_track']
+
+
+def test_schema_that_is_shipped_is_that_of_the_code(capsys):
+    assert main(['--schema']) == 0
+    assert (ROOT / 'config' / 'scene.schema.json').read_text(encoding='utf-8') \
+        == capsys.readouterr().out
+    assert SCHEMA['$schema'] == 'https://json-schema.org/draft/2020-12/schema'
+    assert all(part['additionalProperties'] is False
+               for part in (SCHEMA, *SCHEMA['$defs'].values()))
+
+
+@pytest.mark.parametrize('name', shipped_names('scene'))
+def test_shipped_scene_names_the_schema_first(name: str):
+    path = shipped_file('scene', name)
+    modeline = path.read_text(encoding='utf-8').partition('\n')[0]
+    assert modeline == '# yaml-language-server: $schema=../scene.schema.json'
+    assert (path.parent / '../scene.schema.json').is_file()
+
+
+@pytest.mark.parametrize('owner, key', [
+    (owner, key) for owner, part in [('Scene', SCHEMA), *SCHEMA['$defs'].items()]
+    for key in part['properties']])
+def test_schema_describes_every_key_and_the_unit_of_every_number(owner: str, key: str):
+    part = SCHEMA if owner == 'Scene' else SCHEMA['$defs'][owner]
+    field = part['properties'][key]
+    assert field['description']
+    if '"number"' in json.dumps(field):
+        assert re.search(r'\[.+\]|\bunits?\b', field['description'])
+
+
+def test_explain_tells_the_system_and_what_each_effect_is_and_adds(tmp_path, capsys):
+    path = tmp_path / 'mine.yaml'
+    # Two of a kind: leaving out the one or the other leaves the same kernel, compiled once.
+    path.write_text(
+        'hamiltonian: {kind: harmonic_oscillator, stiffness: 2}\n'
+        'effects: [{kind: damping, rate: 0.1}, {kind: damping, rate: [0.2]}]\n'
+        'integrator: {kind: symplectic_euler}\nstep_size: 0.01\n'
+        'initial_state: {q: [-1.5], p: [0.0]}\n')
+    assert main(['--explain', str(path)]) == 0
+    out = capsys.readouterr().out
+    for expected in (
+            r'hamiltonian harmonic_oscillator: A mass on a linear spring, H',
+            r'stiffness = 2.0: k > 0 \[N/m\]', r'coordinate x \[m\] from -1.5',
+            r'effect damping: Linear damping', r'rate = 0.1: gamma >= 0 \[1/s\]', r'does work',
+            r'rate = \[0.2\]: ', r'integrator symplectic_euler: ',
+            r'order 1, step_size = 0.01 \[s\]', r'conservative: no',
+            r'time per step: \d+\.\d+ us', r'bare integrator: \d+\.\d+ us',
+            r'damping_0 adds -?\d+\.\d+ us', r'damping_1 adds -?\d+\.\d+ us'):
+        assert re.search(expected, out), expected
+
+
+def test_explain_tells_where_a_body_starts_column_by_column(capsys):
+    assert main(['--explain', 'heavy_top']) == 0
+    out = capsys.readouterr().out
+    for expected in (
+            r'  rotation attitude: attitude_qx \[1\] from 0.258819, .*_qw \[1\] from 0.96',
+            r'  rotation attitude, momenta: attitude_rx \[kg m2/s\] from 0, .*_rz .* from 6\n'):
+        assert re.search(expected, out), expected
+
+
+def test_explain_tells_what_auto_chose_and_that_a_regular_motion_is_not_chaotic(
+        tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    path = tmp_path / 'mine.yaml'
+    path.write_text('hamiltonian: {kind: pendulum}\n'
+                    'integrator: {kind: auto, energy_error: 1.0e-5, horizon: 100.0}\n'
+                    'initial_state: {q: [2.5], p: [0.0]}\n')
+    assert main(['--explain', str(path)]) == 0
+    out = capsys.readouterr().out
+    for expected in (r'integrator (gauss\d+|stormer_verlet): ', r'step_size = [\d.e-]+ \[s\]',
+                     r'chose .* for energy_error 1e-05 of [\d.]+ J up to 100 s',
+                     r'Lyapunov time: none found within [\d.e+]+ s',
+                     r'time per step: \d+\.\d+ us'):
+        assert re.search(expected, out), expected
+
+
+def test_explain_tells_the_lyapunov_time_of_a_chaotic_motion(tmp_path, capsys):
+    path = tmp_path / 'mine.yaml'
+    path.write_text('hamiltonian: {kind: henon_heiles}\n'
+                    'integrator: {kind: generalized_leapfrog}\nstep_size: 0.05\n'
+                    'initial_state: {q: [0.0, -0.25], p: [0.42, 0.1]}\n')
+    assert main(['--explain', str(path)]) == 0
+    line = re.search(r'Lyapunov time: ([\d.]+) s: the motion is chaotic',
+                     capsys.readouterr().out)
+    # As test_lyapunov has it from the variational equations: some ten to thirty seconds.
+    assert line and 5.0 < float(line[1]) < 50.0
+
+
+def test_explain_says_why_a_lyapunov_time_is_not_measured():
+    line = lyapunov_line(load_scene('bouncing_mass'), 2048)
+    assert line.startswith('Lyapunov time: not measured: thermostat, impact')
+
+
+def test_explain_answers_a_wrong_scene_with_a_typed_error():
+    with pytest.raises(SceneError, match='nothing'):
+        main(['--explain', 'nothing'])
+
+
+def test_measure_effects_of_a_scene_without_effects_is_its_bare_integrator():
+    costs = measure_effects(load_scene('exact_harmonic_oscillator'), batches=3, batch_time=1e-3)
+    assert costs.added == {} and costs.total > 0.0 and costs.bare > 0.0
+
+
+def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effect(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    # In each step explicit Euler makes the state a thousand times larger, unless it is damped.
+    path.write_text(
+        'hamiltonian: {kind: harmonic_oscillator}\neffects: [{kind: damping, rate: 3.0}]\n'
+        'integrator: {kind: explicit_euler}\nstep_size: 1000.0\n'
+        'initial_state: {q: [1.0], p: [0.0]}\n')
+    costs = measure_effects(load_scene(path), batches=3, batch_time=2e-3)
+    assert costs.total > 0.0 and math.isnan(costs.bare) and math.isnan(costs.added['damping'])
+
+
+def test_scene_schema_holds_every_field_of_the_scene():
+    assert list(SCHEMA['properties']) == list(Scene.model_fields)
+
+
+def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
+    """In later processes: the loop, H, and what guards and samples take of it."""
+    shipped = shipped_file('scene', 'exact_pendulum').read_text(encoding='utf-8')
+    scene, damped, other = (tmp_path / f'{name}.yaml' for name in ('mine', 'damped', 'other'))
+    scene.write_text(shipped.replace('variational_euler', 'stormer_verlet'), encoding='utf-8')
+    # The same with an effect, as a whole; and one that is not compiled.
+    damped.write_text(scene.read_text(encoding='utf-8')
+                      + 'effects: [{kind: damping, rate: 0.4}]\n', encoding='utf-8')
+    other.write_text(shipped.replace('variational_euler', 'symplectic_euler'), encoding='utf-8')
+    environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
+
+    def run(code: str) -> str:
+        return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                              check=True, timeout=300, env=environment).stdout
+
+    def start(scene: Path) -> str:
+        """Return what is announced in a process, and a last line of what numba compiles."""
+        return run(
+            'from numba.core.event import RecordingListener, install_listener\n'
+            'from hnn_vi_ros import simulate\n'
+            'from hnn_vi_ros.kernels.announcing import announced\n'
+            "with announced(print), install_listener('numba:compile', RecordingListener()) as "
+            f'heard:\n    simulate({str(scene)!r}, 1.0)\n'
+            "print(*(event.data['dispatcher'] for _, event in heard.buffer))")
+
+    # One after another: what they share is compiled once.
+    for path in damped, scene:
+        assert re.fullmatch(r'.+: compiled in [\d.]+ s\n', run(
+            'import sys; from hnn_vi_ros.commands.scene_tool import main\n'
+            f"sys.exit(main(['--compile', {str(path)!r}]))"))
+    assert start(scene) == start(damped) == '\n'
+    cold = start(other)
+    assert re.search(r'compiling the loop over steps, once: about \d+ s\n', cold)
+    assert 'advance' in cold.splitlines()[-1]
+    assert run('from hnn_vi_ros.scene import load_scene\n'
+               'from hnn_vi_ros.simulation.build import build\n'
+               f'simulation = build(load_scene({str(damped)!r}))\n'
+               'simulation.compile()\nprint(simulation._loops[0].whole)') == 'True\n'
+
+
+def test_compile_says_what_is_wrong_with_a_scene_and_compiles_the_others(capsys):
+    assert main(['--compile', 'nothing', 'exact_pendulum']) == 1
+    captured = capsys.readouterr()
+    assert captured.out.startswith('exact_pendulum: compiled in ')
+    assert captured.err.startswith("scene: no scene 'nothing'")

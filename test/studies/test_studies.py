@@ -1,0 +1,73 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Studies as a whole: how they are run, and how they fail."""
+
+from importlib import import_module
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+from studies.__main__ import main, studies
+
+DOCS = Path(__file__).parents[2] / 'docs'
+NAMES = list(studies())
+HIDE = """
+import sys
+class Hide:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] == {hidden!r}:
+            raise ModuleNotFoundError(f'No module named {{name!r}}', name=name)
+sys.meta_path.insert(0, Hide())
+from studies.__main__ import main
+sys.exit(main({arguments!r}))
+"""
+
+
+def run(*arguments: str, hidden: str = 'a_package_that_nobody_needs'
+        ) -> subprocess.CompletedProcess:
+    """Run a study in a process from which one package cannot be imported."""
+    path = os.pathsep.join([str(DOCS), *filter(None, [os.environ.get('PYTHONPATH')])])
+    return subprocess.run(
+        [sys.executable, '-c', HIDE.format(hidden=hidden, arguments=[*arguments])],
+        env=os.environ | {'PYTHONPATH': path}, capture_output=True, text=True, timeout=240,
+        check=False)
+
+
+def test_studies_are_listed_with_what_they_do(capsys):
+    assert main([]) == 0
+    lines = capsys.readouterr().out.splitlines()[2:]
+    assert len(lines) == len(studies()) > 10
+    assert all(len(line.split()) > 4 for line in lines)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_help_of_a_study_tells_every_option_and_how_it_is_run(name):
+    parser = import_module(f'studies.{name}').parser()
+    assert f'make study NAME={name}' in parser.format_help()
+    assert all(action.help for action in parser._actions)
+
+
+def test_unknown_study_is_one_line_with_the_nearest():
+    text = main(['paper_figure'])
+    assert isinstance(text, str) and 'did you mean paper_figures?' in text and '\n' not in text
+
+
+@pytest.mark.parametrize('arguments, said', [
+    (['paper-figures', '--out', '/dev/null/x'], '/dev/null/x: cannot be written'),
+    (['work_precision', '--scene', 'nothing'], "no scene 'nothing'"),
+    (['published_tables', '--quick', '--out', '/dev/null/x'], '/dev/null/x: cannot be written')])
+def test_error_of_the_user_is_one_line_and_no_traceback(arguments, said):
+    result = run(*arguments)
+    assert result.returncode == 1 and said in result.stderr
+    assert result.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize('hidden', ['torchdiffeq', 'torch'])
+def test_missing_peer_is_one_line_before_anything_is_measured(hidden, tmp_path):
+    result = run('work_precision', '--scene', 'pendulum', '--peers', '--out',
+                 str(tmp_path / 'out'), hidden=hidden)
+    assert result.returncode == 1 and result.stderr.count('\n') == 1
+    assert f'the Python package {hidden} is missing' in result.stderr
+    assert not (tmp_path / 'out').exists()
