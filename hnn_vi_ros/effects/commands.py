@@ -86,6 +86,8 @@ OBSERVATION = 'observation'
 # Upper bound on the numbers of a command, whatever their unit: splines and forces of such numbers
 # stay finite.
 LARGEST = 1e12
+# The largest observed position of a joint, and velocity; far beyond, numbers overflow.
+_LARGEST_OBSERVED = 1e9
 
 
 def contents(command: Command) -> set[str]:
@@ -198,6 +200,30 @@ class Commanded(ABC):
     def aim(self, parameters: Any) -> Aim | None:
         """Return the present targets; None if the effect follows none."""
         return None
+
+
+def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return positions and velocities of named joints, shape (n,); unobserved velocities are NaN.
+
+    Raises
+    ------
+    ValueError
+        A joint is missing or there twice, or a number is not finite.
+
+    """
+    given = list(command.names)
+    for name in names:
+        if given.count(name) != 1:
+            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it '
+                             f'once; observed are {listed(names)}')
+    rows = [given.index(name) for name in names]
+    position, velocity = command.position[rows], command.velocity[rows]
+    if not (np.abs(position) <= _LARGEST_OBSERVED).all() \
+            or (np.abs(velocity) > _LARGEST_OBSERVED).any():
+        raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
+                         f'is beyond {_LARGEST_OBSERVED:g}')
+    return position, velocity
 
 
 def indices_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:

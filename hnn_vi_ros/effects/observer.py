@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, StepEffect
-from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION, Observation
+from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION, Observation, select
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.parameters import check_positive
@@ -18,8 +18,6 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 _MOST_PREDICTIONS = 40
-# The largest position of a joint, and velocity; far beyond, numbers overflow.
-_LARGEST = 1e9
 # Two observations closer in time than this are the same one [s].
 _LEAST = 1e-9
 
@@ -142,51 +140,6 @@ class Observer(StepEffect, Commanded):
     def wrap(step: Step, keeps_gradient: bool) -> Step:
         """Return the step between two half flows; see StepEffect."""
         return strang(_flow, step, keeps_gradient)
-
-
-def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return positions and velocities of named joints, shape (n,); unobserved velocities are NaN.
-
-    Raises
-    ------
-    ValueError
-        A joint is missing or there twice, or a number is not finite.
-
-    """
-    given = list(command.names)
-    for name in names:
-        if given.count(name) != 1:
-            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it '
-                             f'once; observed are {listed(names)}')
-    rows = [given.index(name) for name in names]
-    position, velocity = command.position[rows], command.velocity[rows]
-    if not (np.abs(position) <= _LARGEST).all() or (np.abs(velocity) > _LARGEST).any():
-        raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
-                         f'is beyond {_LARGEST:g}')
-    return position, velocity
-
-
-def largest_gain(mass: float, damping: float, h: float) -> float:
-    """
-    Return the largest gain for which the splitting of an observer is stable at a step size.
-
-    Half a flow, the flight of a free mass m and another half map (q - y, p) with the determinant
-    exp(-lambda h); both eigenvalues are at most 1 in size up to k = (2 m lambda / h)
-    coth(lambda h / 2), which is 4 m / h^2 without damping.
-
-    Parameters
-    ----------
-    mass : float
-        m [kg], [kg m2].
-    damping : float
-        lambda [1/s].
-    h : float
-        Step size [s].
-
-    """
-    half = 0.5 * damping * h
-    return 4.0 * mass / h**2 * (half / math.tanh(half) if half > 0.0 else 1.0)
 
 
 def _check(names: Sequence[str], deviations: Sequence[float] | None, predictions: int,

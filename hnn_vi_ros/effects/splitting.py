@@ -3,6 +3,7 @@
 """Strang splitting: half a step of an effect's flow before and after a method's step."""
 
 from collections.abc import Callable
+import math
 from typing import Any
 
 from hnn_vi_ros.effects.wrapped import energy_of
@@ -57,3 +58,25 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
             state.pending[effect] += half_flow(kernel, h, parameters, z1)
         return outcome, residual, gradients + more
     return split
+
+
+def largest_gain(mass: float, damping: float, h: float) -> float:
+    """
+    Return the largest gain for which the splitting of an observer is stable at a step size.
+
+    Half a flow, the flight of a free mass m and another half map (q - y, p) with the determinant
+    exp(-lambda h); both eigenvalues are at most 1 in size up to k = (2 m lambda / h)
+    coth(lambda h / 2), which is 4 m / h^2 without damping.
+
+    Parameters
+    ----------
+    mass : float
+        m [kg], [kg m2].
+    damping : float
+        lambda [1/s].
+    h : float
+        Step size [s].
+
+    """
+    half = 0.5 * damping * h
+    return 4.0 * mass / h**2 * (half / math.tanh(half) if half > 0.0 else 1.0)

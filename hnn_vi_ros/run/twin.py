@@ -6,8 +6,8 @@ from collections import deque
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.effects.commands import Command, Observation
-from hnn_vi_ros.effects.observer import largest_gain, select
+from hnn_vi_ros.effects.commands import Command, Observation, select
+from hnn_vi_ros.effects.splitting import largest_gain
 from hnn_vi_ros.errors import ModelError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.phase_space import columns

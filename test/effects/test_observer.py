@@ -4,7 +4,8 @@
 
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.effects.observer import largest_gain, Observer
+from hnn_vi_ros.effects.observer import Observer
+from hnn_vi_ros.effects.splitting import largest_gain
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
