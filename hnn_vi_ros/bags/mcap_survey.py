@@ -43,6 +43,8 @@ class Survey:
         Where the data end [bytes].
     header, statistics, footer : McapRecord or None
         If they are there; statistics that contradict themselves are not.
+    header_end : int
+        Where the records behind the header begin [bytes].
     chunks : list of Indexed
         In the order of the file, as all below.
     stray : list of Frame
@@ -79,6 +81,7 @@ class Survey:
     header: Header | None = None
     statistics: Statistics | None = None
     footer: Footer | None = None
+    header_end: int = 0
     chunks: list[Indexed] = field(default_factory=list)
     stray: list[Frame] = field(default_factory=list)
     runs: list[Piece] = field(default_factory=list)
@@ -171,12 +174,15 @@ def _second(found: Survey, stream: BinaryIO, header: Frame) -> int:
     stream.seek(max(0, begin - len(MAGIC)))
     if begin > len(MAGIC) and stream.read(len(MAGIC)) == MAGIC and found.is_mcap:
         return begin - len(MAGIC)
-    return begin if found.header is not None else 0
+    # One right behind the first header is a copy of it: a file without records ends nothing.
+    return begin if found.header is not None and begin != found.header_end else 0
 
 
 def _add(found: Survey, stream: BinaryIO, frame: Frame) -> None:
     opcode = frame.opcode
     found.chunked |= opcode in _OF_CHUNKS
+    if opcode == Opcode.HEADER:
+        found.header_end = frame.end
     if opcode == Opcode.CHUNK:
         found.chunks.append(Indexed(frame, []))
     elif opcode == Opcode.MESSAGE_INDEX:

@@ -190,6 +190,13 @@ def test_second_file_is_told_with_the_command_that_cuts_it_out(tmp_path, killed,
     assert (tmp_path / 'a.mcap.orig').read_bytes()[begin - 1:] == finished
 
 
+def test_header_right_behind_a_header_begins_no_second_file(tmp_path, killed):
+    header, *others = records_of(killed)
+    recovery, found = attempt(tmp_path / 'bag', MAGIC + 2 * header + b''.join(others))
+    assert not recovery.lost and recovery.another is None
+    assert Counter(found) == Counter(expected())
+
+
 def test_index_that_contradicts_its_chunk_is_told_and_made_again(tmp_path, finished, capsys):
     # The lowest byte of the time of an entry: the second of an index, neither first nor last.
     place = next(match.start() for match in re.finditer(
